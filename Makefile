@@ -1,0 +1,28 @@
+# `make demo` and `make test` are all that a newcomer needs; both make .venv first.
+PYTHON ?= python3.11
+VENV := .venv/bin/python
+
+.PHONY: demo test lint extension clean
+
+demo: .venv/ready
+	$(VENV) demo/run.py
+
+test: .venv/ready
+	$(VENV) -m pytest
+
+lint: .venv/ready
+	$(VENV) -m ruff check .
+	$(VENV) -m ruff format --check .
+	$(VENV) -m mypy
+
+extension: .venv/ready
+	$(VENV) -m swag_engine.rasterize.kernels.build --all
+	$(VENV) .ci/build_extension.py
+
+# The stamp changes when a pin or a kernel does, so that a second run starts at once.
+.venv/ready: constraints.txt requirements.txt requirements-dev.txt environment.sh $(wildcard swag_engine/rasterize/kernels/*.cpp)
+	PYTHON=$(PYTHON) sh environment.sh
+	touch $@
+
+clean:
+	rm -rf .venv dist demo/output swag_engine/rasterize/kernels/lib

@@ -1,0 +1,25 @@
+#!/bin/sh
+# Makes .venv with everything that the demo and the tests need, at the versions of constraints.txt.
+set -eu
+[ -x .venv/bin/python ] || "$PYTHON" -m venv .venv
+export PIP_DISABLE_PIP_VERSION_CHECK=1
+.venv/bin/python -m pip install --quiet --constraint constraints.txt --requirement requirements-dev.txt
+
+# The oldest Blender that the extension supports lies beside the newest that this Python takes; it shares the other packages.
+oldest=4.5.15
+[ -d ".venv/blender-4.5/bpy-$oldest.dist-info" ] ||
+    .venv/bin/python -m pip install --quiet --no-deps --upgrade --target .venv/blender-4.5 "bpy==$oldest"
+
+# Blender as a Python package links to the system's OpenGL and X11 libraries even when it draws nothing on a screen.
+libraries="libgl1 libegl1 libgl1-mesa-dri libsm6 libxi6 libxrender1 libxfixes3 libxkbcommon0"
+if ! .venv/bin/python -c "import bpy" 2>/dev/null; then
+    if command -v apt-get >/dev/null && [ "$(id -u)" = 0 ]; then
+        apt-get update -qq
+        DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $libraries >/dev/null
+    fi
+    .venv/bin/python -c "import bpy" || {
+        echo "Blender's Python package does not load. Install these system libraries (their names in Debian and Ubuntu) and try again: $libraries" >&2
+        exit 1
+    }
+fi
+.venv/bin/python -m swag_engine.rasterize.kernels.build

@@ -1,0 +1,197 @@
+"""The command line: `python -m swag_engine COMMAND ...`.
+
+Exit codes: 0 done, 1 a bug, 2 bad input or usage, 130 interrupted with what exists kept. Progress and errors go to
+stderr; with --json stdout carries one JSON document and nothing else.
+"""
+
+import signal
+import sys
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from .errors import InputError
+from .protocol import ExportFormat, to_json
+from .training.config import TrainSettings
+
+INTERRUPTED = 130
+Flag = tyro.conf.FlagCreatePairsOff
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Say what a COLMAP scene holds: photographs, registered share, points, ranges, warnings."""
+
+    scene: tyro.conf.Positional[Path]
+    """Folder of the scene: photographs and a COLMAP model."""
+    json: Flag[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .scene.colmap import load_scene
+        from .scene.inspect import describe, inspect_scene
+
+        summary = inspect_scene(load_scene(self.scene))
+        show(summary, self.json, describe(summary))
+        return 0
+
+
+@dataclass(frozen=True)
+class Sfm:
+    """Find the cameras of photographs or of a video with COLMAP, and make a scene of them."""
+
+    photos: tyro.conf.Positional[Path]
+    """Folder of photographs, or a video."""
+    out: Path
+    """Folder of the scene to make; must not exist or be empty."""
+    json: Flag[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .progress import fraction_bar
+        from .scene.sfm import reconstruct
+
+        with fraction_bar() as progress:
+            summary = reconstruct(self.photos, self.out, progress)
+        text = (
+            f"{summary['registered']} of {summary['images']} photographs registered, {summary['points']} points, "
+            f"reprojection error {summary['reprojection_error']:.2f} px.\nScene: {self.out}"
+        )
+        show(summary, self.json, text)
+        return 0
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train a scene; the run folder holds result.ply, result.glb, metrics and checkpoints."""
+
+    scene: tyro.conf.Positional[Path]
+    """Folder of the scene: photographs and a COLMAP model."""
+    out: Path
+    """Folder of the run."""
+    settings: tyro.conf.OmitArgPrefixes[TrainSettings] = field(default_factory=TrainSettings)
+    resume: Flag[bool] = False
+    """Go on with the run in --out where it stopped."""
+    json: Flag[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .progress import training_bar
+        from .training.loop import train
+
+        stop = threading.Event()
+
+        def interrupt(signum: int, frame: object) -> None:
+            if stop.is_set():
+                raise KeyboardInterrupt
+            stop.set()
+            print("Stopping after this iteration; press Ctrl-C again to stop at once.", file=sys.stderr)
+
+        signal.signal(signal.SIGINT, interrupt)
+        with training_bar() as on_event:
+            result = train(self.scene, self.out, self.settings, self.resume, on_event, stop.is_set)
+        metrics = result["metrics"]
+        text = (
+            f"{'Interrupted' if result['interrupted'] else 'Done'} after {metrics['iteration']} iterations, "
+            f"{metrics['seconds'] / 60:.1f} minutes, {metrics['gaussians']} Gaussians.\n"
+            f"Held-out views: PSNR {metrics['test_psnr']:.2f} dB, SSIM {metrics['test_ssim']:.3f} "
+            f"(median training image: {metrics['control_psnr']:.2f} dB).\nResult: {result['ply']}"
+        )
+        show(result, self.json, text)
+        return INTERRUPTED if result["interrupted"] else 0
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    """Score the result of a run on its held-out views."""
+
+    run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+    """Folder of the run."""
+    json: Flag[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .evaluation.run import evaluate_run
+
+        scores = evaluate_run(self.run_folder)
+        lines = [f"{name}: PSNR {view['psnr']:.2f} dB, SSIM {view['ssim']:.3f}" for name, view in scores["views"].items()]
+        lines.append(f"mean: PSNR {scores['test_psnr']:.2f} dB, SSIM {scores['test_ssim']:.3f}")
+        show(scores, self.json, "\n".join(lines))
+        return 0
+
+
+@dataclass(frozen=True)
+class Render:
+    """Render the views of a run to PNG files."""
+
+    run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+    """Folder of the run."""
+    out: Path
+    """Folder for the pictures."""
+    camera: str | None = None
+    """Name of one photograph; all held-out views without it."""
+    json: Flag[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .evaluation.run import render_run
+
+        files = [str(path) for path in render_run(self.run_folder, self.out, self.camera)]
+        show({"files": files}, self.json, "\n".join(files))
+        return 0
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write the result of a run as a 3DGS PLY or as glTF with KHR_gaussian_splatting."""
+
+    run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+    """Folder of the run."""
+    format: ExportFormat
+    """ply or glb."""
+    out: Path
+    """File to write."""
+    json: Flag[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .formats.export import export_run
+
+        export_run(self.run_folder, self.format, self.out)
+        show({"out": str(self.out)}, self.json, str(self.out))
+        return 0
+
+
+def show(document: dict[str, Any], as_json: bool, text: str) -> None:
+    """The answer on stdout: JSON or plain text."""
+    print(to_json(document, indent=2) if as_json else text)
+
+
+COMMANDS = (Inspect, Sfm, Train, Evaluate, Render, Export)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    union: Any = None
+    for command in COMMANDS:
+        named = Annotated[command, tyro.conf.subcommand(name=command.__name__.lower())]
+        union = named if union is None else union | named
+    try:
+        command = tyro.cli(union, prog="python -m swag_engine", description=__doc__, args=arguments)
+        return command.run()
+    except InputError as error:
+        if "--json" in arguments:
+            print(to_json({"error": str(error)}))
+        print(error, file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("Interrupted.", file=sys.stderr)
+        return INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,68 @@
+"""The parameters that are optimised, and their activations."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .sh import evaluate_sh
+from .splats import Splats
+
+
+@dataclass
+class GaussianCloud:
+    """N Gaussians and the colour behind them, all float tensors of one dtype.
+
+    means (N, 3) in scene units; quats (N, 4) wxyz, any length; log_scales (N, 3) log of the standard deviation;
+    opacity_logits (N,); sh0 (N, 1, 3) and shN (N, K - 1, 3) raw spherical harmonics as in 3DGS (arXiv 2308.04079);
+    background (3,) logit of the colour seen where no Gaussian is.
+    """
+
+    means: Tensor
+    quats: Tensor
+    log_scales: Tensor
+    opacity_logits: Tensor
+    sh0: Tensor
+    shN: Tensor
+    background: Tensor
+
+    def __len__(self) -> int:
+        return self.means.shape[0]
+
+    def parameters(self) -> dict[str, Tensor]:
+        """Name -> tensor, in the order of the fields."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @property
+    def scales(self) -> Tensor:
+        """(N, 3) standard deviations in scene units."""
+        return self.log_scales.clamp(-20.0, 10.0).exp()
+
+    @property
+    def opacities(self) -> Tensor:
+        """(N,) in 0..1."""
+        return self.opacity_logits.sigmoid()
+
+    def colors(self, camera_centre: Tensor, degree: int) -> Tensor:
+        """(N, 3) display colours seen from `camera_centre` (3,), with SH up to `degree`.
+
+        No gradient flows from colour to position through the direction: it is small, and would cost a pass.
+        """
+        directions = torch.nn.functional.normalize(self.means.detach() - camera_centre, dim=-1)
+        degree = min(degree, int(np.sqrt(1 + self.shN.shape[1])) - 1)
+        sh = torch.cat([self.sh0, self.shN[:, : (degree + 1) ** 2 - 1]], dim=1)
+        return evaluate_sh(sh, directions, degree)
+
+    def to_splats(self, sh_degree: int | None = None) -> Splats:
+        """The Gaussians as numpy arrays for files and Blender; SH up to `sh_degree` (all by default)."""
+        with torch.no_grad():
+            higher = self.shN if sh_degree is None else self.shN[:, : (sh_degree + 1) ** 2 - 1]
+            arrays = (
+                self.means,
+                torch.nn.functional.normalize(self.quats, dim=-1),
+                self.scales,
+                self.opacities,
+                torch.cat([self.sh0, higher], dim=1),
+            )
+            return Splats(*(array.detach().float().cpu().numpy().copy() for array in arrays), extras={})

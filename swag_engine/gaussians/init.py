@@ -1,0 +1,45 @@
+"""Gaussians to begin with, from the sparse points of structure from motion."""
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from ..scene.colmap import Points
+from .cloud import GaussianCloud
+
+SH_C0 = 0.28209479177387814
+INITIAL_OPACITY = 0.3
+
+
+def gaussians_from_points(points: Points, most: int, sh_degree: int, seed: int, background: np.ndarray) -> GaussianCloud:
+    """One round Gaussian a point, as wide as the mean distance to its three nearest neighbours.
+
+    `most` caps the number (a seeded random subset is taken); `background` (3,) display colour in 0..1 is what
+    lies behind everything at first. Points that are not finite are left out.
+    """
+    positions, colors = points.positions, points.colors
+    keep = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    if len(keep) > most:
+        keep = np.sort(np.random.default_rng(seed).choice(keep, most, replace=False))
+    positions, colors = positions[keep], colors[keep]
+    neighbours = min(4, len(positions))
+    distances = cKDTree(positions).query(positions, k=neighbours)[0].reshape(len(positions), neighbours)
+    nearest = distances[:, 1:].mean(axis=1) if neighbours > 1 else np.full(len(positions), np.nan)
+    typical = np.nanmedian(nearest[nearest > 0]) if (nearest > 0).any() else 1.0
+    # A stray point far from all others would start as a ball that covers the picture.
+    width = np.clip(np.nan_to_num(nearest, nan=typical), 0.05 * typical, 5 * typical)
+
+    def tensor(values: np.ndarray) -> torch.Tensor:
+        return torch.tensor(values, dtype=torch.float32)
+
+    n = len(positions)
+    inside = np.clip(background, 0.02, 0.98)
+    return GaussianCloud(
+        means=tensor(positions),
+        quats=tensor(np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))),
+        log_scales=tensor(np.log(np.repeat(width[:, None], 3, axis=1))),
+        opacity_logits=torch.full((n,), float(np.log(INITIAL_OPACITY / (1 - INITIAL_OPACITY)))),
+        sh0=tensor((colors[:, None, :] / 255.0 - 0.5) / SH_C0),
+        shN=torch.zeros(n, (sh_degree + 1) ** 2 - 1, 3),
+        background=tensor(np.log(inside / (1 - inside))),
+    )

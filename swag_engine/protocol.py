@@ -1,0 +1,110 @@
+"""The messages between the worker and whoever started it: one JSON object a line."""
+
+import json
+import math
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from .errors import InputError
+from .training.config import TrainSettings
+
+ExportFormat = Literal["ply", "glb"]
+
+
+@dataclass(frozen=True)
+class InspectRequest:
+    """Read a scene; `arrays` is the folder for the arrays of the answer."""
+
+    scene: Path
+    arrays: Path
+
+
+@dataclass(frozen=True)
+class TrainRequest:
+    """Train `scene` to the run folder `out`."""
+
+    scene: Path
+    out: Path
+    settings: TrainSettings = field(default_factory=TrainSettings)
+    resume: bool = False
+
+
+@dataclass(frozen=True)
+class ExportRequest:
+    """Write the result of the run folder `run` to the file `out`."""
+
+    run: Path
+    format: ExportFormat
+    out: Path
+
+
+@dataclass(frozen=True)
+class CancelRequest:
+    """Stop what is running; what exists is kept."""
+
+
+Request = InspectRequest | TrainRequest | ExportRequest | CancelRequest
+REQUESTS: dict[str, type[Request]] = {
+    "inspect": InspectRequest,
+    "train": TrainRequest,
+    "export": ExportRequest,
+    "cancel": CancelRequest,
+}
+
+
+def parse_request(line: str) -> Request:
+    """The request in one line. Raises InputError that names what is wrong with it."""
+    try:
+        message = json.loads(line)
+    except ValueError as error:
+        raise InputError(f"A request must be one JSON object a line: {error}.") from error
+    if not isinstance(message, dict):
+        raise InputError("A request must be a JSON object.")
+    name = message.pop("request", None)
+    kind = REQUESTS.get(name) if isinstance(name, str) else None
+    if kind is None:
+        raise InputError(f"Unknown request {name!r}; there are {', '.join(REQUESTS)}.")
+    known = {entry.name: entry for entry in fields(kind)}
+    unknown = sorted(set(message) - set(known))
+    if unknown:
+        raise InputError(f"The request {name} knows no {', '.join(unknown)}.")
+    values = {key: parse_value(name, key, known[key].type, value) for key, value in message.items()}
+    try:
+        return kind(**values)
+    except TypeError:
+        required = [key for key in known if key not in ("settings", "resume")]
+        raise InputError(f"The request {name} needs {', '.join(required)}.") from None
+
+
+def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
+    """One field of a request as the type that the dataclass gives it."""
+    if kind is Path and isinstance(value, str) and value:
+        return Path(value)
+    if kind is bool and isinstance(value, bool):
+        return value
+    if kind is TrainSettings and isinstance(value, dict):
+        return TrainSettings.from_json(value)
+    if kind is ExportFormat and value in get_args(ExportFormat):
+        return value
+    raise InputError(f"The request {request} has {key} = {value!r}, which is no {describe(kind)}.")
+
+
+def describe(kind: Any) -> str:
+    words: dict[Any, str] = {Path: "path", bool: "true or false", TrainSettings: "object of settings"}
+    return words.get(kind) or f"one of {', '.join(get_args(kind))}"
+
+
+def to_json(message: dict[str, Any], indent: int | None = None) -> str:
+    """Strict JSON: figures that are not finite become null."""
+    return json.dumps(strict(message), indent=indent, allow_nan=False)
+
+
+def strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: strict(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [strict(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,47 @@
+"""The state of a run on disk: whole or absent, never code (safetensors)."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from ..errors import InputError
+from ..files import atomic_path
+
+KEEP = 2
+
+
+def save_checkpoint(run: Path, iteration: int, tensors: dict[str, torch.Tensor], state: dict[str, Any]) -> Path:
+    """Write checkpoint-<iteration>.safetensors with `tensors` and the JSON-able `state`; older ones but one go."""
+    path = run / f"checkpoint-{iteration:07d}.safetensors"
+    with atomic_path(path) as temporary:
+        save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, {"state": json.dumps(state)})
+    for old in checkpoints(run)[:-KEEP]:
+        old.unlink(missing_ok=True)
+    return path
+
+
+def checkpoints(run: Path) -> list[Path]:
+    """The checkpoints of a run, oldest first."""
+    return sorted(run.glob("checkpoint-*.safetensors"))
+
+
+def load_checkpoint(run: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]] | None:
+    """Tensors and state of the newest readable checkpoint, None if the run has none.
+
+    Raises InputError when there are checkpoints but none can be read.
+    """
+    found = checkpoints(run)
+    for path in reversed(found):
+        try:
+            with safe_open(path, framework="pt") as stored:
+                tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 (not a dict)
+                return tensors, json.loads(stored.metadata()["state"])
+        except (SafetensorError, OSError, KeyError, TypeError, ValueError):
+            continue
+    if found:
+        raise InputError(f"No checkpoint in {run} can be read; the newest is {found[-1].name}. Train again to a new folder.")
+    return None

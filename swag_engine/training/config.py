@@ -1,0 +1,85 @@
+"""The one configuration of a training run. Command line and Blender mirror it; nothing else defines a setting."""
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal
+
+from ..errors import InputError
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """What a user chooses about a run. Raises InputError for a value that cannot be trained with."""
+
+    iterations: int = 3000
+    """Number of optimisation steps; each looks at one photograph."""
+    width: int = 640
+    """Width in pixels that the photographs are trained at; smaller photographs keep their size."""
+    max_gaussians: int = 60_000
+    """Most Gaussians that the scene may grow to."""
+    sh_degree: int = 3
+    """Degree of the spherical harmonics that let colour change with direction, 0 to 3."""
+    seed: int = 0
+    """Seed of everything random: the same seed on the same machine gives the same result."""
+    backend: Literal["auto", "cpu", "torch"] = "auto"
+    """What rasterises: the native CPU kernels, or plain torch."""
+
+    def __post_init__(self) -> None:
+        limits = {
+            "iterations": (1, 10_000_000),
+            "width": (8, 20_000),
+            "max_gaussians": (1, 100_000_000),
+            "sh_degree": (0, 3),
+            "seed": (0, 2**31 - 1),
+        }
+        for name, (least, most) in limits.items():
+            value = getattr(self, name)
+            if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
+                raise InputError(
+                    f"The setting {name.replace('_', ' ')} must be a whole number from {least} to {most}, not {value!r}."
+                )
+        if self.backend not in ("auto", "cpu", "torch"):
+            raise InputError(f"The setting backend must be auto, cpu or torch, not {self.backend!r}.")
+
+    def to_json(self) -> dict[str, Any]:
+        """A plain dict that `from_json` reads back."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> "TrainSettings":
+        """Settings from a plain dict; names left out take their defaults. Raises InputError for unknown names."""
+        unknown = sorted(set(values) - {field.name for field in fields(cls)})
+        if unknown:
+            raise InputError(f"Unknown training setting: {', '.join(unknown)}.")
+        return cls(**values)
+
+
+@dataclass(frozen=True)
+class LearningRates:
+    """Adam's step sizes per group of parameters (3DGS, arXiv 2308.04079; means in units of the median range)."""
+
+    means: float = 3.2e-4
+    means_end: float = 3.2e-6
+    quats: float = 2e-3
+    log_scales: float = 1e-2
+    opacity_logits: float = 5e-2
+    sh0: float = 5e-3
+    shN: float = 2.5e-4
+    background: float = 1e-2
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When things happen, as fractions of all iterations unless said otherwise."""
+
+    coarse: tuple[tuple[float, int], ...] = ((0.2, 4), (0.5, 2))
+    """(until, factor): images are shrunk by `factor` until that fraction."""
+    sh_degrees: tuple[float, ...] = (0.2, 0.35, 0.5)
+    """Where SH degree 1, 2 and 3 join."""
+    grow_from: float = 0.04
+    grow_until: float = 0.7
+    grow_every: int = 50
+    """Iterations between two growth events."""
+    validate: float = 0.1
+    """Share of the run between two validations."""
+    checkpoint_seconds: float = 30.0
+    preview_seconds: float = 2.0

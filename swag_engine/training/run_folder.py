@@ -1,0 +1,102 @@
+"""What a run leaves in its folder, and how it is found again."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from ..files import atomic_path
+from .config import TrainSettings
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """One run = one folder. `path` need not exist yet."""
+
+    path: Path
+
+    @property
+    def config(self) -> Path:
+        return self.path / "config.json"
+
+    @property
+    def metrics_log(self) -> Path:
+        return self.path / "metrics.jsonl"
+
+    @property
+    def metrics(self) -> Path:
+        return self.path / "metrics.json"
+
+    @property
+    def ply(self) -> Path:
+        return self.path / "result.ply"
+
+    @property
+    def glb(self) -> Path:
+        return self.path / "result.glb"
+
+    @property
+    def preview(self) -> Path:
+        return self.path / "preview.ply"
+
+    def write_config(self, scene: Path, settings: TrainSettings, up: list[float]) -> None:
+        """config.json: the scene's folder, every setting, and which way is up in the scene's coordinates."""
+        document = {"scene": str(scene.resolve()), "settings": settings.to_json(), "up": up}
+        write_json(self.config, document)
+
+    def read_config(self) -> tuple[Path, TrainSettings, list[float]]:
+        """Scene folder, settings and up vector of a run. Raises InputError when this is not a run."""
+        document = read_json(self.config, f"{self.path} is not a training run: it has no config.json.")
+        try:
+            return Path(document["scene"]), TrainSettings.from_json(document["settings"]), list(document["up"])
+        except (KeyError, TypeError) as error:
+            raise InputError(f"{self.config} is not a training run's configuration: {error}.") from error
+
+    def write_metrics(self, metrics: dict[str, Any]) -> None:
+        write_json(self.metrics, metrics)
+
+    def finished(self) -> bool:
+        """Whether the run came to its end and not merely to a stop."""
+        return self.metrics.exists() and not read_json(self.metrics, "")["interrupted"]
+
+    def log_until(self, iteration: int) -> None:
+        """Drop lines of metrics.jsonl past `iteration`: a resumed run writes them again."""
+        if not self.metrics_log.exists():
+            return
+        kept = []
+        for line in self.metrics_log.read_text(encoding="utf-8").splitlines():
+            try:
+                entry = json.loads(line)
+            except ValueError:
+                continue
+            if entry.get("iteration", iteration + 1) <= iteration and "test_psnr" not in entry:
+                kept.append(line + "\n")
+        with atomic_path(self.metrics_log) as temporary:
+            temporary.write_text("".join(kept), encoding="utf-8")
+
+    def log(self, entry: dict[str, Any]) -> None:
+        """Append one line to metrics.jsonl."""
+        try:
+            with open(self.metrics_log, "a", encoding="utf-8") as log:
+                log.write(json.dumps(entry) + "\n")
+        except OSError as error:
+            raise InputError(f"Cannot write {self.metrics_log}: {error.strerror or error}.") from error
+
+
+def write_json(path: Path, document: dict[str, Any]) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+
+
+def read_json(path: Path, missing: str) -> dict[str, Any]:
+    """The object in a JSON file. Raises InputError: with the sentence `missing` when there is no file."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(missing) from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read: {error}.") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{path} does not hold a JSON object.")
+    return document

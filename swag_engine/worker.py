@@ -1,0 +1,141 @@
+"""The child process that Blender drives: requests on stdin, events on stdout, one JSON object a line.
+
+It ends when stdin closes; what runs then is cancelled first, and everything that exists is kept.
+"""
+
+import os
+import queue
+import sys
+import threading
+import traceback
+from pathlib import Path
+from typing import Any, TextIO
+
+from .errors import InputError
+from .protocol import CancelRequest, ExportRequest, InspectRequest, Request, TrainRequest, parse_request, to_json
+
+
+class Worker:
+    """Reads requests from one stream and answers on another.
+
+    Requests are read by a thread of their own, so that `cancel` and the end of the stream are seen during a run.
+    """
+
+    def __init__(self, requests: TextIO, events: TextIO) -> None:
+        self.requests, self.events = requests, events
+        self.waiting: queue.Queue[Request | InputError | None] = queue.Queue()
+        self.stop = threading.Event()
+        self.writing = threading.Lock()
+
+    def send(self, event: dict[str, Any]) -> None:
+        """One event to the other side; a reader that has gone away stops the run."""
+        try:
+            with self.writing:
+                self.events.write(to_json(event) + "\n")
+                self.events.flush()
+        except (BrokenPipeError, ValueError):
+            self.stop.set()
+
+    def read(self) -> None:
+        for line in self.requests:
+            if not line.strip():
+                continue
+            try:
+                request = parse_request(line)
+            except InputError as error:
+                self.waiting.put(error)
+                continue
+            if isinstance(request, CancelRequest):
+                self.stop.set()
+            else:
+                self.waiting.put(request)
+        self.stop.set()
+        self.waiting.put(None)
+
+    def run(self) -> None:
+        """Answer requests, one after the other, until the stream of requests ends."""
+        threading.Thread(target=self.read, daemon=True).start()
+        while (request := self.waiting.get()) is not None:
+            try:
+                if isinstance(request, InputError):
+                    raise request
+                self.send(self.answer(request))
+            except InputError as error:
+                self.send({"event": "error", "kind": "input", "message": str(error)})
+            except Exception as error:
+                traceback.print_exc(file=sys.stderr)
+                self.send({"event": "error", "kind": "bug", "message": f"{type(error).__name__}: {error}"})
+            self.stop.clear()
+
+    def answer(self, request: Request) -> dict[str, Any]:
+        """The `result` event of one request."""
+        if isinstance(request, InspectRequest):
+            return inspect(request.scene, request.arrays)
+        if isinstance(request, TrainRequest):
+            from .training.loop import train
+
+            return train(
+                request.scene, request.out, request.settings, request.resume, self.send, self.stop.is_set, preview=True
+            )
+        assert isinstance(request, ExportRequest)
+        from .formats.export import export_run
+
+        export_run(request.run, request.format, request.out)
+        return {"event": "result", "request": "export", "out": str(request.out)}
+
+
+def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
+    """Read a scene, write points_xyz.npy (P, 3) float32 and points_rgb.npy (P, 3) uint8 to `arrays`, and describe it."""
+    import numpy as np
+
+    from .files import atomic_path
+    from .scene.colmap import load_scene
+    from .scene.images import background_image
+    from .scene.inspect import inspect_scene
+
+    scene = load_scene(scene_folder)
+    paths = {"positions": arrays / "points_xyz.npy", "colors": arrays / "points_rgb.npy"}
+    for path, values in zip(
+        paths.values(), (scene.points.positions.astype(np.float32), scene.points.colors), strict=True
+    ):
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+            np.save(file, values)
+    cameras = [
+        {
+            "name": view.camera.name,
+            "width": view.camera.width,
+            "height": view.camera.height,
+            "fx": view.camera.fx,
+            "fy": view.camera.fy,
+            "cx": view.camera.cx,
+            "cy": view.camera.cy,
+            "world_to_camera": view.camera.world_to_camera.tolist(),
+            "image": str(background_image(view)),
+        }
+        for view in scene.views
+    ]
+    summary = inspect_scene(scene)
+    return {
+        "event": "result",
+        "request": "inspect",
+        "scene": str(scene.folder),
+        "images": scene.image_count,
+        "registered": len(scene.views),
+        "points": {name: str(path) for name, path in paths.items()} | {"count": len(scene.points.positions)},
+        "up": scene.up.tolist(),
+        "cameras": cameras,
+        "summary": summary,
+        "warnings": list(scene.warnings),
+    }
+
+
+def main() -> None:
+    # Libraries that print to stdout would break the protocol: events keep a copy of it, the rest goes to stderr.
+    events = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    sys.stdin.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
+    Worker(sys.stdin, events).run()
+
+
+if __name__ == "__main__":
+    main()
