@@ -8,7 +8,7 @@ demo: .venv/ready
 	$(VENV) demo/run.py
 
 test: .venv/ready
-	$(VENV) -m pytest
+	$(VENV) -m pytest tests
 
 lint: .venv/ready
 	$(VENV) -m ruff check .

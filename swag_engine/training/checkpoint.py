@@ -18,7 +18,10 @@ def save_checkpoint(run: Path, iteration: int, tensors: dict[str, torch.Tensor],
     """Write checkpoint-<iteration>.safetensors with `tensors` and the JSON-able `state`; older ones but one go."""
     path = run / f"checkpoint-{iteration:07d}.safetensors"
     with atomic_path(path) as temporary:
-        save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, {"state": json.dumps(state)})
+        try:
+            save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, {"state": json.dumps(state)})
+        except SafetensorError as error:
+            raise InputError(f"Cannot write {path}: {error}.") from error
     for old in checkpoints(run)[:-KEEP]:
         old.unlink(missing_ok=True)
     return path

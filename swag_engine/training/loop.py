@@ -252,7 +252,7 @@ class Trainer:
             self.validate(loss, seconds)
         splats = self.cloud.to_splats()
         write_ply(self.run.ply, splats)
-        write_glb(self.run.glb, splats)
+        write_glb(self.run.glb, splats, self.scene.up)
         scores = score_views(self.cloud, self.test, self.settings.sh_degree, self.settings.backend)
         test_psnr, test_ssim = mean_score(scores)
         metrics: Event = {

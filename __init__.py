@@ -1,0 +1,16 @@
+"""SWAG Splatting: underwater photographs become 3D Gaussians in Blender. Registers the extension, nothing else."""
+
+from . import operators
+from .swag_blender import commands, engine_process, panels, preferences, properties
+
+_MODULES = (properties, preferences, engine_process, operators, panels, commands)
+
+
+def register() -> None:
+    for module in _MODULES:
+        module.register()
+
+
+def unregister() -> None:
+    for module in reversed(_MODULES):
+        module.unregister()

@@ -1,0 +1,108 @@
+"""Train the scene's photographs; the splats appear while they are trained."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty
+from mathutils import Matrix
+
+from ..swag_blender import scene_import, splats
+from ..swag_blender.engine_process import Engine, EngineError
+from ..swag_blender.job import Job
+from ..swag_blender.properties import time_text
+from ..swag_engine.formats.ply import read_ply
+from ..swag_engine.training.run_folder import RunFolder
+
+RUN_KEY = "swag_run"  # on the object with the splats of a run: the run's folder
+
+
+class SWAG_OT_train(Job, bpy.types.Operator):
+    """Turn the photographs into 3D Gaussians; Escape stops and keeps what exists"""
+
+    bl_idname = "swag.train"
+    bl_label = "Train"
+    bl_options = {"REGISTER", "UNDO"}
+    job = "Training"
+
+    resume: BoolProperty(
+        name="Continue", description="Go on with the run in the run folder where it stopped", options={"SKIP_SAVE"}
+    )
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: Any) -> str:
+        if properties.resume:
+            return "Go on with the run where it stopped, with the settings it was started with"
+        return cls.__doc__
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.run_waiting(context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.run_waiting(context) if bpy.app.background else self.run_modal(context)
+
+    def start(self, context: bpy.types.Context) -> Engine:
+        swag = context.scene.swag
+        if not swag.scene_folder:
+            raise EngineError("Choose the folder with the photographs and their COLMAP model first.")
+        if not self.resume:
+            swag.run_folder = str(free_run_folder(Path(swag.run_path)))
+        self._scene, self._run, self._photographs = context.scene.name, swag.run_path, swag.scene_path
+        engine = Engine()
+        engine.send(
+            {
+                "request": "train",
+                "scene": self._photographs,
+                "out": self._run,
+                # A run goes on with the settings it was started with.
+                "settings": {} if self.resume else swag.train_settings(),
+                "resume": self.resume,
+            }
+        )
+        return engine
+
+    def on_event(self, context: bpy.types.Context, event: dict[str, Any]) -> None:
+        scene = bpy.data.scenes.get(self._scene)
+        if event["event"] == "preview" and scene:
+            show_splats(scene, event["path"], self._run, self._photographs)
+
+    def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
+        scene = bpy.data.scenes.get(self._scene)
+        if not scene:
+            raise EngineError(f"The scene {self._scene} is gone; the trained splats are in {event['ply']}.")
+        show_splats(scene, event["ply"], self._run, self._photographs)
+        scene.swag.show_metrics(event)
+        metrics = event["metrics"]
+        measured = f", {metrics['test_psnr']:.1f} dB on held-out photographs" if metrics.get("test_psnr") else ""
+        how = "Stopped; kept" if event["interrupted"] else "Trained"
+        return f"{how} {metrics['gaussians']} Gaussians in {time_text(metrics['seconds'])}{measured}."
+
+
+def free_run_folder(folder: Path) -> Path:
+    """`folder`, or, when it holds a run already, the first of folder-2, folder-3, ... that does not."""
+    name, number = folder.name, 1
+    while RunFolder(folder).config.exists():
+        number += 1
+        folder = folder.with_name(f"{name}-{number}")
+    return folder
+
+
+def show_splats(scene: bpy.types.Scene, ply: str, run: str, photographs: str) -> bpy.types.Object:
+    """Put the splats of a PLY file into the scene, in the object that this run has there already if it has one.
+
+    The object hangs from the imported scene of the same photographs; without one it stands as it was trained.
+    Raises InputError when the file cannot be read.
+    """
+    loaded = read_ply(Path(ply))
+    obj = next((o for o in scene.objects if o.get(RUN_KEY) == run and splats.is_splats(o)), None)
+    if obj:
+        splats.replace_splats(obj, loaded)
+        return obj
+    root = next((r for r in scene_import.roots(scene) if r[scene_import.ROOT_KEY] == photographs), None)
+    collection = root.users_collection[0] if root else scene.collection
+    obj = splats.new_splat_object(f"{Path(photographs).name} Splats", loaded, collection, root)
+    obj[RUN_KEY] = run
+    return obj
+
+
+CLASSES = (SWAG_OT_train,)

@@ -1,0 +1,145 @@
+"""Operators that follow a child process: modal with a window, waiting and printing without one."""
+
+import contextlib
+import time
+import traceback
+from typing import Any
+
+import bpy
+
+from ..swag_engine.errors import InputError
+from .engine_process import Engine, EngineError, wait_for_result
+
+TIMER_SECONDS = 0.1
+PRINT_SECONDS = 1.0
+
+
+class Job:
+    """Mixin of such an operator, which gives `job` (a name to show), `start`, `on_event` and `on_result`.
+
+    One job runs at a time. `window_manager.swag` shows it, and its `stopping` stops it; so does Escape.
+    """
+
+    job: str
+
+    def start(self, context: bpy.types.Context) -> Engine:
+        """The child process, with the request sent. Raises EngineError or InputError."""
+        raise NotImplementedError
+
+    def on_event(self, context: bpy.types.Context, event: dict[str, Any]) -> None:
+        """Called for each event that is neither progress nor result."""
+
+    def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
+        """Take in the `result` event; returns what to tell the user. Raises EngineError or InputError."""
+        raise NotImplementedError
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        running = context.window_manager.swag.job
+        if running:
+            cls.poll_message_set(f"{running} is running")
+        return not running
+
+    # -- without a window ---------------------------------------------------------------------------------------------
+
+    def run_waiting(self, context: bpy.types.Context) -> set[str]:
+        """Run to the end and print progress. For `execute`: a call from a script returns when all is done."""
+        status = context.window_manager.swag
+        status.begin(self.job)
+        printed = -PRINT_SECONDS
+
+        def on_event(event: dict[str, Any]) -> None:
+            nonlocal printed
+            if event["event"] != "progress":
+                self.on_event(context, event)
+                return
+            status.show(event)
+            if time.monotonic() - printed >= PRINT_SECONDS or event["iteration"] == event["iterations"]:
+                printed = time.monotonic()
+                print(f"{self.job}: {', '.join((status.text, *status.figures()))}", flush=True)
+
+        try:
+            with self.start(context) as engine:
+                result = wait_for_result(engine, on_event)
+            return self._succeed(context, result)
+        except (EngineError, InputError) as error:
+            return self._fail(context, error)
+        finally:
+            status.job = ""
+
+    # -- with a window ------------------------------------------------------------------------------------------------
+
+    def run_modal(self, context: bpy.types.Context) -> set[str]:
+        """Start, and follow from a timer while the user goes on working. For `invoke`."""
+        try:
+            self._engine = self.start(context)
+        except (EngineError, InputError) as error:
+            return self._fail(context, error)
+        context.window_manager.swag.begin(self.job)
+        self._timer = context.window_manager.event_timer_add(TIMER_SECONDS, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        status = context.window_manager.swag
+        if event.type == "ESC" and event.value == "PRESS":
+            status.stopping = True
+            return {"RUNNING_MODAL"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        if status.stopping:
+            self._engine.cancel()
+        try:
+            outcome = self._follow(context)
+        except (EngineError, InputError) as error:
+            outcome = self._fail(context, error)
+        except Exception as error:
+            traceback.print_exc()
+            outcome = self._fail(context, error)
+        if outcome:
+            self._close(context)
+        redraw(context)
+        return outcome or {"PASS_THROUGH"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender calls this when it takes the operator away: another file is opened, the window closes."""
+        self._close(context)
+        context.window_manager.swag.job = ""
+
+    def _follow(self, context: bpy.types.Context) -> set[str] | None:
+        events = self._engine.poll()
+        # A pile of previews that came while Blender was busy: the last is enough.
+        previews = [event for event in events if event["event"] == "preview"]
+        for event in events:
+            if event["event"] == "result":
+                return self._succeed(context, event)
+            if event["event"] == "progress":
+                context.window_manager.swag.show(event)
+            elif event not in previews[:-1]:
+                self.on_event(context, event)
+        return None
+
+    def _close(self, context: bpy.types.Context) -> None:
+        self._engine.stop()
+        with contextlib.suppress(ReferenceError, RuntimeError):
+            context.window_manager.event_timer_remove(self._timer)
+
+    def _succeed(self, context: bpy.types.Context, event: dict[str, Any]) -> set[str]:
+        message = self.on_result(context, event)
+        context.window_manager.swag.end(message, False)
+        self.report({"INFO"}, message)
+        return {"FINISHED"}
+
+    def _fail(self, context: bpy.types.Context, error: Exception) -> set[str]:
+        context.window_manager.swag.end(str(error), True)
+        self.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
+
+
+def redraw(context: bpy.types.Context) -> None:
+    """Draw the sidebars and the preferences again, and nothing else."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            for region in area.regions:
+                if (area.type, region.type) in {("VIEW_3D", "UI"), ("PREFERENCES", "WINDOW")}:
+                    region.tag_redraw()

@@ -1,0 +1,158 @@
+"""The sidebar tab SWAG: a panel for each stage of the work."""
+
+import textwrap
+
+import bpy
+
+from . import EXTENSION, engine_process, splats
+from .nodes import splat_preview
+from .properties import time_text
+
+
+class SwagPanel:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "SWAG"
+
+
+class SWAG_PT_scene(SwagPanel, bpy.types.Panel):
+    bl_label = "Scene"
+    bl_order = 0
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, swag = self.layout, context.scene.swag
+        column = layout.column()
+        column.label(text="Photographs with COLMAP model")
+        column.prop(swag, "scene_folder", text="")
+        row = column.row(align=True)
+        row.enabled = bool(swag.scene_folder)
+        row.operator("swag.inspect_scene", text="Check", icon="VIEWZOOM")
+        row.operator("swag.import_scene", text="Import", icon="IMPORT").directory = swag.scene_path
+        if not swag.scene_folder:
+            draw_wrapped(layout, "Choose the folder first.", context.region.width, icon="INFO")
+        for line in swag.found.splitlines():
+            draw_wrapped(layout, line, context.region.width)
+
+
+class SWAG_PT_train(SwagPanel, bpy.types.Panel):
+    bl_label = "Train"
+    bl_order = 2
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, swag, status = self.layout, context.scene.swag, context.window_manager.swag
+        width = context.region.width
+        if status.job:
+            draw_job(layout, context)
+            return
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        column = layout.column(align=True)
+        for name in ("iterations", "width", "max_gaussians"):
+            column.prop(swag, name)
+        try:
+            engine_process.engine_python()
+            problem = "" if swag.scene_folder else "Choose the photographs in the panel Scene first."
+        except engine_process.EngineError as error:
+            problem = str(error)
+        row = layout.row(align=True)
+        row.scale_y = 1.4
+        row.enabled = not problem
+        row.operator("swag.train", text="Train", icon="PLAY").resume = False
+        if swag.can_continue:
+            row.operator("swag.train", text="Continue", icon="FRAME_NEXT").resume = True
+        if problem:
+            draw_wrapped(layout, problem, width, icon="INFO")
+            if swag.scene_folder:
+                layout.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES").module = EXTENSION
+        elif status.message:
+            draw_wrapped(layout, status.message, width, icon="ERROR" if status.failed else "CHECKMARK")
+
+
+class SWAG_PT_train_more(SwagPanel, bpy.types.Panel):
+    bl_label = "More"
+    bl_parent_id = "SWAG_PT_train"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not context.window_manager.swag.job
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, swag = self.layout, context.scene.swag
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        column = layout.column(align=True)
+        for name in ("sh_degree", "seed", "backend", "run_folder"):
+            column.prop(swag, name)
+
+
+class SWAG_PT_result(SwagPanel, bpy.types.Panel):
+    bl_label = "Result"
+    bl_order = 3
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, swag = self.layout, context.scene.swag
+        if not swag.result_ply:
+            draw_wrapped(layout, "Train first, or open a splat file below.", context.region.width, icon="INFO")
+        else:
+            column = layout.column(align=True)
+            for label, value in (
+                ("Gaussians", f"{swag.result_gaussians}"),
+                ("Held-out PSNR", f"{swag.result_psnr:.2f} dB" if swag.result_psnr else "no such photographs"),
+                ("Held-out SSIM", f"{swag.result_ssim:.3f}" if swag.result_ssim else ""),
+                ("Time", time_text(swag.result_seconds) + (" (stopped)" if swag.result_interrupted else "")),
+            ):
+                if value:
+                    row = column.split(factor=0.45)
+                    row.label(text=label)
+                    row.label(text=value)
+        layout.operator("swag.import_splats", text="Open Splat File", icon="FILE_FOLDER")
+
+
+class SWAG_PT_export(SwagPanel, bpy.types.Panel):
+    bl_label = "Export"
+    bl_order = 4
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        column = layout.column(align=True)
+        chosen = any(splats.is_splats(obj) for obj in context.selected_objects)
+        column.enabled = chosen
+        for label, suffix in (("PLY (3DGS)", ".ply"), ("glTF (GLB)", ".glb")):
+            column.operator("swag.export_splats", text=label, icon="EXPORT").filepath = f"splats{suffix}"
+        if not chosen:
+            draw_wrapped(layout, "Select an object with splats first.", context.region.width, icon="INFO")
+
+
+def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The job that runs: progress, figures, Cancel."""
+    status = context.window_manager.swag
+    layout.progress(factor=status.factor, text="Stopping" if status.stopping else status.text)
+    figures = status.figures()
+    if figures:
+        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
+        for figure in figures:
+            grid.label(text=figure)
+    layout.operator("swag.cancel", text="Cancel", icon="CANCEL")
+
+
+def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: str = "NONE") -> None:
+    """A sentence over as many lines as a region of `width` pixels needs."""
+    characters = max(20, int(width / (7.0 * bpy.context.preferences.system.ui_scale)) - 6)
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for number, line in enumerate(textwrap.wrap(text, characters)):
+        column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
+_CLASSES = (SWAG_PT_scene, SWAG_PT_train, SWAG_PT_train_more, SWAG_PT_result, SWAG_PT_export)
+
+
+def register() -> None:
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,185 @@
+"""What a scene remembers (saved in the .blend) and what Blender shows of the job that runs (not kept)."""
+
+import dataclasses
+import os
+import typing
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.types import PropertyGroup
+
+from ..swag_engine.errors import InputError
+from ..swag_engine.training.config import TrainSettings
+from ..swag_engine.training.run_folder import RunFolder
+
+SETTINGS = tuple(field.name for field in dataclasses.fields(TrainSettings))
+
+
+def _mirrored(name: str, label: str, description: str) -> Any:
+    """A property for one field of the engine's TrainSettings; the engine knows its limits and its default."""
+    default = getattr(TrainSettings(), name)
+    if isinstance(default, int):
+        return IntProperty(name=label, description=description, default=default, min=0)
+    choices = typing.get_args(TrainSettings.__dataclass_fields__[name].type)
+    return EnumProperty(
+        name=label, description=description, items=[(choice, choice, "") for choice in choices], default=default
+    )
+
+
+class SwagScene(PropertyGroup):
+    """`scene.swag`: where the photographs and the run are, the settings of the next run, figures of the last one."""
+
+    scene_folder: StringProperty(
+        name="Photographs", description="Folder with the photographs and their COLMAP model", subtype="DIR_PATH"
+    )
+    run_folder: StringProperty(
+        name="Run",
+        description="Folder that the training writes to; left empty: the folder swag_run beside the COLMAP model",
+        subtype="DIR_PATH",
+    )
+    found: StringProperty(description="What the folder of photographs holds, in words")
+
+    iterations: _mirrored("iterations", "Iterations", "Number of optimisation steps; each looks at one photograph")
+    width: _mirrored("width", "Width", "Width in pixels that the photographs are trained at")
+    max_gaussians: _mirrored("max_gaussians", "Max Gaussians", "Most Gaussians that the scene may grow to")
+    sh_degree: _mirrored("sh_degree", "SH Degree", "How finely colour may change with the view: 0 (not at all) to 3")
+    seed: _mirrored("seed", "Seed", "The same seed on the same machine gives the same result")
+    backend: _mirrored("backend", "Backend", "What draws the Gaussians during training")
+
+    result_ply: StringProperty(name="Result", description="Splats of the last run", subtype="FILE_PATH")
+    result_gaussians: IntProperty(name="Gaussians")
+    result_psnr: FloatProperty(name="PSNR", description="PSNR on photographs that the training never saw, in dB")
+    result_ssim: FloatProperty(name="SSIM", description="SSIM on photographs that the training never saw")
+    result_seconds: FloatProperty(name="Seconds", description="How long the last run took")
+    result_interrupted: BoolProperty(name="Interrupted", description="The last run was stopped before its end")
+
+    @property
+    def scene_path(self) -> str:
+        """Absolute path of the photographs; empty when none are chosen."""
+        return _absolute(self.scene_folder)
+
+    @property
+    def run_path(self) -> str:
+        """Absolute path of the run folder; empty when there are no photographs either."""
+        if self.run_folder:
+            return _absolute(self.run_folder)
+        return os.path.join(self.scene_path, "swag_run") if self.scene_folder else ""
+
+    @property
+    def can_continue(self) -> bool:
+        """Whether the run folder holds a run that did not come to its end."""
+        run = RunFolder(Path(self.run_path))
+        try:
+            return bool(self.run_path) and run.config.exists() and not run.finished()
+        except InputError:
+            return True
+
+    def train_settings(self) -> dict[str, Any]:
+        """The settings as the engine takes them."""
+        return {name: getattr(self, name) for name in SETTINGS}
+
+    def show_metrics(self, event: dict[str, Any]) -> None:
+        """Keep the figures of a training's `result` event."""
+        metrics = event["metrics"]
+        self.result_ply = event["ply"]
+        self.result_gaussians = metrics["gaussians"]
+        self.result_psnr = metrics.get("test_psnr") or 0.0
+        self.result_ssim = metrics.get("test_ssim") or 0.0
+        self.result_seconds = metrics["seconds"]
+        self.result_interrupted = event["interrupted"]
+
+
+class SwagStatus(PropertyGroup):
+    """`window_manager.swag`: the job that runs now, for panels and scripts."""
+
+    job: StringProperty(description="Name of the job that runs; empty when none does")
+    stopping: BoolProperty(description="Somebody asked for the job to stop")
+    factor: FloatProperty(min=0.0, max=1.0, subtype="FACTOR")
+    text: StringProperty(description="What the job does now")
+    message: StringProperty(description="How the last job ended")
+    failed: BoolProperty(description="The last job ended with an error")
+    iteration: IntProperty()
+    gaussians: IntProperty()
+    loss: FloatProperty()
+    psnr: FloatProperty(description="PSNR on the validation photographs in dB; 0 until measured")
+    speed: FloatProperty(description="Iterations per second")
+    seconds_left: FloatProperty()
+
+    def begin(self, job: str) -> None:
+        """Forget the last job."""
+        for name in SwagStatus.__annotations__:
+            self.property_unset(name)
+        self.job, self.text = job, "Starting"
+
+    def end(self, message: str, failed: bool) -> None:
+        """Say how the job ended."""
+        self.job, self.message, self.failed = "", message, failed
+
+    def show(self, event: dict[str, Any]) -> None:
+        """Keep what a `progress` event says."""
+        self.factor = event["iteration"] / max(1, event["iterations"])
+        self.text = event.get("text") or progress_text(event)
+        if event["stage"] == "train":
+            self.iteration = event["iteration"]
+            self.gaussians = event["gaussians"]
+            self.loss = event["loss"] or 0.0
+            self.psnr = event["psnr"] or 0.0
+            self.speed = event["iterations_per_second"] or 0.0
+            self.seconds_left = event["seconds_left"] or 0.0
+
+    def figures(self) -> list[str]:
+        """The figures of the training in words; empty before the first iteration."""
+        if not self.iteration:
+            return []
+        return [
+            f"Validation {self.psnr:.2f} dB" if self.psnr else "Validation comes later",
+            f"{self.gaussians} Gaussians",
+            f"{self.speed:.1f} iterations/s",
+            f"{time_text(self.seconds_left)} left",
+        ]
+
+
+def progress_text(event: dict[str, Any]) -> str:
+    """One `progress` event in a few words."""
+    what = "Iteration" if event["stage"] == "train" else "Photograph"
+    return f"{what} {event['iteration']} of {event['iterations']}"
+
+
+def time_text(seconds: float) -> str:
+    """A duration as m:ss, or h:mm:ss."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+
+
+def _absolute(folder: str) -> str:
+    return os.path.abspath(bpy.path.abspath(folder)) if folder else ""
+
+
+@bpy.app.handlers.persistent
+def _after_load(*_: object) -> None:
+    # A .blend can have been saved while a job ran: the one that is open now has none.
+    for manager in bpy.data.window_managers:
+        if manager.swag.job:
+            manager.swag.end("The job was stopped when another file was opened; Continue goes on with it.", False)
+
+
+_CLASSES = (SwagScene, SwagStatus)
+
+
+def register() -> None:
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Scene.swag = PointerProperty(type=SwagScene)
+    bpy.types.WindowManager.swag = PointerProperty(type=SwagStatus)
+    bpy.app.handlers.load_post.append(_after_load)
+
+
+def unregister() -> None:
+    bpy.app.handlers.load_post.remove(_after_load)
+    del bpy.types.WindowManager.swag
+    del bpy.types.Scene.swag
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

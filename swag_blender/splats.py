@@ -1,0 +1,154 @@
+"""Splats as Blender objects, in the point-cloud schema that Blender 5.3 renders natively.
+
+Attributes of the point cloud, all on points: `position`; `scale` (linear sigma); `rotation` (quaternion wxyz);
+`radiance:base` (x y z the raw degree-0 coefficient, w the opacity 0..1); `radiance:sh_0` ... (one RGB coefficient each);
+`radius` (mean sigma: for exporters and point display); `swag:NAME` for each further property (labels, scores).
+
+The points stay in the frame they were trained in (the COLMAP world); the object's transform places them in Blender.
+"""
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..swag_engine.gaussians.splats import Splats
+from ..swag_engine.gaussians.transform import transformed
+from .nodes import splat_preview
+
+BASE = "radiance:base"
+OWN_PREFIX = "swag:"
+_VALUE_PROPERTIES = ("color", "vector", "value")
+
+
+def is_splats(obj: bpy.types.Object | None) -> bool:
+    """Whether the object is a point cloud that carries splats."""
+    return obj is not None and obj.type == "POINTCLOUD" and BASE in obj.data.attributes
+
+
+def new_splat_object(
+    name: str, splats: Splats, collection: bpy.types.Collection, parent: bpy.types.Object | None = None
+) -> bpy.types.Object:
+    """Make an object named `name` of the splats in `collection`, with the preview where Blender has no native splats.
+
+    `parent`: usually the root of an imported scene, whose local frame is the COLMAP world.
+    """
+    obj = bpy.data.objects.new(name, _pointcloud(name, splats))
+    collection.objects.link(obj)
+    obj.parent = parent
+    if not hasattr(obj.data, "type"):
+        splat_preview.add_modifier(obj)
+    return obj
+
+
+def replace_splats(obj: bpy.types.Object, splats: Splats) -> None:
+    """Give the object other splats (any number of them); transform, parent, modifiers and object name stay."""
+    old, name = obj.data, obj.data.name
+    obj.data = _pointcloud(name, splats)
+    if old.users == 0:
+        bpy.data.pointclouds.remove(old)
+        obj.data.name = name
+
+
+def read_splats(obj: bpy.types.Object) -> Splats:
+    """The splats of the object in its own frame, without its transform."""
+    attributes = obj.data.attributes
+    base = _read(attributes[BASE], 4)
+    sh = [base[:, :3]]
+    while (attribute := attributes.get(f"radiance:sh_{len(sh) - 1}")) is not None:
+        sh.append(_read(attribute, 3))
+    own = [a for a in attributes if a.name.startswith(OWN_PREFIX) and a.data_type in {"FLOAT", "INT"}]
+    return Splats(
+        positions=_read(attributes["position"], 3),
+        rotations=_read(attributes["rotation"], 4),
+        scales=_read(attributes["scale"], 3),
+        opacities=base[:, 3].copy(),
+        sh=np.stack(sh, axis=1),
+        extras={a.name.removeprefix(OWN_PREFIX): _read(a, 1)[:, 0] for a in own},
+    )
+
+
+def read_splats_in(obj: bpy.types.Object, frame: Matrix, depsgraph: bpy.types.Depsgraph) -> Splats:
+    """The splats of the object as seen from `frame`, a (4, 4) frame-to-world matrix (identity: in the world).
+
+    The transform is the evaluated one: parents, constraints and animation count. Positions, sizes, rotations and
+    spherical harmonics are all turned.
+    """
+    matrix = frame.inverted() @ obj.evaluated_get(depsgraph).matrix_world
+    return transformed(read_splats(obj), np.array(matrix, dtype=np.float64))
+
+
+def new_pointcloud(name: str, positions: np.ndarray) -> bpy.types.PointCloud:
+    """A point cloud with `position` set from (N, 3) float32 and no further attributes."""
+    pointcloud = bpy.data.pointclouds.new(name)
+    if hasattr(pointcloud, "resize"):
+        pointcloud.resize(len(positions))
+    else:
+        bpy.data.pointclouds.remove(pointcloud)
+        pointcloud = _converted_from_mesh(name, len(positions))
+    _write(pointcloud.attributes["position"], positions)
+    return pointcloud
+
+
+def _converted_from_mesh(name: str, count: int) -> bpy.types.PointCloud:
+    # Before Blender 5.2 a point cloud has no resize; a mesh of loose vertices converts. A scene of its own keeps the
+    # user's selection, view layer and undo history out of it.
+    scene = bpy.data.scenes.new(name)
+    layer = scene.view_layers[0]
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(max(count, 1))
+    obj = bpy.data.objects.new(name, mesh)
+    scene.collection.objects.link(obj)
+    layer.objects.active = obj
+    selection = {"active_object": obj, "object": obj, "selected_objects": [obj], "selected_editable_objects": [obj]}
+    with bpy.context.temp_override(scene=scene, view_layer=layer, **selection):
+        bpy.ops.object.convert(target="POINTCLOUD")
+    pointcloud = obj.data
+    bpy.data.objects.remove(obj)
+    bpy.data.scenes.remove(scene)
+    if mesh.users == 0:
+        bpy.data.meshes.remove(mesh)
+    for extra in [a.name for a in pointcloud.attributes if a.name != "position" and not a.is_required]:
+        pointcloud.attributes.remove(pointcloud.attributes[extra])
+    pointcloud.name = name
+    return pointcloud
+
+
+def _pointcloud(name: str, splats: Splats) -> bpy.types.PointCloud:
+    pointcloud = new_pointcloud(name, splats.positions)
+    base = np.concatenate([splats.sh[:, 0], splats.opacities[:, None]], axis=1)
+    types = bpy.types.Attribute.bl_rna.properties["data_type"].enum_items
+    values = [
+        ("scale", "FLOAT_VECTOR", splats.scales),
+        ("rotation", "QUATERNION", splats.rotations),
+        (BASE, "FLOAT4" if "FLOAT4" in types else "FLOAT_COLOR", base),
+        ("radius", "FLOAT", splats.scales.mean(axis=1)),
+    ]
+    values += [(f"radiance:sh_{k - 1}", "FLOAT_VECTOR", splats.sh[:, k]) for k in range(1, splats.sh.shape[1])]
+    for own, value in splats.extras.items():
+        values.append((OWN_PREFIX + own, "INT" if np.issubdtype(value.dtype, np.integer) else "FLOAT", value))
+    # Adding an attribute can move the others: make all first, then write each.
+    for attribute, kind, _ in values:
+        if attribute not in pointcloud.attributes:
+            pointcloud.attributes.new(attribute, kind, "POINT")
+    for attribute, _, value in values:
+        _write(pointcloud.attributes[attribute], value)
+    if hasattr(pointcloud, "type"):
+        pointcloud.type = "GAUSSIAN_SPLAT"
+    return pointcloud
+
+
+def _value_property(attribute: bpy.types.Attribute) -> str:
+    properties = attribute.bl_rna.properties["data"].fixed_type.properties
+    return next(name for name in _VALUE_PROPERTIES if name in properties)
+
+
+def _write(attribute: bpy.types.Attribute, values: np.ndarray) -> None:
+    dtype = np.int32 if attribute.data_type == "INT" else np.float32
+    attribute.data.foreach_set(_value_property(attribute), np.ascontiguousarray(values, dtype=dtype).ravel())
+
+
+def _read(attribute: bpy.types.Attribute, width: int) -> np.ndarray:
+    dtype = np.int32 if attribute.data_type == "INT" else np.float32
+    values = np.empty(len(attribute.data) * width, dtype)
+    attribute.data.foreach_get(_value_property(attribute), values)
+    return values.reshape(-1, width)

@@ -1,0 +1,306 @@
+"""GLB with KHR_gaussian_splatting, what web viewers and Cesium read. numpy only, Blender's Python imports it.
+
+Scales are linear, opacities 0..1, quaternions xyzw, harmonics as in 3DGS; the splats keep their own axes and a node
+turns them to glTF's Y up.
+"""
+
+import json
+import logging
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..files import atomic_path
+from ..gaussians.splats import Splats, cleaned, concatenate
+from ..gaussians.transform import quaternions, rotation_matrices, transformed
+
+log = logging.getLogger(__name__)
+
+EXTENSION = "KHR_gaussian_splatting"
+READABLE = {EXTENSION, "KHR_mesh_quantization"}
+# componentType -> numpy code
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+SHORT, UNSIGNED_SHORT, FLOAT = 5122, 5123, 5126
+ARRAY_BUFFER = 34962
+JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+# Splats handled at a time, few enough to stay in the processor's cache.
+BLOCK = 8192
+# The least a splat takes: float position and colour, one byte for each other number.
+SMALLEST_SPLAT = 32
+# How many times a scene may show the same splats, so that a small file cannot fill the memory.
+MOST_COPIES = 4
+COLMAP_UP = (0.0, -1.0, 0.0)
+
+
+def write_glb(path: Path, splats: Splats, up: Sequence[float] | np.ndarray = COLMAP_UP) -> None:
+    """Write `splats` as GLB of their own degree. The file is whole or absent.
+
+    up (3,) is the direction in the splats' world that viewers shall show as up: the node that holds the splats turns it
+    to glTF's Y. The default suits COLMAP (y down; the node turns half around x, so that a viewer's first look is the
+    cameras'), (0, 0, 1) suits Blender.
+    COLOR_0 shows programs without splats the constant colour, as linear light. Extras become `_NAME` in upper case:
+    integers within 16 bits as such, other numbers as float32.
+    Raises InputError when there are no splats, more than a GLB can hold (4 GiB), a position is not finite, extras
+    cannot be told apart or hold integers beyond 24 bits, the disk is full or the place cannot be written to.
+    """
+    if not len(splats):
+        raise InputError(f"There are no splats to write to {path}; choose at least one.")
+    if not np.isfinite(splats.positions).all():
+        raise InputError(f"Cannot write {path}: a splat's position is not finite; remove that splat.")
+    arrays = dict(_attributes(path, splats))
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    offset = 0
+    for array, component, kind in arrays.values():
+        view = {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes, "target": ARRAY_BUFFER}
+        accessor = {"bufferView": len(views), "componentType": component, "count": len(splats), "type": kind}
+        if component != FLOAT and kind == "SCALAR":
+            view["byteStride"] = 4  # the low half of an int32
+        if kind == "VEC4" and component == UNSIGNED_SHORT:
+            accessor["normalized"] = True
+        views.append(view)
+        accessors.append(accessor)
+        offset += array.nbytes
+    accessors[0]["min"] = splats.positions.min(axis=0).tolist()
+    accessors[0]["max"] = splats.positions.max(axis=0).tolist()
+    w, x, y, z = quaternions(_turn_to_y_up(up)).tolist()
+    primitive = {
+        "mode": 0,
+        "attributes": {name: index for index, name in enumerate(arrays)},
+        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
+    }
+    document = {
+        "asset": {"version": "2.0", "generator": "SWAG Splatting"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": path.stem, "mesh": 0, "rotation": [x, y, z, w]}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": offset}],
+    }
+    text = json.dumps(document, allow_nan=False).encode()
+    text += b" " * (-len(text) % 4)
+    total = 12 + 8 + len(text) + 8 + offset
+    if total >= 2**32:
+        raise InputError(f"{path} would be larger than the 4 GiB a GLB can hold; lower the SH degree or write a PLY.")
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        file.write(b"glTF" + np.array([2, total, len(text), JSON_CHUNK], "<u4").tobytes() + text)
+        file.write(np.array([offset, BINARY_CHUNK], "<u4").tobytes())
+        for array, _, _ in arrays.values():
+            file.write(np.ascontiguousarray(array).data)
+
+
+def read_glb(path: Path, up: Sequence[float] | np.ndarray = COLMAP_UP) -> Splats:
+    """Read every Gaussian splat of a GLB's scene, in a world whose direction `up` is the scene's up (see write_glb).
+
+    The same `up` gives back what write_glb was given. Transforms of nodes are applied, colours included; several sets
+    of splats become one. Quantised attributes are read; scales with negative numbers are taken for the logarithms of
+    the extension's drafts. What else the scene holds is ignored, attributes `_NAME` of one number become extras in
+    lower case. Splats with a NaN or an infinity are left out with a warning.
+    Raises InputError when the file is missing, no GLB, without Gaussian splats, compressed, damaged or cut off.
+    """
+    from_y_up = np.eye(4)
+    from_y_up[:3, :3] = _turn_to_y_up(up).T
+    try:
+        document, binary = _chunks(path)
+        parts = []
+        count = 0
+        for world, primitive in _splat_primitives(document):
+            part = _splats(path, document, binary, primitive)
+            count += len(part)
+            if count * SMALLEST_SPLAT > MOST_COPIES * len(binary):
+                raise ValueError("more splats than the file can hold")
+            matrix = from_y_up @ world
+            parts.append(part if np.allclose(matrix, np.eye(4), rtol=0, atol=1e-9) else transformed(part, matrix))
+    except OSError as error:
+        raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError(f"{path} is damaged, its glTF structure does not hold together; write it again.") from error
+    if not parts:
+        raise InputError(f"{path} holds no Gaussian splats ({EXTENSION}).")
+    return concatenate(parts)
+
+
+def _attributes(path: Path, splats: Splats) -> Iterator[tuple[str, tuple[np.ndarray, int, str]]]:
+    """Name, and array, componentType and type, of every attribute; each array a multiple of 4 bytes."""
+    yield "POSITION", (splats.positions, FLOAT, "VEC3")
+    color = np.clip(0.28209479177387814 * splats.sh[:, 0] + 0.5, 0, 1)
+    linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)  # sRGB, IEC 61966-2-1
+    fallback = np.concatenate([linear, splats.opacities.clip(0, 1)[:, None]], axis=1)
+    yield "COLOR_0", ((fallback * 65535 + 0.5).astype("<u2"), UNSIGNED_SHORT, "VEC4")
+    yield f"{EXTENSION}:ROTATION", (np.roll(splats.rotations, -1, axis=1), FLOAT, "VEC4")
+    yield f"{EXTENSION}:SCALE", (splats.scales, FLOAT, "VEC3")
+    yield f"{EXTENSION}:OPACITY", (splats.opacities, FLOAT, "SCALAR")
+    for index, name in enumerate(_harmonics(splats.degree)):
+        yield name, (splats.sh[:, index], FLOAT, "VEC3")
+    if len({name.upper() for name in splats.extras}) != len(splats.extras):
+        raise InputError(f"Cannot write {path}: two properties differ only in case: {', '.join(splats.extras)}.")
+    for name, values in splats.extras.items():
+        array, component = values.astype("<f4"), FLOAT
+        if values.dtype.kind != "f":
+            lowest, highest = int(values.min()), int(values.max())
+            if lowest >= -(2**15) and highest < (2**16 if lowest >= 0 else 2**15):
+                array, component = values.astype("<i4"), UNSIGNED_SHORT if lowest >= 0 else SHORT
+            elif max(-lowest, highest) > 2**24:
+                raise InputError(f"Cannot write {path}: a GLB cannot hold the large integers of the property {name}.")
+        yield f"_{name.upper()}", (array, component, "SCALAR")
+
+
+def _harmonics(degree: int) -> list[str]:
+    """Attribute names of the coefficients, constant term first."""
+    return [f"{EXTENSION}:SH_DEGREE_{band}_COEF_{i}" for band in range(degree + 1) for i in range(2 * band + 1)]
+
+
+def _turn_to_y_up(up: Sequence[float] | np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) that takes `up` to y: half around x first when it points below, then the shortest way."""
+    direction = np.asarray(up, np.float64)
+    length = np.linalg.norm(direction)
+    if direction.shape != (3,) or not np.isfinite(length) or not length:
+        raise ValueError(f"up must be a direction of three numbers, got {up}")
+    flip = np.diag([1.0, -1.0, -1.0]) if direction[1] < 0 else np.eye(3)
+    x, y, z = flip @ direction / length
+    cross = np.array([[0, x, 0], [-x, 0, -z], [0, z, 0]])  # of up x (0, 1, 0) = (-z, 0, x)
+    return (np.eye(3) + cross + cross @ cross / (1 + y)) @ flip
+
+
+def _chunks(path: Path) -> tuple[dict[str, Any], memoryview]:
+    """The JSON document and the binary chunk of a GLB."""
+    data = path.read_bytes()
+    if not data:
+        raise InputError(f"{path} is empty.")
+    if data[:4] != b"glTF":
+        raise InputError(f"{path} is not a GLB file (glTF in one file); save it as .glb.")
+    head = np.frombuffer(data[:20].ljust(20, b"\0"), "<u4").tolist()
+    version, total, json_length, json_kind = head[1:]
+    if version != 2:
+        raise InputError(f"{path} is glTF version {version}; only version 2 can be read.")
+    if total > len(data) or 20 + json_length > len(data):
+        raise InputError(f"{path} is cut off; copy or write it again.")
+    if json_kind != JSON_CHUNK:
+        raise ValueError("the first chunk is not JSON")
+    document = json.loads(data[20 : 20 + json_length])
+    start = 20 + json_length
+    length, kind = np.frombuffer(data[start : start + 8].ljust(8, b"\0"), "<u4").tolist()
+    if kind != BINARY_CHUNK:
+        length = 0
+    if start + 8 + length > max(len(data), start + 8):
+        raise InputError(f"{path} is cut off; copy or write it again.")
+    if unknown := set(document.get("extensionsRequired", [])) - READABLE:
+        raise InputError(
+            f"{path} needs the glTF extension {min(unknown)}; save it uncompressed, with {EXTENSION} alone."
+        )
+    if any("uri" in buffer for buffer in document.get("buffers", [])):
+        raise InputError(f"{path} keeps its data in other files; save it as one GLB.")
+    return document, memoryview(data)[start + 8 : start + 8 + length]
+
+
+def _splat_primitives(document: dict[str, Any]) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
+    """The world matrix (4, 4) and the primitive of every set of splats in the scene."""
+    nodes = document.get("nodes", [])
+    if scenes := document.get("scenes"):
+        roots = scenes[document.get("scene", 0)].get("nodes", [])
+    else:
+        children = {child for node in nodes for child in node.get("children", [])}
+        roots = [index for index in range(len(nodes)) if index not in children]
+    pending = [(index, np.eye(4)) for index in reversed(roots)]
+    seen: set[int] = set()
+    while pending:
+        index, parent = pending.pop()
+        if index in seen:
+            raise ValueError("the nodes are no tree")
+        seen.add(index)
+        node = nodes[index]
+        world = parent @ _matrix(node)
+        pending += [(child, world) for child in reversed(node.get("children", []))]
+        primitives = document["meshes"][node["mesh"]]["primitives"] if "mesh" in node else []
+        for primitive in primitives:
+            if EXTENSION in primitive.get("extensions", {}):
+                yield world, primitive
+
+
+def _matrix(node: dict[str, Any]) -> np.ndarray:
+    """The node's own transform (4, 4)."""
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_matrices(np.array([w, x, y, z])) * np.array(node.get("scale", (1, 1, 1)), np.float64)
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def _splats(path: Path, document: dict[str, Any], binary: memoryview, primitive: dict[str, Any]) -> Splats:
+    """One primitive's splats, in its node's axes."""
+    settings = primitive["extensions"][EXTENSION]
+    if inner := settings.get("extensions"):
+        raise InputError(
+            f"{path} holds compressed splats ({min(inner)}); save them uncompressed, with {EXTENSION} alone."
+        )
+    if settings.get("colorSpace") == "lin_rec709_display":
+        log.warning("%s: its colours are linear light and are taken as sRGB: they will look dark", path)
+    attributes = primitive["attributes"]
+
+    def values(name: str, width: int) -> np.ndarray:
+        array = _accessor(document, binary, attributes[name])
+        if array.shape[1] != width:
+            raise ValueError(f"{name} has another width")
+        return array
+
+    degree = max(band for band in range(4) if f"{EXTENSION}:SH_DEGREE_{band}_COEF_0" in attributes)
+    positions = values("POSITION", 3).astype(np.float32)
+    sh = np.empty((len(positions), (degree + 1) ** 2, 3), np.float32)
+    harmonics = [values(name, 3) for name in _harmonics(degree)]
+    for start in range(0, len(sh), BLOCK):
+        part = slice(start, start + BLOCK)
+        np.stack([array[part] for array in harmonics], axis=1, out=sh[part])
+    scales = values(f"{EXTENSION}:SCALE", 3).astype(np.float32)
+    if (scales < 0).any():
+        scales = np.exp(scales)
+    extras = {
+        name[1:].lower(): _accessor(document, binary, attribute)[:, 0].copy()
+        for name, attribute in attributes.items()
+        if name[0] == "_" and document["accessors"][attribute]["type"] == "SCALAR"
+    }
+    return cleaned(
+        Splats(
+            positions,
+            np.roll(values(f"{EXTENSION}:ROTATION", 4), 1, axis=1).astype(np.float32),
+            scales,
+            values(f"{EXTENSION}:OPACITY", 1)[:, 0].astype(np.float32).clip(0, 1),
+            sh,
+            extras,
+        ),
+        path,
+    )
+
+
+def _accessor(document: dict[str, Any], binary: memoryview, index: int) -> np.ndarray:
+    """An accessor's values (count, width), a view of `binary` unless they are normalised or integers (to int32)."""
+    accessor = document["accessors"][index]
+    if "sparse" in accessor:
+        raise ValueError("sparse accessors hold no splats")
+    view = document["bufferViews"][accessor["bufferView"]]
+    kind = np.dtype(COMPONENTS[accessor["componentType"]])
+    width = WIDTHS[accessor["type"]]
+    stride = view.get("byteStride", 0) or width * kind.itemsize
+    if stride < width * kind.itemsize:
+        raise ValueError("elements that overlap")
+    # numpy refuses counts and offsets that lead outside the bytes.
+    array: np.ndarray = np.ndarray(
+        (accessor["count"], width),
+        kind,
+        binary,
+        view.get("byteOffset", 0) + accessor.get("byteOffset", 0),
+        (stride, kind.itemsize),
+    )
+    if kind.kind == "f":
+        return array
+    if accessor.get("normalized"):
+        return np.maximum(array / np.float32(np.iinfo(kind).max), -1)
+    return array.astype(np.int32)

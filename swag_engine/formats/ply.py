@@ -1,0 +1,252 @@
+"""3DGS PLY, the layout of Kerbl et al. 2023 that every splat program reads. numpy only, Blender's Python imports it.
+
+binary little-endian, one `vertex` element: x y z nx ny nz f_dc_0..2 f_rest_0.. (all of R, then G, then B) opacity
+(logit) scale_0..2 (natural logarithm) rot_0..3 (wxyz), then the extras under their own names and types.
+"""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import islice
+from math import isqrt
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ..errors import InputError
+from ..files import atomic_path
+from ..gaussians.splats import Splats, cleaned
+
+log = logging.getLogger(__name__)
+
+TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "float": "f4", "double": "f8",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "float32": "f4", "float64": "f8",
+}  # fmt: skip
+TYPE_NAMES = {code: name for name, code in reversed(TYPES.items())}
+BASE = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2")
+ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+NORMAL = ("nx", "ny", "nz")
+# Rows handled at a time: few enough to stay in the processor's cache, which is what makes column access fast.
+BLOCK = 8192
+# Opacities nearer to 0 or 1 have no finite logit that float32 could tell apart; 1 comes back as 1, 0 as 1e-8.
+SMALLEST_OPACITY = 1e-8
+
+
+def write_ply(path: Path, splats: Splats) -> None:
+    """Write `splats` as 3DGS PLY of their own degree. The file is whole or absent.
+
+    Extras keep their dtype (bool becomes uchar, 64-bit integers int, half floats float).
+    Raises InputError when there are no splats, an extra's name is taken or holds a space, its integers do not fit
+    32 bits, the disk is full or the place cannot be written to.
+    """
+    if not len(splats):
+        raise InputError(f"There are no splats to write to {path}; choose at least one.")
+    rest = (splats.sh.shape[1] - 1) * 3
+    names = ["x", "y", "z", *NORMAL, "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(rest))]
+    names += ["opacity", "scale_0", "scale_1", "scale_2", *ROTATION]
+    extras = {name: _storable(path, name, values) for name, values in splats.extras.items()}
+    if taken := [name for name in extras if name in names or not name or len(name.split()) != 1]:
+        raise InputError(f"Cannot write {path}: a PLY cannot hold a property of the name '{taken[0]}'; rename it.")
+
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(splats)}"]
+    header += [f"property float {name}" for name in names]
+    header += [f"property {TYPE_NAMES[values.dtype.str[1:]]} {name}" for name, values in extras.items()]
+    layout = [
+        ("position", "<f4", 3), ("normal", "<f4", 3), ("f_dc", "<f4", 3), ("f_rest", "<f4", rest), ("opacity", "<f4"),
+        ("scale", "<f4", 3), ("rotation", "<f4", 4),
+    ]  # fmt: skip
+    rows = np.zeros(BLOCK, np.dtype([*layout, *((f"extra {n}", v.dtype.newbyteorder("<")) for n, v in extras.items())]))
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        file.write(("\n".join([*header, "end_header"]) + "\n").encode())
+        for start in range(0, len(splats), BLOCK):
+            part = slice(start, min(start + BLOCK, len(splats)))
+            block = rows[: part.stop - start]
+            opacities = splats.opacities[part].astype(np.float64).clip(SMALLEST_OPACITY, 1 - SMALLEST_OPACITY)
+            scales = splats.scales[part].astype(np.float64).clip(np.finfo(np.float32).tiny)
+            block["position"] = splats.positions[part]
+            block["f_dc"] = splats.sh[part, 0]
+            block["f_rest"] = splats.sh[part, 1:].transpose(0, 2, 1).reshape(len(block), rest)
+            block["opacity"] = np.log(opacities / (1 - opacities))
+            block["scale"] = np.log(scales)
+            block["rotation"] = splats.rotations[part]
+            for name, values in extras.items():
+                block[f"extra {name}"] = values[part]
+            file.write(block.data)
+
+
+def read_ply(path: Path) -> Splats:
+    """Read a 3DGS PLY: ASCII or binary of either byte order, any order and type of properties, degree 0 to 3.
+
+    Normals are dropped, other properties become extras of their own dtype, degrees above 3 are dropped with a warning.
+    Quaternions come back at unit length; splats with a NaN or an infinity are left out with a warning (an infinite
+    logit is an opacity of 0 or 1 and stays).
+    Raises InputError when the file is missing, no PLY, no Gaussian splats, compressed, damaged or cut off.
+    """
+    try:
+        with open(path, "rb") as file:
+            return _read(path, file)
+    except OSError as error:
+        raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
+
+
+@dataclass
+class _Element:
+    name: str
+    count: int
+    properties: list[tuple[str, str]] = field(default_factory=list)  # name, numpy code or "list"
+
+
+def _read(path: Path, file: BinaryIO) -> Splats:
+    order, elements = _read_header(path, file)
+    vertex = _splat_element(path, elements)
+    names = [name for name, _ in vertex.properties]
+    rest = sum(name.startswith("f_rest_") for name in names)
+    per_channel = rest // 3
+    side = isqrt(per_channel + 1)
+    whole = rest == 3 * per_channel and side * side == per_channel + 1
+    if not whole or not {f"f_rest_{i}" for i in range(rest)} <= set(names):
+        raise InputError(f"{path} has {rest} f_rest properties, which is no whole degree of spherical harmonics.")
+    coefficients = min(side, 4) ** 2
+    if side > 4:
+        log.warning("%s: spherical harmonics above degree 3 were left out", path)
+
+    read_rows = _row_reader(path, file, order, elements, vertex)
+    count = vertex.count
+    base = np.empty((count, len(BASE)), np.float32)
+    rotations = np.empty((count, 4), np.float32)
+    sh = np.empty((count, coefficients, 3), np.float32)
+    known = {*BASE, *ROTATION, *NORMAL, *(f"f_rest_{i}" for i in range(rest))}
+    extras = {name: np.empty(count, code) for name, code in vertex.properties if name not in known}
+    with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 become infinities and are left out
+        for start in range(0, count, BLOCK):
+            part = slice(start, min(start + BLOCK, count))
+            rows = read_rows(part.stop - start)
+            for column, name in enumerate(BASE):
+                base[part, column] = rows[name]
+            for column, name in enumerate(ROTATION):
+                rotations[part, column] = rows[name]
+            for i in range(1, coefficients):
+                for channel in range(3):
+                    sh[part, i, channel] = rows[f"f_rest_{channel * per_channel + i - 1}"]
+            for name, values in extras.items():
+                values[part] = rows[name]
+        sh[:, 0] = base[:, 3:6]
+        opacities = 1 / (1 + np.exp(-base[:, 6].astype(np.float64)))
+        scales = np.exp(base[:, 7:].astype(np.float64)).astype(np.float32)
+    positions = np.ascontiguousarray(base[:, :3])
+    return cleaned(Splats(positions, rotations, scales, opacities.astype(np.float32), sh, extras), path)
+
+
+def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
+    """The byte order ("<", ">" or "" for ASCII) and the elements; leaves `file` at the first byte of data."""
+    start = file.read(4)
+    if not start:
+        raise InputError(f"{path} is empty.")
+    if start[:2] in (b"\x1f\x8b", b"PK") or start == b"NGSP":
+        raise InputError(
+            f"{path} is a compressed splat file (SPZ or SOG), not a PLY; convert it to an uncompressed PLY."
+        )
+    if start[:3] != b"ply" or start[3:] not in (b"\n", b"\r"):
+        raise InputError(f"{path} is not a PLY file.")
+    file.seek(3)
+    file.readline()
+    order: str | None = None
+    elements: list[_Element] = []
+    try:
+        while (line := file.readline(65536).decode("utf-8", "replace")) != "":
+            match line.split():
+                case ["end_header"]:
+                    if order is None:
+                        raise ValueError("no format")
+                    return order, elements
+                case ["format", name, *_]:
+                    order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[name]
+                case ["element", name, number]:
+                    elements.append(_Element(name, int(number)))
+                    if elements[-1].count < 0:
+                        raise ValueError("a negative count")
+                case ["property", "list", _, _, name]:
+                    elements[-1].properties.append((name, "list"))
+                case ["property", kind, name]:
+                    elements[-1].properties.append((name, TYPES[kind]))
+                case ["property" | "element", *_]:
+                    raise ValueError(line)
+                case _:  # comments and obj_info
+                    pass
+    except (ValueError, KeyError, IndexError):
+        raise InputError(f"The header of {path} is damaged; write the file again.") from None
+    raise InputError(f"{path} is cut off inside its header; copy or write the file again.")
+
+
+def _splat_element(path: Path, elements: list[_Element]) -> _Element:
+    """The element that holds the splats; InputError says why there is none."""
+    vertex = next((element for element in elements if element.name == "vertex"), None)
+    names = [name for name, _ in vertex.properties] if vertex else []
+    if "packed_position" in names:
+        raise InputError(
+            f"{path} is a compressed PLY of SuperSplat or PlayCanvas; save it there as an uncompressed PLY."
+        )
+    missing = [name for name in (*BASE, *ROTATION) if name not in names]
+    if vertex is None or {"f_dc_0", "scale_0", "rot_0"} <= set(missing):
+        raise InputError(f"{path} is a plain point cloud or mesh, without the properties of Gaussian splats.")
+    if missing:
+        raise InputError(f"{path} lacks the property {missing[0]} that Gaussian splats need; write the file again.")
+    if len(set(names)) != len(names) or any(code == "list" for _, code in vertex.properties):
+        raise InputError(f"The header of {path} is damaged: its splats have a property twice, or a list.")
+    if not vertex.count:
+        raise InputError(f"{path} holds no splats.")
+    return vertex
+
+
+def _row_reader(
+    path: Path, file: BinaryIO, order: str, elements: list[_Element], vertex: _Element
+) -> Callable[[int], np.ndarray]:
+    """A function that reads the next n rows of `vertex`, after checking that the file is long enough for all."""
+    before = elements[: elements.index(vertex)]
+    row = np.dtype([(name, order + code) for name, code in vertex.properties])
+    here = file.tell()
+    remaining = file.seek(0, 2) - here
+    file.seek(here)
+    cut_off = InputError(f"{path} is cut off: it names {vertex.count} splats and holds fewer; copy or write it again.")
+
+    if not order:
+        # A digit and a separator are the least that a value takes.
+        if vertex.count * 2 * len(vertex.properties) > remaining + 1:
+            raise cut_off
+        for _ in islice(file, sum(element.count for element in before)):
+            pass
+
+        def read_text(count: int) -> np.ndarray:
+            try:
+                rows = np.loadtxt(islice(file, count), row, comments=None, ndmin=1)
+            except ValueError:
+                raise InputError(f"{path} is damaged: a line of its splats is not the numbers announced.") from None
+            if len(rows) != count:
+                raise cut_off
+            return rows
+
+        return read_text
+
+    if any(code == "list" for element in before for _, code in element.properties):
+        raise InputError(f"{path} has lists before its splats, which no splat program writes; write the file again.")
+    skipped = sum(element.count * np.dtype([(n, c) for n, c in element.properties]).itemsize for element in before)
+    if skipped + vertex.count * row.itemsize > remaining:
+        raise cut_off
+    file.seek(here + skipped)
+    return lambda count: np.frombuffer(file.read(count * row.itemsize), row)
+
+
+def _storable(path: Path, name: str, values: np.ndarray) -> np.ndarray:
+    """`values` in a dtype that PLY has."""
+    if values.dtype.kind in "iu" and values.dtype.itemsize == 8:
+        narrow = values.astype(np.int32)
+        if not np.array_equal(narrow, values):
+            raise InputError(f"Cannot write {path}: a PLY cannot hold the large integers of the property {name}.")
+        return narrow
+    if values.dtype == bool:
+        return values.astype(np.uint8)
+    return values if values.dtype.str[1:] in TYPE_NAMES else values.astype(np.float32)

@@ -1,0 +1,45 @@
+"""Colour by direction: real spherical harmonics up to degree 3."""
+
+import torch
+from torch import Tensor
+
+# Constants of the real spherical harmonics (Condon-Shortley phase included), in the order l, m = -l .. l, as 3DGS files
+# have them. E.g. Y_00 = sqrt(1 / 4 pi).
+C0 = 0.28209479177387814
+C1 = 0.4886025119029199
+C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+C3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
+
+
+def sh_basis(directions: Tensor, degree: int) -> Tensor:
+    """Values (N, (degree + 1)^2) of the basis functions for unit `directions` (N, 3); degree 0 to 3."""
+    x, y, z = directions.unbind(-1)
+    basis = [torch.full_like(x, C0)]
+    if degree >= 1:
+        basis += [-C1 * y, C1 * z, -C1 * x]
+    if degree >= 2:
+        xx, yy, zz = x * x, y * y, z * z
+        basis += [C2[0] * x * y, -C2[0] * y * z, C2[1] * (2 * zz - xx - yy), -C2[0] * x * z, C2[2] * (xx - yy)]
+    if degree >= 3:
+        basis += [
+            -C3[0] * y * (3 * xx - yy),
+            C3[1] * x * y * z,
+            -C3[2] * y * (4 * zz - xx - yy),
+            C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
+            -C3[2] * x * (4 * zz - xx - yy),
+            C3[4] * z * (xx - yy),
+            -C3[0] * x * (xx - 3 * yy),
+        ]
+    return torch.stack(basis, -1)
+
+
+def evaluate_sh(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
+    """Colours (N, 3) = max(0, 1/2 + sum_k sh_k Y_k(direction)), differentiable in both.
+
+    sh: (N, K, 3) raw coefficients, the constant one first; directions: (N, 3) unit, from the camera to the Gaussian;
+    degree: 0 to 3, may be less than what `sh` holds. Signs and order are those of 3DGS files.
+    """
+    if not 0 <= degree <= 3 or sh.shape[1] < (degree + 1) ** 2:
+        raise ValueError(f"degree {degree} needs {(degree + 1) ** 2} coefficients of 0 to 3 degrees, sh has {sh.shape[1]}")
+    basis = sh_basis(directions, degree)
+    return (0.5 + (basis[:, :, None] * sh[:, : basis.shape[1]]).sum(1)).clamp(min=0)

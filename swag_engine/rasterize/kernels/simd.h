@@ -1,0 +1,69 @@
+// Vectors of VW floats by the compiler's vector extensions (clang and gcc), the same source for every instruction set.
+// C headers only: nothing of a C++ library is compiled or linked.
+#pragma once
+#include <stdint.h>
+#include <string.h>
+
+#ifndef VW
+#define VW 8
+#endif
+#if defined(_WIN32)
+#define API extern "C" __declspec(dllexport)
+#else
+#define API extern "C" __attribute__((visibility("default")))
+#endif
+
+typedef float Vec __attribute__((vector_size(VW * 4)));
+typedef int32_t Mask __attribute__((vector_size(VW * 4)));  // all bits set: true
+
+static inline Vec splat(float x) { return x - Vec{}; }
+static inline Vec masked(Mask m, Vec a) { return (Vec)(m & (Mask)a); }
+static inline Vec select(Mask m, Vec a, Vec b) { return (Vec)((m & (Mask)a) | (~m & (Mask)b)); }
+
+template <class V>
+static inline V smaller(V a, V b) { return a < b ? a : b; }
+template <class V>
+static inline V larger(V a, V b) { return a > b ? a : b; }
+
+static inline bool any(Mask m) {
+#if defined(__clang__)
+    return __builtin_reduce_or(m) != 0;
+#else
+    int32_t bits = 0;
+    for (int i = 0; i < VW; i++) bits |= m[i];
+    return bits != 0;
+#endif
+}
+
+// Sum of the lanes by halves: few operations, and one fixed order.
+static inline float sum(Vec v) {
+    float lanes[VW];
+    memcpy(lanes, &v, sizeof v);
+    for (int half = VW / 2; half > 0; half /= 2)
+        for (int i = 0; i < half; i++) lanes[i] += lanes[i + half];
+    return lanes[0];
+}
+
+template <class V>
+static inline V square_root(V v) {
+#if defined(__clang__)
+    return __builtin_elementwise_sqrt(v);
+#else
+    for (unsigned i = 0; i < sizeof(V) / 4; i++) v[i] = __builtin_sqrtf(v[i]);
+    return v;
+#endif
+}
+static inline float square_root(float x) { return __builtin_sqrtf(x); }
+
+// 2^x for x in [-126, 0], relative error 2e-7: x = n + f, a degree 5 polynomial on |f| <= 1/2, n added to the exponent bits.
+static inline Vec exp2(Vec x) {
+    const Vec magic = splat(12582912.f);  // 1.5 * 2^23: adding it rounds to an integer, found in the low mantissa bits
+    Vec shifted = x + magic, f = x - (shifted - magic);
+    Vec p = splat(1.3333558e-3f);
+    p = p * f + 9.6181291e-3f;
+    p = p * f + 5.5504109e-2f;
+    p = p * f + 2.4022651e-1f;
+    p = p * f + 6.9314718e-1f;
+    p = p * f + 1.f;
+    return (Vec)((Mask)p + ((Mask)shifted << 23));
+}

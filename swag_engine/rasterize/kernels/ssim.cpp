@@ -1,0 +1,127 @@
+// L1 and SSIM of two images (height, width, 3) and their gradient.
+//
+// SSIM (Wang et al. 2004): 11 x 11 Gaussian window of sigma 1.5, zero padding. The blur is separable, vertical first, so
+// that a row needs nothing from its neighbours but the images; a row goes in blocks that stay in the cache. Each row is
+// summed on its own: the result does not depend on how rows are spread over threads.
+#include "simd.h"
+
+#include <math.h>
+
+namespace {
+
+constexpr int CHANNELS = 3, REACH = 5, PAD = REACH * CHANNELS, BLOCK = 960;
+constexpr float C1 = 1e-4f, C2 = 9e-4f;
+constexpr float WINDOW[REACH + 1] = {2.660117249e-01f, 2.130055377e-01f, 1.093606895e-01f, 3.600077213e-02f, 7.598758135e-03f, 1.028380084e-03f};  // from the centre outwards
+
+typedef float Padded[PAD + BLOCK + PAD];  // a block of one row with its neighbours; zeros beyond the image
+
+inline float window(int k) { return WINDOW[k < 0 ? -k : k]; }
+
+void blur_along(const Padded in, float *__restrict out, int count) {
+    for (int x = 0; x < count; x++) {
+        const float *centre = in + PAD + x;
+        float total = WINDOW[0] * centre[0];
+        for (int k = 1; k <= REACH; k++) total += WINDOW[k] * (centre[-k * CHANNELS] + centre[k * CHANNELS]);
+        out[x] = total;
+    }
+}
+
+// A block [begin, end) of a row of floats, and the part [low, high) of it with neighbours that lies in the image.
+struct Block {
+    int begin, end, low, high;
+    Block(int at, int row) {
+        begin = at;
+        end = smaller(at + BLOCK, row);
+        low = larger(begin - PAD, 0);
+        high = smaller(end + PAD, row);
+    }
+    int count() const { return end - begin; }
+};
+
+}  // namespace
+
+// Rows [begin, end): sums (height, 2) gets each row's sum of |image - target| and of SSIM; derivatives (3, height, width, 3)
+// those of SSIM by the blurred image, the blurred squared image and the blurred product.
+API void l1_ssim_forward(int64_t begin, int64_t end, int height, int width, const float *image, const float *target,
+                         double *sums, float *derivatives) {
+    int row = width * CHANNELS;
+    int64_t plane = (int64_t)height * row;
+    for (int64_t y = begin; y < end; y++) {
+        double l1 = 0, total = 0;
+        for (int at = 0; at < row; at += BLOCK) {
+            Block block(at, row);
+            Padded vertical[5] = {};
+            for (int k = -REACH; k <= REACH; k++) {
+                if (y + k < 0 || y + k >= height) continue;
+                const float *__restrict a = image + (y + k) * row, *__restrict b = target + (y + k) * row;
+                float w = window(k);
+                for (int x = block.low; x < block.high; x++) {
+                    int i = x - block.begin + PAD;
+                    float wa = w * a[x], wb = w * b[x];
+                    vertical[0][i] += wa;
+                    vertical[1][i] += wb;
+                    vertical[2][i] += wa * a[x];
+                    vertical[3][i] += wb * b[x];
+                    vertical[4][i] += wa * b[x];
+                }
+            }
+            float blurred[5][BLOCK], ssim[BLOCK], difference[BLOCK];
+            for (int i = 0; i < 5; i++) blur_along(vertical[i], blurred[i], block.count());
+
+            int64_t offset = y * row + block.begin;
+            const float *__restrict a = image + offset, *__restrict b = target + offset;
+            float *__restrict by_mean = derivatives + offset, *__restrict by_square = by_mean + plane;
+            float *__restrict by_product = by_square + plane;
+            for (int x = 0; x < block.count(); x++) {
+                float ma = blurred[0][x], mb = blurred[1][x], mab = ma * mb, mm = ma * ma + mb * mb;
+                float a1 = 2 * mab + C1, a2 = 2 * (blurred[4][x] - mab) + C2;
+                float b1 = mm + C1, b2 = blurred[2][x] + blurred[3][x] - mm + C2;
+                float inverse = 1 / (b1 * b2), s = a1 * a2 * inverse;
+                ssim[x] = s;
+                difference[x] = fabsf(a[x] - b[x]);
+                by_mean[x] = 2 * inverse * (mb * (a2 - a1) + ma * s * (b1 - b2));
+                by_square[x] = -s * b1 * inverse;
+                by_product[x] = 2 * a1 * inverse;
+            }
+            for (int x = 0; x < block.count(); x++) {
+                l1 += difference[x];
+                total += ssim[x];
+            }
+        }
+        sums[2 * y] = l1;
+        sums[2 * y + 1] = total;
+    }
+}
+
+// Rows [begin, end) of gradient = l1_weight sign(image - target) + ssim_weight d(sum of SSIM)/d(image).
+API void l1_ssim_backward(int64_t begin, int64_t end, int height, int width, const float *image, const float *target,
+                          const float *derivatives, float l1_weight, float ssim_weight, float *gradient) {
+    int row = width * CHANNELS;
+    int64_t plane = (int64_t)height * row;
+    for (int64_t y = begin; y < end; y++)
+        for (int at = 0; at < row; at += BLOCK) {
+            Block block(at, row);
+            Padded vertical[3] = {};
+            for (int k = -REACH; k <= REACH; k++) {
+                if (y + k < 0 || y + k >= height) continue;
+                const float *__restrict d = derivatives + (y + k) * row;
+                float w = window(k);
+                for (int x = block.low; x < block.high; x++) {
+                    int i = x - block.begin + PAD;
+                    vertical[0][i] += w * d[x];
+                    vertical[1][i] += w * d[x + plane];
+                    vertical[2][i] += w * d[x + 2 * plane];
+                }
+            }
+            float blurred[3][BLOCK];
+            for (int i = 0; i < 3; i++) blur_along(vertical[i], blurred[i], block.count());
+
+            int64_t offset = y * row + block.begin;
+            const float *__restrict a = image + offset, *__restrict b = target + offset;
+            float *__restrict g = gradient + offset;
+            for (int x = 0; x < block.count(); x++) {
+                float sign = (float)((a[x] > b[x]) - (a[x] < b[x]));
+                g[x] = l1_weight * sign + ssim_weight * (blurred[0][x] + 2 * a[x] * blurred[1][x] + b[x] * blurred[2][x]);
+            }
+        }
+}

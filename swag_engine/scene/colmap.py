@@ -1,0 +1,440 @@
+"""A COLMAP scene as it is on disk: photographs, poses, lenses and sparse points."""
+
+import os
+import re
+import struct
+import unicodedata
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2  # noqa: F401  (before pycolmap: in the other order cv2.imwrite has crashed)
+import numpy as np
+import pycolmap
+
+from ..errors import InputError
+from .cameras import Camera
+from .lenses import Lens
+
+PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One registered photograph.
+
+    `camera` is the undistorted pinhole at full size, `lens` what took the picture at `path`; `point_indices` (M,) int64
+    are the rows of `Scene.points` that COLMAP saw in it, each once.
+    """
+
+    camera: Camera
+    lens: Lens
+    path: Path
+    point_indices: np.ndarray
+
+    @property
+    def name(self) -> str:
+        return self.camera.name
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """The sparse cloud: positions (P, 3) float64 in SfM units, colors (P, 3) uint8 sRGB, errors (P,) float32 pixels
+    (-1: unknown), track_lengths (P,) int32: in how many photographs each was seen."""
+
+    positions: np.ndarray
+    colors: np.ndarray
+    errors: np.ndarray
+    track_lengths: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything that a COLMAP scene says. Views are sorted by name; there are at least two, and at least one point.
+
+    `image_count` counts the picture files in `image_folder`, `missing` names the registered images that are not there,
+    `warnings` are sentences for the user, `up` is a unit vector in the world (see `up_direction`).
+    """
+
+    folder: Path
+    image_folder: Path
+    model_folder: Path
+    views: tuple[View, ...]
+    points: Points
+    image_count: int
+    missing: tuple[str, ...]
+    warnings: tuple[str, ...]
+    up: np.ndarray
+
+
+def load_scene(folder: Path) -> Scene:
+    """Read the scene in `folder`, which is a scene folder or the folder of one COLMAP model.
+
+    Models are looked for in the folder itself, sparse/ and colmap/sparse/ and the folders in them; the one with most
+    registered images is taken. Raises InputError for whatever cannot be used.
+    """
+    folder = Path(folder).expanduser().absolute()
+    if not folder.is_dir():
+        raise InputError(f"{folder} is not a folder." if folder.exists() else f"There is no folder {folder}.")
+    warnings: list[str] = []
+    model_folder, model = _largest_model(folder, warnings)
+    points, index_of = _read_points(model, model_folder, warnings)
+
+    images = [model.image(image_id) for image_id in model.reg_image_ids()]
+    names = _image_names(model_folder, images)
+    scene_folder = _scene_folder(folder)
+    image_folder, paths, image_count = _find_pictures(scene_folder, list(names.values()), warnings)
+
+    views = [
+        _view(image, names[image.image_id], paths[names[image.image_id]], index_of)
+        for image in images
+        if names[image.image_id] in paths
+    ]
+    missing = tuple(sorted(set(names.values()) - set(paths)))
+    if len(views) < 2:
+        if missing:
+            raise InputError(
+                f"Only {len(views)} of the {len(names)} photographs that {model_folder} names were found in "
+                f"{image_folder} ({missing[0]} is missing): put the photographs into {scene_folder / 'images'}."
+            )
+        raise InputError(f"{model_folder} has {len(views)} registered photograph(s), and a scene needs at least two.")
+    if missing:
+        warnings.append(
+            f"{len(missing)} of the {len(names)} registered photographs are not in {image_folder} and are left out: "
+            f"{', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}."
+        )
+    if len(names) < 0.8 * image_count:
+        warnings.append(f"Only {len(names)} of the {image_count} photographs in {image_folder} have a pose.")
+
+    views.sort(key=lambda view: view.name)
+    return Scene(
+        folder=scene_folder,
+        image_folder=image_folder,
+        model_folder=model_folder,
+        views=tuple(views),
+        points=points,
+        image_count=image_count,
+        missing=missing,
+        warnings=tuple(warnings),
+        up=up_direction(np.stack([view.camera.world_to_camera for view in views]), points.positions),
+    )
+
+
+def up_direction(world_to_camera: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Which way is up in a COLMAP world, whose axes mean nothing; (3,) float64, unit.
+
+    world_to_camera (V, 4, 4), positions (P, 3). Where the points are flat, they are taken for the sea floor and up is
+    their normal: cameras that look down, straight (surveys) or at an angle (remote vehicles), say nothing about the
+    vertical by themselves. (A flat wall photographed from the front looks the same and will lie down.) Otherwise the
+    cameras are taken to be level: up is at right angles to all their x axes if they turn enough, else the mean of their
+    -y axes. The sign is that of the cameras' -y axes, or, if these lie along the floor, towards the cameras.
+    """
+    rotations = world_to_camera[:, :3, :3]
+    mean_up = -rotations[:, 1].mean(0)
+    centres = -np.einsum("vji,vj->vi", rotations, world_to_camera[:, :3, 3])
+    middle = np.median(positions, axis=0)
+    offsets = positions - middle
+    distances = np.linalg.norm(offsets, axis=1)
+    offsets = offsets[distances <= np.quantile(distances, 0.9)]
+    spread, axes = np.linalg.eigh(offsets.T @ offsets)
+    flat = len(offsets) >= 10 and spread[0] < 0.3**2 * spread[1]
+    turning, right_axes = np.linalg.eigh(np.einsum("vi,vj->ij", rotations[:, 0], rotations[:, 0]) / len(rotations))
+    if flat and turning[1] > 0.1:
+        up = axes[:, 0]
+    elif flat:
+        up = axes[:, 0] - (axes[:, 0] @ right_axes[:, 2]) * right_axes[:, 2]
+    elif turning[1] > 0.1:
+        up = right_axes[:, 0]
+    else:
+        up = mean_up
+    reference = mean_up if abs(up @ mean_up) > 0.3 * np.linalg.norm(up) else (centres - middle).mean(0)
+    up = up if up @ reference >= 0 else -up
+    length = float(np.linalg.norm(up))
+    return up / length if length > 1e-9 else np.array([0.0, -1.0, 0.0])
+
+
+# Models ---------------------------------------------------------------------------------------------------------------
+
+
+def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, pycolmap.Reconstruction]:
+    folders = []
+    for base in (folder, folder / "sparse", folder / "colmap" / "sparse", folder / "colmap"):
+        if base.is_dir():
+            folders += [base, *sorted(child for child in base.iterdir() if child.is_dir())]
+    folders = list(dict.fromkeys(folders))
+    models = [candidate for candidate in folders if _model_suffix(candidate)]
+    if not models:
+        for candidate in folders:
+            for suffix in (".bin", ".txt"):
+                parts = [f"{part}{suffix}" for part in ("cameras", "images", "points3D")]
+                absent = [part for part in parts if not (candidate / part).is_file()]
+                if len(absent) < 3:
+                    raise InputError(
+                        f"The COLMAP model in {candidate} is incomplete: {' and '.join(absent)} is missing."
+                    )
+        raise InputError(
+            f"No COLMAP model was found in {folder}, its sparse or its colmap/sparse: make one from the photographs "
+            "with `python -m swag_engine sfm PHOTOS --out SCENE`."
+        )
+    read = [_read_model(model) for model in models]
+    counts = [model.num_reg_images() for model in read]
+    best = int(np.argmax(counts))
+    if len(models) > 1:
+        warnings.append(
+            f"{len(models)} models were found, and the largest is used: {models[best].relative_to(folder)} with "
+            f"{counts[best]} photographs; the others have {', '.join(map(str, counts[:best] + counts[best + 1 :]))}."
+        )
+    return models[best], read[best]
+
+
+def _model_suffix(folder: Path) -> str | None:
+    """.bin or .txt when the folder holds a whole model; binary first, as COLMAP does."""
+    for suffix in (".bin", ".txt"):
+        if all((folder / f"{part}{suffix}").is_file() for part in ("cameras", "images", "points3D")):
+            return suffix
+    return None
+
+
+def _read_model(folder: Path) -> pycolmap.Reconstruction:
+    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)  # what goes wrong is said once, as an InputError
+    suffix = _model_suffix(folder)
+    try:
+        if suffix == ".bin":
+            for part in _BINARY_RECORDS:
+                if (folder / f"{part}.bin").is_file():
+                    _check_binary(folder / f"{part}.bin")
+        model = pycolmap.Reconstruction()
+        (model.read_binary if suffix == ".bin" else model.read_text)(str(folder))
+        if suffix == ".txt":
+            counts = {"cameras": model.num_cameras(), "images": model.num_images(), "points3D": model.num_points3D()}
+            for part, count in counts.items():
+                _check_text(folder / f"{part}.txt", count)
+    except OSError as error:
+        raise InputError(f"Cannot read {error.filename or folder}: {error.strerror or error}.") from error
+    except (ValueError, IndexError, RuntimeError, MemoryError) as error:
+        at_fault = re.search(r">> (?:camera\.)?(camera|image|point|rig|frame)(3D)?_id", str(error))
+        where = folder / f"{at_fault[1]}s{at_fault[2] or ''}.txt" if at_fault else folder
+        reason = str(error).rsplit("Check failed: ", 1)[-1].split(">>")[0].strip().rstrip(".") if not at_fault else ""
+        raise InputError(
+            f"The COLMAP model {where} is damaged{f' ({reason})' if reason else ''}: export it from COLMAP again."
+        ) from error
+    return model
+
+
+# pycolmap reads a truncated binary file as whatever its memory holds, so each file is walked first: the functions say
+# where the record that starts at `at` ends. Layouts: colmap/scene/reconstruction_io_binary.cc.
+
+
+def _after_camera(data: bytes, at: int) -> int:
+    (model,) = struct.unpack_from("<i", data, at + 4)
+    camera = pycolmap.Camera.create_from_model_id(0, pycolmap.CameraModelId(model), 1.0, 1, 1)
+    return at + 24 + 8 * len(camera.params)
+
+
+def _after_image(data: bytes, at: int) -> int:
+    end_of_name = data.index(b"\0", at + 64) + 1
+    (count,) = struct.unpack_from("<Q", data, end_of_name)
+    return end_of_name + 8 + 24 * count
+
+
+def _after_point(data: bytes, at: int) -> int:
+    (count,) = struct.unpack_from("<Q", data, at + 43)
+    return at + 51 + 8 * count
+
+
+def _after_rig(data: bytes, at: int) -> int:
+    (sensors,) = struct.unpack_from("<I", data, at + 4)
+    at += 8 + (8 if sensors else 0)
+    for _ in range(1, sensors):
+        (has_pose,) = struct.unpack_from("<B", data, at + 8)
+        at += 9 + (56 if has_pose else 0)
+    return at
+
+
+def _after_frame(data: bytes, at: int) -> int:
+    (count,) = struct.unpack_from("<I", data, at + 64)
+    return at + 68 + 16 * count
+
+
+_BINARY_RECORDS: dict[str, Callable[[bytes, int], int]] = {
+    "cameras": _after_camera,
+    "images": _after_image,
+    "points3D": _after_point,
+    "rigs": _after_rig,
+    "frames": _after_frame,
+}
+
+
+def _check_binary(path: Path) -> None:
+    """Raise InputError unless the file holds as many whole records as it says."""
+    data = path.read_bytes()
+    after = _BINARY_RECORDS[path.stem]
+    try:
+        (count,) = struct.unpack_from("<Q", data)
+        at = 8
+        for _ in range(count):
+            at = after(data, at)
+        whole = at <= len(data)
+    except (struct.error, ValueError, OverflowError):
+        whole = False
+    if not whole:
+        raise InputError(f"{path} is damaged or was cut short: copy it or export it from COLMAP again.")
+
+
+def _check_text(path: Path, count: int) -> None:
+    """Raise InputError when COLMAP's own header promises more entries than were read."""
+    with open(path, "rb") as lines:
+        header = b"".join(line for line, _ in zip(lines, range(5), strict=False) if line.startswith(b"#"))
+    promised = re.search(rb"# Number of \w+: (\d+)", header)
+    if promised and count < int(promised[1]):
+        raise InputError(
+            f"{path} was cut short: it has {count} of {int(promised[1])} entries; export it from COLMAP again."
+        )
+
+
+def _image_names(model_folder: Path, images: list[pycolmap.Image]) -> dict[int, str]:
+    """COLMAP's image names by image id, with forward slashes.
+
+    pycolmap cuts the names of text models at the first space, so there they are read from the file.
+    """
+    try:
+        if _model_suffix(model_folder) == ".bin":
+            names = {image.image_id: image.name for image in images}
+        else:
+            lines = iter((model_folder / "images.txt").read_text(encoding="utf-8").splitlines())
+            names = {}
+            for line in lines:
+                if line.strip() and not line.startswith("#"):
+                    fields = line.split(maxsplit=9)
+                    names[int(fields[0])] = fields[9].strip()
+                    next(lines, None)  # the image's points
+            names = {image.image_id: names[image.image_id] for image in images}
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"The COLMAP model {model_folder} has image names that are not UTF-8: rename the photographs with plain "
+            "letters and reconstruct the scene again."
+        ) from error
+    return {image_id: name.replace("\\", "/") for image_id, name in names.items()}
+
+
+def _read_points(
+    model: pycolmap.Reconstruction, model_folder: Path, warnings: list[str]
+) -> tuple[Points, Callable[[np.ndarray], np.ndarray]]:
+    """The sparse points in the order of their ids, and a function from COLMAP's point ids to rows (-1: none)."""
+    items = sorted(model.points3D.items())
+    if not items:
+        raise InputError(f"The COLMAP model in {model_folder} has no points: reconstruct the scene again.")
+    ids = np.array([point_id for point_id, _ in items], np.uint64)
+    positions = np.array([point.xyz for _, point in items])
+    finite = np.isfinite(positions).all(1)
+    if not finite.all():
+        warnings.append(
+            f"{np.count_nonzero(~finite)} points of {model_folder} have no finite position and are left out."
+        )
+        items = [item for item, keep in zip(items, finite, strict=True) if keep]
+        ids, positions = ids[finite], positions[finite]
+        if not items:
+            raise InputError(f"No point of the COLMAP model in {model_folder} has a finite position.")
+    points = Points(
+        positions=positions,
+        colors=np.array([point.color for _, point in items], np.uint8),
+        errors=np.array([point.error for _, point in items], np.float32),
+        track_lengths=np.array([point.track.length() for _, point in items], np.int32),
+    )
+
+    def rows(wanted: np.ndarray) -> np.ndarray:
+        at = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+        return np.where(ids[at] == wanted, at, -1)
+
+    return points, rows
+
+
+def _view(image: pycolmap.Image, name: str, path: Path, index_of: Callable[[np.ndarray], np.ndarray]) -> View:
+    camera = image.camera
+    assert camera is not None  # every image of a model that was read has one
+    lens = Lens(camera.model.name, camera.width, camera.height, tuple(float(value) for value in camera.params))
+    world_to_camera = np.eye(4)
+    world_to_camera[:3] = image.cam_from_world().matrix()
+    if not np.isfinite(world_to_camera).all():
+        raise InputError(f"The COLMAP model's pose of {name} is not finite: reconstruct the scene again.")
+    pinhole = lens.pinhole
+    seen = index_of(np.array([point.point3D_id for point in image.get_observation_points2D()], np.uint64))
+    return View(
+        camera=Camera(
+            name, pinhole.width, pinhole.height, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy, world_to_camera
+        ),
+        lens=lens,
+        path=path,
+        point_indices=np.unique(seen[seen >= 0]),
+    )
+
+
+# Photographs ----------------------------------------------------------------------------------------------------------
+
+
+def _scene_folder(folder: Path) -> Path:
+    """The scene that `folder` belongs to when it is a COLMAP folder within one (sparse/0, colmap/sparse, ...)."""
+    scene = folder.parent if folder.name.isdecimal() else folder
+    if scene.name.lower() != "sparse":
+        return folder
+    return scene.parent.parent if scene.parent.name.lower() == "colmap" else scene.parent
+
+
+def pictures_below(folder: Path) -> list[Path]:
+    """Picture files in `folder` and below, sorted, without hidden folders and masks/."""
+    found = []
+    for parent, folders, files in os.walk(folder):
+        folders[:] = sorted(name for name in folders if not name.startswith(".") and name.lower() != "masks")
+        found += [Path(parent, name) for name in files if Path(name).suffix.lower() in PICTURE_SUFFIXES]
+    return sorted(path for path in found if not path.name.startswith("."))
+
+
+def _key(name: str) -> str:
+    """Equal for names that differ in case or in how an umlaut is encoded (macOS writes them in two letters)."""
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+def _find_pictures(scene: Path, names: list[str], warnings: list[str]) -> tuple[Path, dict[str, Path], int]:
+    """The folder that holds the named images, where each is, and how many pictures are in it.
+
+    All come from one folder: the one with the most of them, images/ and input/ before others. Case does not matter. If
+    no folder holds a single name, names count without their folders. Last, images/ and input/ beside the scene are
+    tried (a model's own folder may have been given as the scene).
+    """
+    for root in (scene, scene.parent / "images", scene.parent / "input"):
+        pictures = pictures_below(root) if root.is_dir() else []
+        for by_basename in (False, True):
+            wanted = {_key(name.rsplit("/", 1)[-1] if by_basename else name): name for name in names}
+            hits: dict[tuple[str, ...], dict[str, Path]] = {}
+            for path in pictures:
+                parts = path.relative_to(root).parts
+                for depth in [len(parts) - 1] if by_basename else range(len(parts)):
+                    name = wanted.get(_key("/".join(parts[depth:])))
+                    if name is not None:
+                        found = hits.setdefault(parts[:depth], {})
+                        if name not in found or path.name == name.rsplit("/", 1)[-1]:  # the same case is best
+                            found[name] = path
+            if not hits:
+                continue
+            liked = ["images", "input"]
+            best = min(
+                hits,
+                key=lambda parts: (
+                    -len(hits[parts]),
+                    liked.index(parts[-1].lower()) if parts and parts[-1].lower() in liked else len(liked),
+                    len(parts),
+                    parts,
+                ),
+            )
+            if by_basename:
+                warnings.append(
+                    f"The photographs in {root.joinpath(*best)} were matched by file name, without folders."
+                )
+            folder = root.joinpath(*best)
+            count = sum(path.is_relative_to(folder) for path in pictures)
+            return folder, hits[best], count
+    example = sorted(names)[0] if names else "any"
+    raise InputError(
+        f"None of the {len(names)} photographs of the COLMAP model ({example} ...) was found in {scene}: put them into "
+        f"{scene / 'images'}."
+    )

@@ -1,0 +1,343 @@
+"""Photographs or a video without poses -> a COLMAP scene.
+
+The pictures are prepared here; COLMAP itself (pycolmap) runs in a child process, `python -m swag_engine.scene.sfm`,
+which reports on its standard output, so that a crash or a cancel leaves nothing behind.
+"""
+
+import json
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ..errors import InputError
+from .colmap import pictures_below
+from .images import read_picture
+
+Progress = Callable[[str, float], None]
+
+_EXHAUSTIVE_UP_TO = (
+    150  # images; beyond, the number of pairs outgrows patience and neighbours in name order are matched
+)
+_FEATURE_PIXELS = 2000  # longest side that features are looked for at: water leaves little detail beyond
+_VIDEO_FRAMES = 40, 300  # as many frames of a video as there are of use, within these
+_VIDEO_STEP = 0.05  # of the picture's width that the view moves between two frames taken
+
+
+def reconstruct(source: Path, out: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Find the poses of a folder of photographs, or of a video's frames, and make the COLMAP scene `out`.
+
+    `out` gets images/ (the photographs as they are, or the chosen frames) and sparse/0; it appears when all is done.
+    Features come from contrast-equalised copies, because dim water hides them. `progress(stage, fraction)` is called
+    with the stages frames (video only), prepare, features, matching, mapping; what it raises ends the work.
+
+    Returns images, registered, registered_share, points, reprojection_error (pixels), seconds, warnings (sentences).
+    Raises InputError when the pictures cannot be used or no camera could be placed.
+    """
+    started = time.monotonic()
+    report = progress or (lambda stage, fraction: None)
+    source, out = Path(source).expanduser().absolute(), Path(out).expanduser().absolute()
+    if not source.exists():
+        raise InputError(f"There is no folder of photographs or video {source}.")
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out} exists and is not an empty folder: choose another place for the scene.")
+    work = out.with_name(f".{out.name}.{os.getpid()}.part")
+    scene, scratch = work / "scene", work / "scratch"
+    try:
+        scratch.mkdir(parents=True)
+        (scene / "images").mkdir(parents=True)
+        names = _copy_photographs(source, scene) if source.is_dir() else _pick_frames(source, scene, report)
+        _equalise(scene / "images", names, scratch / "pictures", report)
+        result = _run_colmap(scene, scratch, names, report)
+        if out.exists():
+            out.rmdir()
+        os.replace(scene, out)
+    except OSError as error:
+        raise InputError(f"Cannot write {error.filename or out}: {error.strerror or error}.") from error
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    share = result["registered"] / len(names)
+    warnings = []
+    if share < 0.8:
+        warnings.append(
+            f"Only {result['registered']} of {len(names)} photographs could be placed: more overlap between "
+            "neighbouring photographs would help."
+        )
+    return {
+        "images": len(names),
+        "registered_share": share,
+        **result,
+        "seconds": time.monotonic() - started,
+        "warnings": warnings,
+    }
+
+
+def _copy_photographs(source: Path, scene: Path) -> list[str]:
+    names = [path.relative_to(source).as_posix() for path in pictures_below(source)]
+    if not names:
+        raise InputError(f"There are no photographs (JPEG, PNG, TIFF, BMP or WebP) in {source}.")
+    if len(names) == 1:
+        raise InputError(f"There is only one photograph in {source}, and poses need several that overlap.")
+    for name in names:
+        (scene / "images" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(source / name, scene / "images" / name)
+    return names
+
+
+def _equalise(images: Path, names: list[str], folder: Path, report: Progress) -> None:
+    """Write grey copies with equalised local contrast (CLAHE), numbered in the order of `names`."""
+    folder.mkdir()
+    clahe = cv2.createCLAHE(clipLimit=4, tileGridSize=(8, 8))
+    for number, name in enumerate(names):
+        report("prepare", number / len(names))
+        grey = cv2.cvtColor(read_picture(images / name)[0], cv2.COLOR_RGB2GRAY)
+        _write_jpeg(folder / _copy_name(number), clahe.apply(grey))
+
+
+def _copy_name(number: int) -> str:
+    return f"{number:06d}.jpg"
+
+
+def _write_jpeg(path: Path, picture: np.ndarray) -> None:
+    # cv2.imwrite cannot write to every path on Windows, and does not say why it failed.
+    path.write_bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())
+
+
+# Video ----------------------------------------------------------------------------------------------------------------
+
+
+def _pick_frames(video: Path, scene: Path, report: Progress) -> list[str]:
+    """Write the frames worth having to scene/images: in each stretch of equal motion the sharpest one."""
+    sharpness, motion = _measure_frames(video, report)
+    if len(sharpness) == 0:
+        raise InputError(f"{video} is neither a folder of photographs nor a video that can be read.")
+    travelled = np.cumsum(motion)
+    fewest, most = _VIDEO_FRAMES
+    if travelled[-1] < _VIDEO_STEP:
+        raise InputError(f"The camera hardly moves in {video}: poses need views from different places.")
+    step = np.clip(_VIDEO_STEP, travelled[-1] / most, travelled[-1] / fewest)
+    stretch = (travelled / step).astype(int)
+    chosen = {
+        int(group[np.argmax(sharpness[group])]) for k in np.unique(stretch) for group in [np.flatnonzero(stretch == k)]
+    }
+    names = []
+    for number, frame in _frames(video):
+        if number in chosen:
+            names.append(f"frame_{number:06d}.jpg")
+            _write_jpeg(scene / "images" / names[-1], frame)
+        report("frames", 0.7 + 0.3 * (number + 1) / len(sharpness))
+    return names
+
+
+def _frames(video: Path) -> Any:
+    capture = cv2.VideoCapture(str(video))
+    try:
+        number = 0
+        while True:
+            there, frame = capture.read()
+            if not there:
+                return
+            yield number, frame
+            number += 1
+    finally:
+        capture.release()
+
+
+def _measure_frames(video: Path, report: Progress) -> tuple[np.ndarray, np.ndarray]:
+    """Of each frame: sharpness (variance of the Laplacian), and motion since the one before as a share of the width."""
+    capture = cv2.VideoCapture(str(video))
+    total = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+    capture.release()
+    clahe = cv2.createCLAHE(clipLimit=4, tileGridSize=(8, 8))
+    sharpness, motion = [], []
+    before: np.ndarray | None = None
+    for number, frame in _frames(video):
+        scale = min(1.0, 480 / frame.shape[1])
+        small = cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        grey = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY)
+        sharpness.append(cv2.Laplacian(grey, cv2.CV_64F).var())
+        equal = clahe.apply(grey)
+        motion.append(0.0 if before is None else _motion(before, equal) / equal.shape[1])
+        before = equal
+        report("frames", min(0.7, 0.7 * number / max(total, 1)))
+    return np.array(sharpness), np.array(motion)
+
+
+def _motion(before: np.ndarray, after: np.ndarray) -> float:
+    """The median distance in pixels that corners moved; a step's worth when they cannot be followed."""
+    corners = cv2.goodFeaturesToTrack(before, 300, 0.01, 8)
+    if corners is None or len(corners) < 20:
+        return 0.0  # nothing to see, as in open water: not a reason to take a frame
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(before, after, corners, np.empty_like(corners))
+    followed = found.ravel() > 0
+    if followed.mean() < 0.3:
+        return _VIDEO_STEP * before.shape[1]
+    distance = float(np.median(np.linalg.norm((moved - corners).reshape(-1, 2)[followed], axis=1)))
+    return distance if distance > 0.25 else 0.0  # less is noise, and would add up while the camera rests
+
+
+# COLMAP, in a child process -------------------------------------------------------------------------------------------
+
+
+def _run_colmap(scene: Path, scratch: Path, names: list[str], report: Progress) -> dict[str, Any]:
+    job = scratch / "job.json"
+    job.write_text(json.dumps({"scene": str(scene), "scratch": str(scratch), "names": names}), encoding="utf-8")
+    package_root = Path(__file__).resolve().parents[2]
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(filter(None, [str(package_root), os.environ.get("PYTHONPATH")])),
+        "PYTHONIOENCODING": "utf-8",
+    }
+    command = [sys.executable, "-m", "swag_engine.scene.sfm", str(job)]
+    result: dict[str, Any] | None = None
+    with (
+        open(scratch / "colmap.log", "wb") as log,
+        subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, env=environment, encoding="utf-8"
+        ) as child,
+    ):
+        try:
+            assert child.stdout is not None
+            for line in child.stdout:
+                message = json.loads(line)
+                if "stage" in message:
+                    report(message["stage"], message["fraction"])
+                elif "error" in message:
+                    raise InputError(message["error"])
+                else:
+                    result = message
+        finally:
+            if result is None:
+                child.kill()
+    if result is None:
+        raise InputError(f"COLMAP ended without a result (exit code {child.returncode}): free memory and try again.")
+    return result
+
+
+def _child(job: Path) -> None:
+    """What the child process does: features, matches, mapping; the largest model, with the photographs' own names."""
+    import pycolmap
+
+    task = json.loads(job.read_text(encoding="utf-8"))
+    names: list[str] = task["names"]
+    scene, scratch = Path(task["scene"]), Path(task["scratch"])
+    database, pictures, models = scratch / "database.db", scratch / "pictures", scratch / "models"
+    copies = [_copy_name(number) for number in range(len(names))]
+    pycolmap.set_random_seed(0)
+
+    # Photographs of one size and focal length (from EXIF) share a camera, which makes its calibration firmer.
+    cameras: dict[tuple[int, int, str], list[str]] = {}
+    for copy, name in zip(copies, names, strict=True):
+        camera = pycolmap.infer_camera_from_image(str(scene / "images" / name))
+        known = camera.params_to_string() if camera.has_prior_focal_length else ""
+        cameras.setdefault((camera.width, camera.height, known), []).append(copy)
+    extraction = pycolmap.FeatureExtractionOptions()
+    extraction.max_image_size = _FEATURE_PIXELS
+    with _Watch(database, "features", "keypoints", len(names)):
+        for (_, _, known), group in cameras.items():
+            reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL", camera_params=known)
+            pycolmap.extract_features(
+                str(database),
+                str(pictures),
+                image_names=group,
+                camera_mode=pycolmap.CameraMode.SINGLE,
+                reader_options=reader,
+                extraction_options=extraction,
+            )
+
+    if len(names) <= _EXHAUSTIVE_UP_TO:
+        with _Watch(database, "matching", "two_view_geometries", len(names) * (len(names) - 1) // 2):
+            pycolmap.match_exhaustive(str(database))
+    else:
+        pairing = pycolmap.SequentialPairingOptions()
+        with _Watch(database, "matching", "two_view_geometries", len(names) * (pairing.overlap + 4)):
+            pycolmap.match_sequential(str(database), pairing_options=pairing)
+
+    placed = 0
+
+    def one_more() -> None:
+        nonlocal placed
+        placed += 1
+        _say(stage="mapping", fraction=min(1.0, placed / len(names)))
+
+    models.mkdir()
+    options = pycolmap.IncrementalPipelineOptions()
+    options.min_model_size = 2
+    options.extract_colors = False  # they come from the photographs, not from the grey copies
+    options.random_seed = 0
+    found = pycolmap.incremental_mapping(
+        str(database),
+        str(pictures),
+        str(models),
+        options,
+        initial_image_pair_callback=one_more,
+        next_image_callback=one_more,
+    )
+    if not found:
+        raise InputError(
+            f"No camera could be placed from these {len(names)} pictures: they need to overlap by half or more, from "
+            "different places, with structure in sight."
+        )
+    model = max(found.values(), key=lambda candidate: candidate.num_reg_images())
+    for image in model.images.values():
+        image.name = names[copies.index(image.name)]
+    model.extract_colors_for_all_images(str(scene / "images"))
+    sparse = scene / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    model.write_binary(str(sparse))
+    _say(
+        registered=model.num_reg_images(),
+        points=model.num_points3D(),
+        reprojection_error=model.compute_mean_reprojection_error(),
+    )
+
+
+class _Watch:
+    """Report the progress of a COLMAP call that has none of its own, by counting the rows it adds to its database."""
+
+    def __init__(self, database: Path, stage: str, table: str, total: int) -> None:
+        self._database, self._stage, self._table, self._total = database, stage, table, max(total, 1)
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> None:
+        _say(stage=self._stage, fraction=0.0)
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._done.wait(0.5):
+            try:
+                connection = sqlite3.connect(f"{self._database.as_uri()}?mode=ro", uri=True, timeout=0.1)
+                (count,) = connection.execute(f"SELECT COUNT(*) FROM {self._table}").fetchone()
+                connection.close()
+            except sqlite3.Error:  # not made yet, or being written to
+                continue
+            _say(stage=self._stage, fraction=min(1.0, count / self._total))
+
+
+def _say(**message: Any) -> None:
+    try:
+        print(json.dumps(message), flush=True)
+    except BrokenPipeError:  # the parent is gone, and nobody will want the result
+        os._exit(1)
+
+
+if __name__ == "__main__":
+    try:
+        _child(Path(sys.argv[1]))
+    except Exception as error:  # the parent turns it into the user's sentence
+        reason = str(error) if isinstance(error, InputError) else f"COLMAP failed: {str(error).splitlines()[0]}"
+        _say(error=reason)
+        sys.exit(1)

@@ -1,0 +1,110 @@
+"""The command line as a user meets it: exit codes, JSON, sentences."""
+
+import json
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TRAIN = ["--iterations", "60", "--width", "64", "--max-gaussians", "400", "--sh-degree", "0"]
+
+
+def swag(*arguments, **more):
+    command = [sys.executable, "-m", "swag_engine", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, **more)
+
+
+def assert_one_sentence(done):
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+
+
+@pytest.fixture(scope="module")
+def run(tiny_scene, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("Läufe") / "the run"
+    done = swag("train", tiny_scene, "--out", folder, "--json", *TRAIN)
+    assert done.returncode == 0, done.stderr
+    return folder, json.loads(done.stdout)
+
+
+def test_inspect_prints_what_was_found(tiny_scene):
+    done = swag("inspect", tiny_scene)
+    assert done.returncode == 0 and "10" in done.stdout and "300" in done.stdout
+    assert json.loads(swag("inspect", tiny_scene, "--json").stdout)["registered"] == 10
+
+
+def test_train_answers_in_json_alone(run):
+    folder, result = run
+    assert result["metrics"]["iteration"] == 60
+    assert Path(result["ply"]).parent == folder
+
+
+def test_evaluate_repeats_the_figures_of_training(run):
+    folder, result = run
+    scores = json.loads(swag("evaluate", folder, "--json").stdout)
+    assert scores["test_psnr"] == result["metrics"]["test_psnr"]
+    assert set(scores["views"]) == {"view_00.png", "view_08.png"}
+
+
+def test_render_writes_pictures_and_knows_its_cameras(run, tmp_path):
+    folder, _ = run
+    done = swag("render", folder, "--out", tmp_path / "pictures", "--camera", "view_03.png")
+    assert done.returncode == 0 and (tmp_path / "pictures" / "view_03.png").stat().st_size > 500
+    assert_one_sentence(swag("render", folder, "--out", tmp_path, "--camera", "view_99.png"))
+
+
+@pytest.mark.parametrize("format", ["ply", "glb"])
+def test_export(run, tmp_path, format):
+    folder, _ = run
+    out = tmp_path / f"reef.{format}"
+    assert swag("export", folder, "--format", format, "--out", out).returncode == 0
+    assert out.read_bytes()[:4] in (b"ply\n", b"glTF")
+
+
+def test_interrupt_keeps_what_exists(tiny_scene, tmp_path):
+    command = [sys.executable, "-m", "swag_engine", "train", tiny_scene, "--out", tmp_path / "run", "--width", "64"]
+    process = subprocess.Popen([*map(str, command), "--iterations", "100000"], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "run" / "config.json").exists():
+        assert process.poll() is None
+        time.sleep(0.1)
+    time.sleep(2)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert (tmp_path / "run" / "result.ply").exists()
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["interrupted"]
+
+
+def test_a_full_disk_ends_in_one_sentence(tiny_scene, tmp_path):
+    def little_room():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    done = swag("train", tiny_scene, "--out", tmp_path / "run", "--json", *TRAIN, preexec_fn=little_room)
+    assert_one_sentence(done)
+    assert "Cannot write" in done.stderr
+    assert not list((tmp_path / "run").glob("*.part")) and not list((tmp_path / "run").glob("result*"))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("inspect", "/nowhere/at all"),
+        ("train", "/nowhere", "--out", "/tmp/never"),
+        ("evaluate", "/nowhere"),
+        ("export", "/nowhere", "--format", "ply", "--out", "/tmp/never.ply"),
+        ("train", "/nowhere", "--out", "/tmp/never", "--iterations", "-3"),
+    ],
+)
+def test_bad_input_is_one_sentence(arguments):
+    assert_one_sentence(swag(*arguments))
+
+
+def test_usage_errors_exit_with_two():
+    assert swag("paint").returncode == 2
+    assert swag("train").returncode == 2

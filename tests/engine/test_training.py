@@ -1,0 +1,142 @@
+"""A run learns, stops, goes on, and says what is wrong."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import pytest
+import torch
+
+from swag_engine.errors import InputError
+from swag_engine.formats.ply import read_ply
+from swag_engine.training.checkpoint import checkpoints, load_checkpoint
+from swag_engine.training.config import TrainSettings
+from swag_engine.training.loop import train
+
+SETTINGS = TrainSettings(iterations=150, width=64, max_gaussians=500, sh_degree=1)
+
+
+def stop_after(iterations):
+    """A should_stop that turns true after so many questions, one an iteration."""
+    asked = iter(range(10**9))
+    return lambda: next(asked) >= iterations
+
+
+@pytest.fixture(scope="module")
+def whole_run(tiny_scene, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "whole"
+    events = []
+    result = train(tiny_scene, folder, SETTINGS, on_event=events.append)
+    return folder, result, events
+
+
+def test_held_out_views_are_learned(whole_run):
+    _, result, _ = whole_run
+    metrics = result["metrics"]
+    assert metrics["test_psnr"] > metrics["control_psnr"] + 3
+    assert not result["interrupted"]
+    assert metrics["iteration"] == SETTINGS.iterations
+
+
+def test_growth_respects_the_cap(whole_run):
+    _, result, _ = whole_run
+    assert 300 < result["metrics"]["gaussians"] <= SETTINGS.max_gaussians
+
+
+def test_run_folder_holds_what_the_design_names(whole_run):
+    folder, result, _ = whole_run
+    names = {path.name for path in folder.iterdir()}
+    assert {"config.json", "metrics.jsonl", "metrics.json", "result.ply", "result.glb"} <= names
+    assert not [name for name in names if name.endswith(".part")]
+    assert len(read_ply(folder / "result.ply").positions) == result["metrics"]["gaussians"]
+    lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    assert {"iteration", "seconds", "loss", "psnr", "ssim", "gaussians", "ms"} <= set(lines[0])
+    assert "test_psnr" in lines[-1]
+    assert lines[0]["psnr"] < lines[-2]["psnr"]
+
+
+def test_progress_events_are_complete(whole_run):
+    *_, events = whole_run
+    progress = [event for event in events if event["event"] == "progress" and event["stage"] == "train"]
+    assert progress[-1]["iteration"] == SETTINGS.iterations
+    assert {"seconds_left", "loss", "psnr", "gaussians", "iterations_per_second"} <= set(progress[-1])
+
+
+def test_a_resumed_run_is_bit_equal_to_one_that_never_stopped(whole_run, tiny_scene, tmp_path):
+    folder, _, _ = whole_run
+    stopped = train(tiny_scene, tmp_path / "run", SETTINGS, should_stop=stop_after(70))
+    assert stopped["interrupted"]
+    assert stopped["metrics"]["iteration"] == 70
+    assert (tmp_path / "run" / "result.ply").exists()
+    train(tiny_scene, tmp_path / "run", SETTINGS, resume=True)
+    expected, _ = load_checkpoint(folder)
+    got, state = load_checkpoint(tmp_path / "run")
+    assert state["iteration"] == SETTINGS.iterations
+    assert expected.keys() == got.keys()
+    for name, tensor in expected.items():
+        assert torch.equal(tensor, got[name]), name
+    iterations = [json.loads(line)["iteration"] for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert iterations == sorted(iterations)
+
+
+def test_resume_survives_a_damaged_newest_checkpoint(tiny_scene, tmp_path):
+    short = replace(SETTINGS, iterations=60)
+    train(tiny_scene, tmp_path / "run", short, should_stop=stop_after(20))
+    train(tiny_scene, tmp_path / "run", short, resume=True, should_stop=stop_after(20))
+    newest = checkpoints(tmp_path / "run")[-1]
+    newest.write_bytes(newest.read_bytes()[:1000])
+    result = train(tiny_scene, tmp_path / "run", short, resume=True)
+    assert result["metrics"]["iteration"] == 60
+
+
+def test_a_run_is_never_overwritten(whole_run, tiny_scene):
+    folder, _, _ = whole_run
+    with pytest.raises(InputError, match="holds a training run already"):
+        train(tiny_scene, folder, SETTINGS)
+    with pytest.raises(InputError, match="finished already"):
+        train(tiny_scene, folder, SETTINGS, resume=True)
+
+
+def test_resume_refuses_other_settings_and_scenes(tiny_scene, tmp_path):
+    run = tmp_path / "run"
+    train(tiny_scene, run, SETTINGS, should_stop=stop_after(2))
+    with pytest.raises(InputError, match="started with width 64"):
+        train(tiny_scene, run, replace(SETTINGS, width=32), resume=True)
+    other = shutil.copytree(tiny_scene, tmp_path / "other")
+    with pytest.raises(InputError, match="belongs to the scene"):
+        train(other, run, SETTINGS, resume=True)
+    with pytest.raises(InputError, match="is not a training run"):
+        train(tiny_scene, tmp_path / "nothing", SETTINGS, resume=True)
+
+
+def test_test_views_never_reach_a_decision(tiny_scene, tmp_path):
+    """Garbage in the test photographs changes the reported figures and nothing else."""
+    short = replace(SETTINGS, iterations=40)
+    spoiled = shutil.copytree(tiny_scene, tmp_path / "spoiled")
+    for name in ("view_00.png", "view_08.png"):
+        (spoiled / "images" / name).write_bytes((spoiled / "images" / "view_05.png").read_bytes())
+    a = train(tiny_scene, tmp_path / "a", short)
+    b = train(spoiled, tmp_path / "b", short)
+    assert a["metrics"]["test_psnr"] != b["metrics"]["test_psnr"]
+    assert a["metrics"]["psnr"] == b["metrics"]["psnr"]
+    clean, _ = load_checkpoint(tmp_path / "a")
+    other, _ = load_checkpoint(tmp_path / "b")
+    assert all(torch.equal(clean[name], other[name]) for name in clean)
+
+
+def test_a_full_disk_is_one_sentence_and_nothing_half_written(tiny_scene, tmp_path, monkeypatch):
+    import os
+
+    def full(fd):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InputError, match="No space left on device"):
+        train(tiny_scene, tmp_path / "run", SETTINGS)
+    assert list((tmp_path / "run").iterdir()) == []
+
+
+@pytest.mark.parametrize("values", [{"iterations": 0}, {"width": "640"}, {"backend": "gpu"}, {"colour": 3}, {"seed": True}])
+def test_settings_are_checked(values):
+    with pytest.raises(InputError):
+        TrainSettings.from_json(values)

@@ -1,0 +1,139 @@
+"""The worker's protocol, spoken to the real process."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from swag_engine.errors import InputError
+from swag_engine.protocol import TrainRequest, parse_request, to_json
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Worker:
+    """A worker process and its events."""
+
+    def __init__(self):
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "swag_engine.worker"],
+            cwd=ROOT,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+
+    def send(self, **request):
+        self.process.stdin.write(json.dumps(request) + "\n")
+        self.process.stdin.flush()
+
+    def until(self, *kinds):
+        for line in self.process.stdout:
+            event = json.loads(line)
+            if event["event"] in kinds:
+                return event
+        raise AssertionError(f"the worker ended before {kinds}")
+
+    def close(self):
+        self.process.stdin.close()
+        self.process.stdout.close()
+        return self.process.wait(30)
+
+
+@pytest.fixture
+def worker():
+    started = Worker()
+    yield started
+    started.process.kill()
+    started.process.wait()
+
+
+def test_inspect_train_cancel_and_export(worker, tiny_scene, tmp_path):
+    worker.send(request="inspect", scene=str(tiny_scene), arrays=str(tmp_path / "arrays"))
+    found = worker.until("result", "error")
+    assert found["registered"] == 10 and len(found["cameras"]) == 10
+    assert Path(found["points"]["positions"]).exists()
+    run = tmp_path / "run"
+    settings = {"iterations": 100_000, "width": 64, "max_gaussians": 400, "sh_degree": 0}
+    worker.send(request="train", scene=str(tiny_scene), out=str(run), settings=settings)
+    preview = worker.until("preview", "error", "result")
+    assert preview["event"] == "preview" and Path(preview["path"]).exists()
+    worker.send(request="cancel")
+    result = worker.until("result", "error")
+    assert result["interrupted"] and Path(result["ply"]).exists()
+    worker.send(request="export", run=str(run), format="glb", out=str(tmp_path / "reef.glb"))
+    assert worker.until("result", "error")["event"] == "result"
+    assert (tmp_path / "reef.glb").read_bytes()[:4] == b"glTF"
+    assert worker.close() == 0
+
+
+def test_a_killed_worker_leaves_a_run_that_resumes(worker, tiny_scene, tmp_path):
+    run = tmp_path / "run"
+    settings = {"iterations": 400, "width": 64, "max_gaussians": 400, "sh_degree": 0}
+    worker.send(request="train", scene=str(tiny_scene), out=str(run), settings=settings)
+    while worker.until("progress")["stage"] != "train":
+        pass
+    os.kill(worker.process.pid, signal.SIGKILL)
+    worker.process.wait()
+    second = Worker()
+    second.send(request="train", scene=str(tiny_scene), out=str(run), settings=settings, resume=True)
+    result = second.until("result", "error")
+    assert result["event"] == "result" and result["metrics"]["iteration"] == 400
+    assert second.close() == 0
+
+
+def test_the_worker_ends_with_its_parent_and_keeps_what_exists(worker, tiny_scene, tmp_path):
+    settings = {"iterations": 100_000, "width": 64, "max_gaussians": 400, "sh_degree": 0}
+    worker.send(request="train", scene=str(tiny_scene), out=str(tmp_path / "run"), settings=settings)
+    while worker.until("progress")["stage"] != "train":
+        pass
+    started = time.monotonic()
+    worker.process.stdin.close()
+    assert worker.process.wait(30) == 0
+    assert time.monotonic() - started < 20
+    assert (tmp_path / "run" / "result.ply").exists()
+
+
+def test_wrong_requests_are_answered_and_the_worker_lives_on(worker, tiny_scene, tmp_path):
+    worker.process.stdin.write("nonsense\n")
+    worker.process.stdin.flush()
+    assert worker.until("error")["kind"] == "input"
+    worker.send(request="train", scene=str(tmp_path / "nowhere"), out=str(tmp_path / "run"))
+    error = worker.until("error")
+    assert error["kind"] == "input" and "nowhere" in error["message"] and "\n" not in error["message"]
+    assert not (tmp_path / "run").exists()
+    worker.send(request="inspect", scene=str(tiny_scene), arrays=str(tmp_path / "arrays"))
+    assert worker.until("result", "error")["event"] == "result"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "[]",
+        '{"request": "paint"}',
+        '{"request": "train", "scene": "a"}',
+        '{"request": "train", "scene": 3, "out": "b"}',
+        '{"request": "train", "scene": "a", "out": "b", "settings": {"iterations": -1}}',
+        '{"request": "train", "scene": "a", "out": "b", "resume": "yes"}',
+        '{"request": "export", "run": "a", "format": "obj", "out": "b"}',
+        '{"request": "inspect", "scene": "a", "arrays": "b", "more": 1}',
+    ],
+)
+def test_requests_are_validated(line):
+    with pytest.raises(InputError):
+        parse_request(line)
+
+
+def test_a_good_request_is_parsed():
+    request = parse_request('{"request": "train", "scene": "a", "out": "b", "settings": {"width": 99}}')
+    assert isinstance(request, TrainRequest) and request.settings.width == 99 and not request.resume
+
+
+def test_events_are_strict_json():
+    assert json.loads(to_json({"psnr": float("nan"), "views": [float("inf"), 1.5]})) == {"psnr": None, "views": [None, 1.5]}
