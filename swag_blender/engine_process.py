@@ -24,6 +24,8 @@ import bpy
 from . import EXTENSION
 
 ROOT = Path(__file__).resolve().parents[1]
+# With these a Python is taken to have the whole engine.
+PACKAGES = ("torch", "pycolmap")
 # Seconds that a cancelled child gets to keep what it has, and that a terminated one gets before it is killed.
 CANCEL_SECONDS, TERMINATE_SECONDS = 60.0, 5.0
 # Seconds that a child whose stdin has been closed gets to end by itself.
@@ -52,9 +54,9 @@ def environment_is_whole() -> bool:
 
 
 @functools.cache
-def blender_has_engine() -> bool:
-    """Whether Blender's own Python can find what the engine needs; nothing is imported."""
-    return importlib.util.find_spec("torch") is not None and importlib.util.find_spec("pycolmap") is not None
+def blender_finds(package: str) -> bool:
+    """Whether Blender's own Python can find a package; it is not imported."""
+    return importlib.util.find_spec(package) is not None
 
 
 def engine_python() -> str:
@@ -72,7 +74,7 @@ def engine_python() -> str:
             if os.path.isfile(named) and os.access(named, os.X_OK):
                 return named
             raise EngineError(f"The engine's Python {named} cannot be run: correct it in {place}.")
-    if blender_has_engine():
+    if all(blender_finds(package) for package in PACKAGES):
         return sys.executable
     if environment_is_whole():
         return str(environment_python())
@@ -268,4 +270,4 @@ def unregister() -> None:
     stop_all()
     atexit.unregister(stop_all)
     bpy.app.handlers.load_pre.remove(_before_load)
-    blender_has_engine.cache_clear()
+    blender_finds.cache_clear()

@@ -65,17 +65,18 @@ class Job:
         except (EngineError, InputError) as error:
             return self._fail(context, error)
         finally:
+            # Only an unforeseen exception leaves it set.
             status.job = ""
 
     # -- with a window ------------------------------------------------------------------------------------------------
 
     def run_modal(self, context: bpy.types.Context) -> set[str]:
         """Start, and follow from a timer while the user goes on working. For `invoke`."""
+        context.window_manager.swag.begin(self.job)
         try:
             self._engine = self.start(context)
         except (EngineError, InputError) as error:
             return self._fail(context, error)
-        context.window_manager.swag.begin(self.job)
         self._timer = context.window_manager.event_timer_add(TIMER_SECONDS, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}

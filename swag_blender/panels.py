@@ -20,7 +20,8 @@ class SWAG_PT_scene(SwagPanel, bpy.types.Panel):
     bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, swag = self.layout, context.scene.swag
+        layout, swag, status = self.layout, context.scene.swag, context.window_manager.swag
+        width = context.region.width
         column = layout.column()
         column.label(text="Photographs with COLMAP model")
         column.prop(swag, "scene_folder", text="")
@@ -29,9 +30,14 @@ class SWAG_PT_scene(SwagPanel, bpy.types.Panel):
         row.operator("swag.inspect_scene", text="Check", icon="VIEWZOOM")
         row.operator("swag.import_scene", text="Import", icon="IMPORT").directory = swag.scene_path
         if not swag.scene_folder:
-            draw_wrapped(layout, "Choose the folder first.", context.region.width, icon="INFO")
-        for line in swag.found.splitlines():
-            draw_wrapped(layout, line, context.region.width)
+            draw_wrapped(layout, "Choose the folder first.", width, icon="INFO")
+        elif status.job == "Import":
+            draw_job(layout, context)
+        elif status.failed and status.last_job == "Import":
+            draw_wrapped(layout, status.message, width, icon="ERROR")
+        else:
+            for line in swag.found.splitlines():
+                draw_wrapped(layout, line, width)
 
 
 class SWAG_PT_train(SwagPanel, bpy.types.Panel):
@@ -41,7 +47,7 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, swag, status = self.layout, context.scene.swag, context.window_manager.swag
         width = context.region.width
-        if status.job:
+        if status.job == "Training":
             draw_job(layout, context)
             return
         layout.use_property_split = True
@@ -64,7 +70,7 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
             draw_wrapped(layout, problem, width, icon="INFO")
             if swag.scene_folder:
                 layout.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES").module = EXTENSION
-        elif status.message:
+        elif status.last_job == "Training":
             draw_wrapped(layout, status.message, width, icon="ERROR" if status.failed else "CHECKMARK")
 
 
@@ -75,7 +81,7 @@ class SWAG_PT_train_more(SwagPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return not context.window_manager.swag.job
+        return context.window_manager.swag.job != "Training"
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, swag = self.layout, context.scene.swag
@@ -138,7 +144,9 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: str = "NONE") -> None:
     """A sentence over as many lines as a region of `width` pixels needs."""
-    characters = max(20, int(width / (7.0 * bpy.context.preferences.system.ui_scale)) - 6)
+    # Blender's interface font has about 6.4 pixels a character; margins and an icon take their share.
+    pixels = width / bpy.context.preferences.system.ui_scale - (30 if icon == "NONE" else 54)
+    characters = max(20, int(pixels / 6.4))
     column = layout.column(align=True)
     column.scale_y = 0.8
     for number, line in enumerate(textwrap.wrap(text, characters)):

@@ -24,9 +24,12 @@ class SwagPreferences(bpy.types.AddonPreferences):
         except engine_process.EngineError as error:
             draw_wrapped(layout, str(error), context.region.width, icon="ERROR")
         layout.prop(self, "engine_python")
-        if context.window_manager.swag.job:
+        status = context.window_manager.swag
+        if status.job == "Installation":
             draw_job(layout, context)
             return
+        if status.last_job == "Installation":
+            draw_wrapped(layout, status.message, context.region.width, icon="ERROR" if status.failed else "CHECKMARK")
         row = layout.row()
         row.enabled = bpy.app.online_access
         installed = engine_process.environment_is_whole()

@@ -95,6 +95,7 @@ class SwagStatus(PropertyGroup):
     """`window_manager.swag`: the job that runs now, for panels and scripts."""
 
     job: StringProperty(description="Name of the job that runs; empty when none does")
+    last_job: StringProperty(description="Name of the last job that ended")
     stopping: BoolProperty(description="Somebody asked for the job to stop")
     factor: FloatProperty(min=0.0, max=1.0, subtype="FACTOR")
     text: StringProperty(description="What the job does now")
@@ -115,7 +116,7 @@ class SwagStatus(PropertyGroup):
 
     def end(self, message: str, failed: bool) -> None:
         """Say how the job ended."""
-        self.job, self.message, self.failed = "", message, failed
+        self.job, self.last_job, self.message, self.failed = "", self.job, message, failed
 
     def show(self, event: dict[str, Any]) -> None:
         """Keep what a `progress` event says."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Matrix
+from mathutils import Matrix, Vector
 
 from .nodes import point_material
 from .splats import new_pointcloud
@@ -22,17 +22,18 @@ SENSOR_WIDTH = 36.0  # mm; any value does, the focal length follows it
 OPENCV_TO_BLENDER = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))
 
 
-def import_scene(result: dict, context: bpy.types.Context) -> bpy.types.Object:
-    """Build the objects of a worker's `inspect` result in a new collection; returns the root.
+def import_scene(result: dict, scene: bpy.types.Scene) -> bpy.types.Object:
+    """Build the objects of a worker's `inspect` result in a new collection of the Blender scene; returns the root.
 
-    The scene's first camera becomes the active one and gives the render its resolution.
+    The first camera becomes the active one and gives the render its resolution. The view transform becomes Standard,
+    under which photographs and splats show their own colours.
     Raises OSError or ValueError when the arrays that the result names cannot be read.
     """
     positions = np.load(result["points"]["positions"]).astype(np.float32)
     colors = np.load(result["points"]["colors"])
     name = Path(result["scene"]).name or "Scene"
     collection = bpy.data.collections.new(name)
-    context.scene.collection.children.link(collection)
+    scene.collection.children.link(collection)
 
     root = bpy.data.objects.new(name, None)
     root.empty_display_type = "PLAIN_AXES"
@@ -43,17 +44,19 @@ def import_scene(result: dict, context: bpy.types.Context) -> bpy.types.Object:
     if len(positions):
         cloud = bpy.data.objects.new(f"{name} Points", _sparse_cloud(f"{name} Points", positions, colors))
         cloud.parent = root
+        cloud.hide_render = True  # a guide for the eye: renders show the splats
         collection.objects.link(cloud)
 
     cameras = bpy.data.collections.new(f"{name} Cameras")
     collection.children.link(cameras)
-    made = [_camera(camera, root, cameras) for camera in result["cameras"]]
+    made = [camera_object(camera, root, cameras) for camera in result["cameras"]]
     size = _camera_display_size(result["cameras"])
     for obj in made:
         obj.data.display_size = size
         obj.data.clip_start, obj.data.clip_end = size * 0.05, size * 5000.0
+    scene.view_settings.view_transform = "Standard"
     if made:
-        look_through(context.scene, made[0])
+        look_through(scene, made[0])
     return root
 
 
@@ -81,6 +84,29 @@ def find_root(obj: bpy.types.Object | None) -> bpy.types.Object | None:
 def roots(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The roots of all scenes imported into the Blender scene."""
     return [obj for obj in scene.objects if ROOT_KEY in obj]
+
+
+def active_root(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The root that the active object hangs from, else the Blender scene's only root, else None."""
+    if root := find_root(context.active_object):
+        return root
+    found = roots(context.scene)
+    return found[0] if len(found) == 1 else None
+
+
+def up_of(root: bpy.types.Object) -> np.ndarray:
+    """Blender's up (+Z) as a direction (3,) of the COLMAP world, unit length."""
+    return np.array((root.matrix_world.to_3x3().inverted() @ Vector((0.0, 0.0, 1.0))).normalized(), dtype=np.float64)
+
+
+def pixel_size(root: bpy.types.Object, width: int) -> float:
+    """1 / focal length in pixels of the scene's images when they are trained `width` pixels wide (their median).
+
+    For the preview's input of that name; 0 when the scene has no cameras.
+    """
+    cameras = [obj for obj in root.children_recursive if SIZE_KEY in obj]
+    sizes = [SENSOR_WIDTH / (obj.data.lens * min(width, obj[SIZE_KEY][0])) for obj in cameras]
+    return float(np.median(sizes)) if sizes else 0.0
 
 
 def colmap_to_blender(up: np.ndarray, positions: np.ndarray) -> Matrix:
@@ -115,7 +141,8 @@ def set_intrinsics(data: bpy.types.Camera, width: int, height: int, fx: float, f
     data.shift_y = (cy - height / 2) / width * (fx / fy)
 
 
-def _camera(camera: dict, root: bpy.types.Object, collection: bpy.types.Collection) -> bpy.types.Object:
+def camera_object(camera: dict, root: bpy.types.Object, collection: bpy.types.Collection) -> bpy.types.Object:
+    """One camera of an `inspect` result, with its photograph as background if it names one, under `root`."""
     data = bpy.data.cameras.new(camera["name"])
     set_intrinsics(data, *(camera[key] for key in ("width", "height", "fx", "fy", "cx", "cy")))
     if camera.get("image"):

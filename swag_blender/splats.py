@@ -1,11 +1,13 @@
 """Splats as Blender objects, in the point-cloud schema that Blender 5.3 renders natively.
 
 Attributes of the point cloud, all on points: `position`; `scale` (linear sigma); `rotation` (quaternion wxyz);
-`radiance:base` (x y z the raw degree-0 coefficient, w the opacity 0..1); `radiance:sh_0` ... (one RGB coefficient each);
-`radius` (mean sigma: for exporters and point display); `swag:NAME` for each further property (labels, scores).
+`radiance:base` (x y z the raw degree-0 coefficient, w the opacity 0..1); `radiance:sh_0` ... (one RGB coefficient
+each); `radius` (mean sigma: for exporters and point display); `swag:NAME` for each further property (labels, scores).
 
 The points stay in the frame they were trained in (the COLMAP world); the object's transform places them in Blender.
 """
+
+import math
 
 import bpy
 import numpy as np
@@ -17,6 +19,8 @@ from .nodes import splat_preview
 
 BASE = "radiance:base"
 OWN_PREFIX = "swag:"
+# File to Blender world when a file has no scene of its own: PLY has its y axis down, which viewers show upright.
+FILE_FRAME = Matrix.Rotation(math.radians(-90), 4, "X")
 _VALUE_PROPERTIES = ("color", "vector", "value")
 
 

@@ -4,6 +4,8 @@ Exit codes: 0 done, 1 a bug, 2 bad input or usage, 130 interrupted with what exi
 stderr; with --json stdout carries one JSON document and nothing else.
 """
 
+import functools
+import operator
 import signal
 import sys
 import threading
@@ -15,10 +17,10 @@ import tyro
 
 from .errors import InputError
 from .protocol import ExportFormat, to_json
+from .threads import wait_politely
 from .training.config import TrainSettings
 
 INTERRUPTED = 130
-Flag = tyro.conf.FlagCreatePairsOff
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Inspect:
 
     scene: tyro.conf.Positional[Path]
     """Folder of the scene: photographs and a COLMAP model."""
-    json: Flag[bool] = False
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
@@ -47,7 +49,7 @@ class Sfm:
     """Folder of photographs, or a video."""
     out: Path
     """Folder of the scene to make; must not exist or be empty."""
-    json: Flag[bool] = False
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
@@ -73,9 +75,9 @@ class Train:
     out: Path
     """Folder of the run."""
     settings: tyro.conf.OmitArgPrefixes[TrainSettings] = field(default_factory=TrainSettings)
-    resume: Flag[bool] = False
+    resume: tyro.conf.FlagCreatePairsOff[bool] = False
     """Go on with the run in --out where it stopped."""
-    json: Flag[bool] = False
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
@@ -110,14 +112,16 @@ class Evaluate:
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
-    json: Flag[bool] = False
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
         from .evaluation.run import evaluate_run
 
         scores = evaluate_run(self.run_folder)
-        lines = [f"{name}: PSNR {view['psnr']:.2f} dB, SSIM {view['ssim']:.3f}" for name, view in scores["views"].items()]
+        lines = [
+            f"{name}: PSNR {view['psnr']:.2f} dB, SSIM {view['ssim']:.3f}" for name, view in scores["views"].items()
+        ]
         lines.append(f"mean: PSNR {scores['test_psnr']:.2f} dB, SSIM {scores['test_ssim']:.3f}")
         show(scores, self.json, "\n".join(lines))
         return 0
@@ -133,7 +137,7 @@ class Render:
     """Folder for the pictures."""
     camera: str | None = None
     """Name of one photograph; all held-out views without it."""
-    json: Flag[bool] = False
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
@@ -154,7 +158,7 @@ class Export:
     """ply or glb."""
     out: Path
     """File to write."""
-    json: Flag[bool] = False
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
@@ -175,14 +179,12 @@ COMMANDS = (Inspect, Sfm, Train, Evaluate, Render, Export)
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code."""
+    wait_politely()
     arguments = sys.argv[1:] if arguments is None else arguments
-    union: Any = None
-    for command in COMMANDS:
-        named = Annotated[command, tyro.conf.subcommand(name=command.__name__.lower())]
-        union = named if union is None else union | named
+    named = [Annotated[command, tyro.conf.subcommand(name=command.__name__.lower())] for command in COMMANDS]
+    union: Any = functools.reduce(operator.or_, named)
     try:
-        command = tyro.cli(union, prog="python -m swag_engine", description=__doc__, args=arguments)
-        return command.run()
+        return tyro.cli(union, prog="python -m swag_engine", description=__doc__, args=arguments).run()
     except InputError as error:
         if "--json" in arguments:
             print(to_json({"error": str(error)}))

@@ -23,15 +23,23 @@ def fraction_bar() -> Iterator[Callable[[str, float], None]]:
 
 @contextmanager
 def training_bar() -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Yield a function that takes the events of a training run and draws a bar of its `progress` events."""
-    with make_progress("{task.description}") as progress:
-        task = progress.add_task("Reading the scene", total=None)
+    """Yield a function that takes the events of a training run and draws a bar of its `progress` events.
 
-        def update(event: dict[str, Any]) -> None:
-            if event["event"] == "progress":
-                progress.update(task, description=progress_line(event), completed=event["iteration"], total=event["iterations"])
+    Nothing is drawn before the first of them, so that an unusable scene leaves its sentence alone on the screen.
+    """
+    progress = make_progress("{task.description}")
+    task = progress.add_task("", total=None)
 
+    def update(event: dict[str, Any]) -> None:
+        if event["event"] == "progress":
+            progress.start()
+            line = progress_line(event)
+            progress.update(task, description=line, completed=event["iteration"], total=event["iterations"])
+
+    try:
         yield update
+    finally:
+        progress.stop()
 
 
 def make_progress(text: str) -> Progress:

@@ -9,10 +9,16 @@ import sys
 import threading
 import traceback
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from .errors import InputError
 from .protocol import CancelRequest, ExportRequest, InspectRequest, Request, TrainRequest, parse_request, to_json
+from .threads import wait_politely
+
+if TYPE_CHECKING:
+    from .scene.colmap import Scene
+
+PICTURE_WIDTH = 640
 
 
 class Worker:
@@ -85,12 +91,11 @@ class Worker:
 
 
 def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
-    """Read a scene, write points_xyz.npy (P, 3) float32 and points_rgb.npy (P, 3) uint8 to `arrays`, and describe it."""
+    """Describe a scene; write points_xyz.npy (P, 3) float32 and points_rgb.npy (P, 3) uint8 to the folder `arrays`."""
     import numpy as np
 
     from .files import atomic_path
     from .scene.colmap import load_scene
-    from .scene.images import background_image
     from .scene.inspect import inspect_scene
 
     scene = load_scene(scene_folder)
@@ -110,9 +115,9 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
             "cx": view.camera.cx,
             "cy": view.camera.cy,
             "world_to_camera": view.camera.world_to_camera.tolist(),
-            "image": str(background_image(view)),
+            "image": str(picture),
         }
-        for view in scene.views
+        for view, picture in zip(scene.views, pinhole_pictures(scene, arrays / "pictures"), strict=True)
     ]
     summary = inspect_scene(scene)
     return {
@@ -129,7 +134,26 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
     }
 
 
+def pinhole_pictures(scene: "Scene", folder: Path) -> list[Path]:
+    """A picture for each view to show behind its pinhole camera: the photograph itself where its lens is one, else an
+    undistorted copy in `folder`, small because it is only looked at."""
+    import cv2
+
+    from .files import atomic_path
+    from .scene.images import load_images
+
+    distorted = [view for view in scene.views if not view.lens.is_pinhole]
+    pictures = {view.camera.name: view.path for view in scene.views}
+    for image in load_images(scene, distorted, PICTURE_WIDTH):
+        path = (folder / image.camera.name).with_suffix(".jpg")
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(cv2.imencode(".jpg", image.pixels[..., ::-1])[1].tobytes())
+        pictures[image.camera.name] = path
+    return [pictures[view.camera.name] for view in scene.views]
+
+
 def main() -> None:
+    wait_politely()
     # Libraries that print to stdout would break the protocol: events keep a copy of it, the rest goes to stderr.
     events = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)

@@ -239,9 +239,7 @@ def _projected(
         Primary_Axis=forward * -1.0,
         Secondary_Axis=longest,
     )
-    extent = combined(
-        tree, [(middle + spread).math("SQRT"), (middle - spread).math("MAXIMUM", 0.0).math("SQRT"), 1.0]
-    )
+    extent = combined(tree, [(middle + spread).math("SQRT"), (middle - spread).math("MAXIMUM", 0.0).math("SQRT"), 1.0])
     return Field(turn.outputs["Rotation"]), extent
 
 

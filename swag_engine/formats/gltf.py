@@ -130,9 +130,9 @@ def read_glb(path: Path, up: Sequence[float] | np.ndarray = COLMAP_UP) -> Splats
 def _attributes(path: Path, splats: Splats) -> Iterator[tuple[str, tuple[np.ndarray, int, str]]]:
     """Name, and array, componentType and type, of every attribute; each array a multiple of 4 bytes."""
     yield "POSITION", (splats.positions, FLOAT, "VEC3")
-    color = np.clip(0.28209479177387814 * splats.sh[:, 0] + 0.5, 0, 1)
+    color = (0.28209479177387814 * splats.sh[:, 0] + 0.5).clip(0, 1)
     linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)  # sRGB, IEC 61966-2-1
-    fallback = np.concatenate([linear, splats.opacities.clip(0, 1)[:, None]], axis=1)
+    fallback = np.nan_to_num(np.concatenate([linear, splats.opacities.clip(0, 1)[:, None]], axis=1))
     yield "COLOR_0", ((fallback * 65535 + 0.5).astype("<u2"), UNSIGNED_SHORT, "VEC4")
     yield f"{EXTENSION}:ROTATION", (np.roll(splats.rotations, -1, axis=1), FLOAT, "VEC4")
     yield f"{EXTENSION}:SCALE", (splats.scales, FLOAT, "VEC3")
@@ -165,7 +165,7 @@ def _turn_to_y_up(up: Sequence[float] | np.ndarray) -> np.ndarray:
         raise ValueError(f"up must be a direction of three numbers, got {up}")
     flip = np.diag([1.0, -1.0, -1.0]) if direction[1] < 0 else np.eye(3)
     x, y, z = flip @ direction / length
-    cross = np.array([[0, x, 0], [-x, 0, -z], [0, z, 0]])  # of up x (0, 1, 0) = (-z, 0, x)
+    cross = np.array([[0, -x, 0], [x, 0, z], [0, -z, 0]])  # of the axis, direction x (0, 1, 0) = (-z, 0, x)
     return (np.eye(3) + cross + cross @ cross / (1 + y)) @ flip
 
 

@@ -1,6 +1,7 @@
 """The parameters that are optimised, and their activations."""
 
 from dataclasses import dataclass, fields
+from math import isqrt
 
 import numpy as np
 import torch
@@ -50,7 +51,7 @@ class GaussianCloud:
         No gradient flows from colour to position through the direction: it is small, and would cost a pass.
         """
         directions = torch.nn.functional.normalize(self.means.detach() - camera_centre, dim=-1)
-        degree = min(degree, int(np.sqrt(1 + self.shN.shape[1])) - 1)
+        degree = min(degree, isqrt(1 + self.shN.shape[1]) - 1)
         sh = torch.cat([self.sh0, self.shN[:, : (degree + 1) ** 2 - 1]], dim=1)
         return evaluate_sh(sh, directions, degree)
 
@@ -58,11 +59,13 @@ class GaussianCloud:
         """The Gaussians as numpy arrays for files and Blender; SH up to `sh_degree` (all by default)."""
         with torch.no_grad():
             higher = self.shN if sh_degree is None else self.shN[:, : (sh_degree + 1) ** 2 - 1]
-            arrays = (
-                self.means,
-                torch.nn.functional.normalize(self.quats, dim=-1),
-                self.scales,
-                self.opacities,
-                torch.cat([self.sh0, higher], dim=1),
+            sh = torch.cat([self.sh0, higher], dim=1)
+            quats = torch.nn.functional.normalize(self.quats, dim=-1)
+            return Splats(
+                to_numpy(self.means), to_numpy(quats), to_numpy(self.scales), to_numpy(self.opacities), to_numpy(sh)
             )
-            return Splats(*(array.detach().float().cpu().numpy().copy() for array in arrays), extras={})
+
+
+def to_numpy(tensor: Tensor) -> np.ndarray:
+    """A float32 copy on the CPU."""
+    return tensor.detach().float().cpu().numpy().copy()

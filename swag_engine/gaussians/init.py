@@ -11,7 +11,9 @@ SH_C0 = 0.28209479177387814
 INITIAL_OPACITY = 0.3
 
 
-def gaussians_from_points(points: Points, most: int, sh_degree: int, seed: int, background: np.ndarray) -> GaussianCloud:
+def gaussians_from_points(
+    points: Points, most: int, sh_degree: int, seed: int, background: np.ndarray
+) -> GaussianCloud:
     """One round Gaussian a point, as wide as the mean distance to its three nearest neighbours.
 
     `most` caps the number (a seeded random subset is taken); `background` (3,) display colour in 0..1 is what

@@ -40,6 +40,6 @@ def evaluate_sh(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
     degree: 0 to 3, may be less than what `sh` holds. Signs and order are those of 3DGS files.
     """
     if not 0 <= degree <= 3 or sh.shape[1] < (degree + 1) ** 2:
-        raise ValueError(f"degree {degree} needs {(degree + 1) ** 2} coefficients of 0 to 3 degrees, sh has {sh.shape[1]}")
+        raise ValueError(f"degree {degree} of 0 to 3 needs {(degree + 1) ** 2} coefficients, sh has {sh.shape[1]}")
     basis = sh_basis(directions, degree)
     return (0.5 + (basis[:, :, None] * sh[:, : basis.shape[1]]).sum(1)).clamp(min=0)

@@ -109,7 +109,7 @@ def cleaned(splats: Splats, path: Path) -> Splats:
     """
     lengths = np.linalg.norm(splats.rotations.astype(np.float64), axis=1)
     rotations = splats.rotations.copy()
-    off = (np.abs(lengths - 1) > 1e-6) & (lengths > 0)  # the others stay bit-equal
+    off = (np.abs(lengths - 1) > 1e-6) & (lengths > 0) & np.isfinite(lengths)  # the others stay bit-equal
     rotations[off] = rotations[off] / lengths[off, None]
     rotations[lengths == 0] = (1, 0, 0, 0)
     splats = Splats(splats.positions, rotations, splats.scales, splats.opacities, splats.sh, splats.extras)

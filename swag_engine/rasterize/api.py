@@ -72,14 +72,15 @@ def rasterize(
 
     fits_kernels = means.device.type == "cpu" and means.dtype == torch.float32
     if backend == "cpu" and not (fits_kernels and cpu.library()):
-        raise InputError("The cpu backend cannot run here: it needs its compiled kernels and float32 tensors on the CPU.")
+        raise InputError("The cpu backend cannot run here: it needs its compiled kernels and float32 on the CPU.")
     blend = cpu.blend if backend != "torch" and fits_kernels and cpu.library() else reference.blend
 
     projection = project(means, quats, scales, opacities, viewmat, K, width, height)
+    radii = torch.where(torch.isfinite(channels.detach().sum(1)), projection.radii, 0)
     if projection.means2d.requires_grad:
         projection.means2d.retain_grad()
     blended, alpha = blend(
-        projection.means2d, projection.conics, opacities, channels, background, projection.depths, projection.radii,
+        projection.means2d, projection.conics, opacities, channels, background, projection.depths, radii,
         width, height,
     )  # fmt: skip
-    return Rendering(blended, alpha, projection.means2d, projection.radii)
+    return Rendering(blended, alpha, projection.means2d, radii)

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -43,101 +44,132 @@ def _threads(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="swag-kernels")
 
 
-def run(kernel: str, count: int, *arguments: Tensor | int | float, tasks: int | None = None) -> None:
-    """Call `kernel(begin, end, *arguments)` over ranges that cover [0, count), on all threads. Tensors go as pointers."""
-    function: Callable[..., None] = getattr(library(), kernel)
-    values = [_argument(value) for value in arguments]
+Argument = Tensor | int | float
+
+
+def constant(kernel: str, *arguments: Argument) -> int:
+    """Call a kernel once, on this thread; returns its integer."""
+    function = getattr(library(), kernel)
+    function.restype = ctypes.c_int64
+    return int(function(*map(_converted, arguments)))
+
+
+def run(kernel: str, count: int, *arguments: Argument) -> None:
+    """Call `kernel(begin, end, *arguments)` over ranges that cover [0, count), on all threads."""
+    function = getattr(library(), kernel)
+    values = [_converted(argument) for argument in arguments]
     threads = torch.get_num_threads()
-    tasks = min(count, tasks or (threads * TASKS_PER_THREAD if threads > 1 else 1))
-    edges = [ctypes.c_int64(count * i // max(tasks, 1)) for i in range(tasks + 1)]
-    if threads == 1 or tasks == 1:
-        for begin, end in zip(edges[:-1], edges[1:], strict=True):
-            function(begin, end, *values)
-    else:
-        list(_threads(threads).map(lambda i: function(edges[i], edges[i + 1], *values), range(tasks)))
+    tasks = min(count, TASKS_PER_THREAD * threads if threads > 1 else 1)
+    _spread(lambda task: function(*_range(count, task, tasks), *values), tasks)
 
 
-def _argument(value: Tensor | int | float) -> ctypes.c_void_p | ctypes.c_int | ctypes.c_float:
-    if isinstance(value, Tensor):
-        assert value.is_contiguous() and value.device.type == "cpu"
-        return ctypes.c_void_p(value.data_ptr())
-    return ctypes.c_int(value) if isinstance(value, int) else ctypes.c_float(value)
+def run_parts(kernel: str, count: int, arguments: list[Argument], per_part: Tensor) -> None:
+    """As `run`, but in as many ranges as `per_part` has rows whatever the threads; each range gets its row, last."""
+    function = getattr(library(), kernel)
+    values = [_converted(argument) for argument in arguments]
+    parts = len(per_part)
+    _spread(lambda part: function(*_range(count, part, parts), *values, _converted(per_part[part])), parts)
+
+
+def _range(count: int, part: int, parts: int) -> tuple[ctypes.c_int64, ctypes.c_int64]:
+    return ctypes.c_int64(count * part // parts), ctypes.c_int64(count * (part + 1) // parts)
+
+
+def _spread(task: Callable[[int], None], tasks: int) -> None:
+    threads = torch.get_num_threads()
+    list((_threads(threads).map if threads > 1 and tasks > 1 else map)(task, range(tasks)))
+
+
+def _converted(argument: Argument) -> ctypes.c_void_p | ctypes.c_int64 | ctypes.c_float:
+    """A tensor as the pointer to its data."""
+    if isinstance(argument, Tensor):
+        assert argument.is_contiguous() and argument.device.type == "cpu"
+        return ctypes.c_void_p(argument.data_ptr())
+    return ctypes.c_int64(argument) if isinstance(argument, int) else ctypes.c_float(argument)
 
 
 class _Blend(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, means2d, conics, opacities, channels, background, depths, radii, width, height):
-        kernels = library()
-        inputs = [t.contiguous() for t in (means2d, conics, opacities, channels, background, depths, radii)]
-        means2d, conics, opacities, channels, background, depths, radii = inputs
+    def forward(
+        ctx: Any,
+        means2d: Tensor,
+        conics: Tensor,
+        opacities: Tensor,
+        channels: Tensor,
+        background: Tensor,
+        depths: Tensor,
+        radii: Tensor,
+        width: int,
+        height: int,
+    ) -> tuple[Tensor, Tensor]:
+        channels, background = channels.contiguous(), background.contiguous()
         n, channel_count = channels.shape
-        splats = torch.empty(n, kernels.splat_bytes(), dtype=torch.uint8)
+        splats = torch.empty(n, constant("splat_bytes"), dtype=torch.uint8)
         keys = torch.empty(n, dtype=torch.int32)
-        run("pack", n, means2d, conics, opacities, depths, radii, width, height, splats, keys)
+        geometry = [tensor.contiguous() for tensor in (means2d, conics, opacities, depths, radii)]
+        run("pack", n, *geometry, width, height, splats, keys)
+        order, rank_starts, tile_starts, ids, slots = _bin(splats, keys, width, height)
 
-        order, spare = torch.empty(2, n, dtype=torch.int32)
-        spare_keys = torch.empty(2 * n, dtype=torch.int32)
-        kernels.sort_by_depth.restype = ctypes.c_int64
-        drawable = kernels.sort_by_depth(ctypes.c_int64(n), *map(_argument, (keys, order, spare, spare_keys)))
-
-        size = kernels.tile_size()
-        tiles = -(-width // size) * -(-height // size)
-        rank_starts = torch.zeros(drawable + 1, dtype=torch.int64)
-        per_tile = torch.zeros(RANK_CHUNKS, tiles, dtype=torch.int64)
-        _run_chunks("count_tiles", drawable, splats, order, width, height, rank_starts[1:], per_tile)
-        torch.cumsum(rank_starts, 0, out=rank_starts)
-        entries = int(rank_starts[-1])
-        if entries >= 2**31:
-            raise RuntimeError(f"{drawable} Gaussians cover {entries} tiles, more than can be blended; they are too large.")
-        ends = per_tile.T.reshape(-1).cumsum(0).reshape(tiles, RANK_CHUNKS)  # by tile, then by chunk: depth order in a tile
-        tile_starts = torch.cat([ends.new_zeros(1), ends[:, -1]])
-        ids, slots = torch.empty(2, entries, dtype=torch.int32)
-        next_entry = ends.T - per_tile
-        _run_chunks("fill_tiles", drawable, splats, order, width, height, rank_starts, next_entry.contiguous(), ids, slots)
-
-        out = torch.empty(height, width, channel_count)
-        transmittance = torch.empty(height, width)
-        stopped = torch.empty(tiles, dtype=torch.int64)
-        run(
-            "blend_forward", tiles, width, height, channel_count, splats, channels, ids, tile_starts, background,
-            out, transmittance, stopped,
-        )  # fmt: skip
+        out = channels.new_empty(height, width, channel_count)
+        transmittance = channels.new_empty(height, width)
+        endings = torch.empty(height, width, dtype=torch.int32)
+        inputs = width, height, channel_count, splats, channels, ids, tile_starts, background
+        run("blend_forward", len(tile_starts) - 1, *inputs, out, transmittance, endings)
         ctx.save_for_backward(
-            splats, channels, order, rank_starts, ids, slots, tile_starts, stopped, out, transmittance
+            splats, channels, order, rank_starts, ids, slots, tile_starts, background, transmittance, endings
         )
         return out, 1 - transmittance
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, out_gradient, alpha_gradient):
-        splats, channels, order, rank_starts, ids, slots, tile_starts, stopped, out, transmittance = ctx.saved_tensors
+    def backward(ctx: Any, out_gradient: Tensor, alpha_gradient: Tensor) -> tuple[Tensor | None, ...]:
+        saved = ctx.saved_tensors
+        splats, channels, order, rank_starts, ids, slots, tile_starts, background, transmittance, endings = saved
         n, channel_count = channels.shape
         height, width = transmittance.shape
-        tiles = len(stopped)
-        gradients = torch.empty(len(ids), library().moment_count() + channel_count)
-        background_gradients = torch.empty(tiles, channel_count)
-        run(
-            "blend_backward", tiles, width, height, channel_count, splats, channels, ids, slots, tile_starts, stopped,
-            out, transmittance, out_gradient.contiguous(), alpha_gradient.contiguous(), gradients, background_gradients,
-        )  # fmt: skip
-        results = [torch.zeros(n, size) for size in (2, 3, 1, channel_count)]
-        run("gather", len(rank_starts) - 1, channel_count, splats, order, rank_starts, gradients, *results)
-        means2d, conics, opacities, channel_gradients = results
-        background = background_gradients.double().sum(0).float()
-        return means2d, conics, opacities[:, 0], channel_gradients, background, None, None, None, None
+        tiles = len(tile_starts) - 1
+        gradients = channels.new_empty(len(ids), constant("moment_count") + channel_count)
+        per_tile = channels.new_empty(tiles, channel_count)
+        inputs = splats, channels, ids, slots, tile_starts, background, transmittance, endings
+        incoming = out_gradient.contiguous(), alpha_gradient.contiguous()
+        run("blend_backward", tiles, width, height, channel_count, *inputs, *incoming, gradients, per_tile)
+        means2d, conics, opacities, by_channel = (channels.new_zeros(n, size) for size in (2, 3, 1, channel_count))
+        outputs = means2d, conics, opacities, by_channel
+        run("gather", len(rank_starts) - 1, channel_count, splats, order, rank_starts, gradients, *outputs)
+        by_background = per_tile.double().sum(0).float()
+        return means2d, conics, opacities[:, 0], by_channel, by_background, None, None, None, None
 
 
-def _run_chunks(kernel, count, splats, order, width, height, per_rank, per_chunk, *outputs):
-    """Run `kernel` over RANK_CHUNKS fixed ranges of ranks, each with its own row of `per_chunk`."""
-    function = getattr(library(), kernel)
-    fixed = [_argument(value) for value in (splats, order, width, height, per_rank)]
-    rest = [_argument(value) for value in outputs]
+def _bin(splats: Tensor, keys: Tensor, width: int, height: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Gaussians into tiles in depth order, without sorting (Gaussian, tile) pairs.
 
-    def chunk(i: int) -> None:
-        begin, end = (ctypes.c_int64(count * j // RANK_CHUNKS) for j in (i, i + 1))
-        function(begin, end, *fixed, _argument(per_chunk[i]), *rest)
+    The depth order is cut into RANK_CHUNKS parts; each counts its pairs by tile, the counts are summed into the places
+    where each part writes. Returns order (V,) the V drawable Gaussians by depth, rank_starts (V + 1,) the first of each
+    one's pairs, tile_starts (tiles + 1,) the first of each tile's pairs, and of the pairs by tile ids (P,) the Gaussian
+    and slots (P,) the pair's number by Gaussian.
+    """
+    n = len(keys)
+    spare = torch.empty(n, dtype=torch.int32)
+    order = torch.empty(n, dtype=torch.int32)
+    spare_keys = torch.empty(2 * n, dtype=torch.int32)
+    drawable = constant("sort_by_depth", n, keys, order, spare, spare_keys)
 
-    list(_threads(torch.get_num_threads()).map(chunk, range(RANK_CHUNKS)))
+    size = constant("tile_size")
+    tiles = -(-width // size) * -(-height // size)
+    rank_starts = torch.zeros(drawable + 1, dtype=torch.int64)
+    counts = torch.zeros(RANK_CHUNKS, tiles, dtype=torch.int64)
+    run_parts("count_tiles", drawable, [splats, order, width, height, rank_starts[1:]], counts)
+    torch.cumsum(rank_starts, 0, out=rank_starts)
+    pairs = int(rank_starts[-1])
+    if pairs >= 2**31:
+        raise RuntimeError(f"{drawable} Gaussians meet {pairs} tiles, more than can be blended: they are too large.")
+    ends = counts.T.reshape(-1).cumsum(0).reshape(tiles, RANK_CHUNKS)  # by tile, then by part: depth order in a tile
+    tile_starts = torch.cat([ends.new_zeros(1), ends[:, -1]])
+    ids = torch.empty(pairs, dtype=torch.int32)
+    slots = torch.empty(pairs, dtype=torch.int32)
+    places = (ends.T - counts).contiguous()
+    run_parts("fill_tiles", drawable, [splats, order, width, height, rank_starts, ids, slots], places)
+    return order, rank_starts, tile_starts, ids, slots
 
 
 def blend(

@@ -10,6 +10,7 @@ BLUR = 0.3  # px^2 added to the variances: a low-pass filter, and it keeps covar
 GUARD = 0.3  # part of the field of view beyond the image's edges where the linearised projection stops changing
 MAX_SIGMA = 1e4  # px; larger Gaussians are flat over any image
 MIN_ALPHA = 1 / 255
+MAX_EXTENT = 128  # squared, in sigmas; an opacity that reaches farther is no number to draw with
 
 
 @dataclass
@@ -79,7 +80,7 @@ def project(
         middle = (xx + yy) / 2
         largest = middle + (middle * middle - det).clamp(min=0).sqrt()
         u, v = means2d.unbind(1)
-        drawn = usable & (extent > 0) & (u + radius_x > 0) & (u - radius_x < width)
+        drawn = usable & (extent > 0) & (extent < MAX_EXTENT) & (u + radius_x > 0) & (u - radius_x < width)
         drawn &= (v + radius_y > 0) & (v - radius_y < height) & torch.isfinite(largest)
         radii = torch.where(drawn, (extent * largest).sqrt(), 0)
     return Projection(means2d, conics, z, radii)

@@ -1,4 +1,4 @@
-"""Blending of projected Gaussians in plain torch: any dtype and device, by autograd. The truth the kernels are held to."""
+"""Blending of projected Gaussians in plain torch, for any dtype and device, by autograd: the truth for the kernels."""
 
 import torch
 from torch import Tensor
@@ -65,5 +65,7 @@ def _blend_weights(means2d: Tensor, conics: Tensor, opacities: Tensor, pixels: T
         left_behind = torch.cumprod(1 - torch.where(drawn, unclamped.clamp(max=MAX_ALPHA), 0), 0)
         drawn &= left_behind > MIN_TRANSMITTANCE
     alpha = torch.where(drawn, unclamped, 0).clamp(max=MAX_ALPHA)
-    behind = torch.cumprod(torch.cat([torch.ones_like(alpha[:1]) if len(alpha) else pixels.new_ones(1, len(pixels)), 1 - alpha]), 0)
+    behind = torch.cumprod(
+        torch.cat([torch.ones_like(alpha[:1]) if len(alpha) else pixels.new_ones(1, len(pixels)), 1 - alpha]), 0
+    )
     return alpha * behind[:-1], behind[-1]

@@ -21,10 +21,13 @@ class Picture:
     rendering: Rendering
 
 
-def render(cloud: GaussianCloud, camera: Camera, sh_degree: int = 3, with_range: bool = False, backend: str = "auto") -> Picture:
+def render(
+    cloud: GaussianCloud, camera: Camera, sh_degree: int = 3, with_range: bool = False, backend: str = "auto"
+) -> Picture:
     """Rasterise `cloud` as `camera` sees it, in the cloud's dtype; differentiable."""
-    like = {"dtype": cloud.means.dtype, "device": cloud.means.device}
-    centre = torch.tensor(camera.centre, **like)
+    centre, viewmat, intrinsics = (
+        torch.from_numpy(array).to(cloud.means) for array in (camera.centre, camera.world_to_camera, camera.K)
+    )
     channels = cloud.colors(centre, sh_degree)
     background = cloud.background.sigmoid()
     if with_range:
@@ -36,8 +39,8 @@ def render(cloud: GaussianCloud, camera: Camera, sh_degree: int = 3, with_range:
         cloud.scales,
         cloud.opacities,
         channels,
-        torch.tensor(camera.world_to_camera, **like),
-        torch.tensor(camera.K, **like),
+        viewmat,
+        intrinsics,
         camera.width,
         camera.height,
         background,

@@ -85,8 +85,12 @@ def load_scene(folder: Path) -> Scene:
     scene_folder = _scene_folder(folder)
     image_folder, paths, image_count = _find_pictures(scene_folder, list(names.values()), warnings)
 
+    lenses = {
+        camera_id: Lens(camera.model.name, camera.width, camera.height, tuple(float(value) for value in camera.params))
+        for camera_id, camera in model.cameras.items()
+    }
     views = [
-        _view(image, names[image.image_id], paths[names[image.image_id]], index_of)
+        _view(image, names[image.image_id], paths[names[image.image_id]], lenses[image.camera_id], index_of)
         for image in images
         if names[image.image_id] in paths
     ]
@@ -196,7 +200,6 @@ def _model_suffix(folder: Path) -> str | None:
 
 
 def _read_model(folder: Path) -> pycolmap.Reconstruction:
-    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)  # what goes wrong is said once, as an InputError
     suffix = _model_suffix(folder)
     try:
         if suffix == ".bin":
@@ -213,10 +216,12 @@ def _read_model(folder: Path) -> pycolmap.Reconstruction:
         raise InputError(f"Cannot read {error.filename or folder}: {error.strerror or error}.") from error
     except (ValueError, IndexError, RuntimeError, MemoryError) as error:
         at_fault = re.search(r">> (?:camera\.)?(camera|image|point|rig|frame)(3D)?_id", str(error))
-        where = folder / f"{at_fault[1]}s{at_fault[2] or ''}.txt" if at_fault else folder
-        reason = str(error).rsplit("Check failed: ", 1)[-1].split(">>")[0].strip().rstrip(".") if not at_fault else ""
+        if at_fault:
+            raise InputError(
+                f"{folder / f'{at_fault[1]}s{at_fault[2] or str()}.txt'} is damaged: export it from COLMAP again."
+            ) from error
         raise InputError(
-            f"The COLMAP model {where} is damaged{f' ({reason})' if reason else ''}: export it from COLMAP again."
+            f"The COLMAP model in {folder} is damaged, as its files do not fit together: export it from COLMAP again."
         ) from error
     return model
 
@@ -349,10 +354,9 @@ def _read_points(
     return points, rows
 
 
-def _view(image: pycolmap.Image, name: str, path: Path, index_of: Callable[[np.ndarray], np.ndarray]) -> View:
-    camera = image.camera
-    assert camera is not None  # every image of a model that was read has one
-    lens = Lens(camera.model.name, camera.width, camera.height, tuple(float(value) for value in camera.params))
+def _view(
+    image: pycolmap.Image, name: str, path: Path, lens: Lens, index_of: Callable[[np.ndarray], np.ndarray]
+) -> View:
     world_to_camera = np.eye(4)
     world_to_camera[:3] = image.cam_from_world().matrix()
     if not np.isfinite(world_to_camera).all():

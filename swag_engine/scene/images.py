@@ -42,7 +42,7 @@ def load_images(
     """Undistort the photographs of `views` and reduce them to `width` pixels (None: full size), never enlarging.
 
     Results are kept in the user's cache folder (or SWAG_CACHE_DIR), so that only the first call takes long. `progress`
-    is called with how many are done and how many there are. A COLMAP mask (masks/NAME.png, black is masked) and an
+    is called with how many are done and how many there are. A mask (masks/NAME.png, black is masked) and an
     alpha of 0 make pixels invalid. Raises InputError naming the picture that cannot be used.
     """
     cache = _cache_folder(scene)
@@ -102,9 +102,9 @@ def _fits(picture: tuple[int, int], camera: tuple[int, int]) -> bool:
 
 def _mask_path(scene: Scene, view: View) -> Path | None:
     for folder in (scene.folder / "masks", scene.image_folder / "masks", scene.image_folder.parent / "masks"):
-        mask = folder / f"{view.name}.png"
-        if mask.is_file():
-            return mask
+        for mask in (folder / f"{view.name}.png", (folder / view.name).with_suffix(".png")):
+            if mask.is_file():
+                return mask
     return None
 
 
@@ -123,7 +123,7 @@ def _load_image(scene: Scene, view: View, width: int | None, cache: Path) -> Tra
         try:
             with atomic_path(cached) as temporary, open(temporary, "wb") as file:
                 np.savez(file, pixels=arrays[0], valid=arrays[1])
-        except InputError:
+        except (InputError, OSError):
             pass  # a cache that cannot be written only costs time
     pixels, valid = arrays
     return TrainingImage(view.camera.resized(pixels.shape[1]), pixels, valid)

@@ -45,7 +45,7 @@ class Lens:
     @property
     def is_pinhole(self) -> bool:
         """Whether straight lines are straight already, so that nothing needs undistorting."""
-        return self.camera.is_undistorted()
+        return self.camera.is_undistorted() and self.camera.is_perspective_pinhole()  # a fisheye has no "distortion"
 
     @cached_property
     def pinhole(self) -> Pinhole:
@@ -123,8 +123,7 @@ class Lens:
 def source_map(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     """Where each pixel of the pinhole picture lies in the lens's own picture.
 
-    Returns (H, W, 2) float32 in COLMAP pixels of the source, and (H, W) bool: False where the lens sees nothing, either
-    because the place is outside its picture or because its distortion has folded over.
+    Returns (H, W, 2) float32 in COLMAP pixels of the source, and (H, W) bool: False where that is outside.
     """
     pinhole = lens.pinhole
     x = (np.arange(pinhole.width) + 0.5 - pinhole.cx) / pinhole.fx
@@ -134,7 +133,4 @@ def source_map(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     source = lens.camera.img_from_cam(rays.reshape(-1, 3)).reshape(*rays.shape[:2], 2).astype(np.float32)
     with np.errstate(invalid="ignore"):
         valid = (source >= 0).all(-1) & (source[..., 0] <= lens.width) & (source[..., 1] <= lens.height)
-        if min(valid.shape) > 1:
-            along_y, along_x = np.gradient(source, axis=(0, 1))
-            valid &= along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0] > 0
     return np.where(valid[..., None], source, -1), valid

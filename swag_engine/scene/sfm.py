@@ -6,13 +6,15 @@ which reports on its standard output, so that a crash or a cancel leaves nothing
 
 import json
 import os
+import queue
 import shutil
 import sqlite3
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,7 @@ _EXHAUSTIVE_UP_TO = (
     150  # images; beyond, the number of pairs outgrows patience and neighbours in name order are matched
 )
 _FEATURE_PIXELS = 2000  # longest side that features are looked for at: water leaves little detail beyond
+_FEATURES = 4096  # in a picture: matching a pair costs its square
 _VIDEO_FRAMES = 40, 300  # as many frames of a video as there are of use, within these
 _VIDEO_STEP = 0.05  # of the picture's width that the view moves between two frames taken
 
@@ -205,9 +208,7 @@ def _run_colmap(scene: Path, scratch: Path, names: list[str], report: Progress) 
         ) as child,
     ):
         try:
-            assert child.stdout is not None
-            for line in child.stdout:
-                message = json.loads(line)
+            for message in _messages(child, scratch / "database.db"):
                 if "stage" in message:
                     report(message["stage"], message["fraction"])
                 elif "error" in message:
@@ -220,6 +221,45 @@ def _run_colmap(scene: Path, scratch: Path, names: list[str], report: Progress) 
     if result is None:
         raise InputError(f"COLMAP ended without a result (exit code {child.returncode}): free memory and try again.")
     return result
+
+
+def _messages(child: subprocess.Popen[str], database: Path) -> Iterator[dict[str, Any]]:
+    """What the child says until it ends.
+
+    COLMAP's features and matching report no progress, so the child names the table of COLMAP's database that they fill,
+    and its rows are counted from here. (Not in the child: closing a second connection in one process would drop the
+    locks of COLMAP's own copy of SQLite, and crash it: sqlite.org/howtocorrupt.html, section 2.2.)
+    """
+    lines: queue.Queue[str | None] = queue.Queue()
+
+    def read() -> None:
+        assert child.stdout is not None
+        for line in child.stdout:
+            lines.put(line)
+        lines.put(None)
+
+    threading.Thread(target=read, daemon=True).start()
+    watched: dict[str, Any] | None = None
+    while True:
+        try:
+            line = lines.get(timeout=0.5)
+        except queue.Empty:
+            if watched and (count := _rows(database, watched["table"])) is not None:
+                yield {"stage": watched["stage"], "fraction": min(1.0, count / max(1, watched["total"]))}
+            continue
+        if line is None:
+            return
+        message = json.loads(line)
+        watched = message if "table" in message else None
+        yield message if watched is None else {"stage": message["stage"], "fraction": 0.0}
+
+
+def _rows(database: Path, table: str) -> int | None:
+    try:
+        with closing(sqlite3.connect(f"{database.as_uri()}?mode=ro", uri=True, timeout=0.1)) as connection:
+            return int(connection.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0])
+    except sqlite3.Error:  # not made yet, or being written to
+        return None
 
 
 def _child(job: Path) -> None:
@@ -241,25 +281,25 @@ def _child(job: Path) -> None:
         cameras.setdefault((camera.width, camera.height, known), []).append(copy)
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.max_image_size = _FEATURE_PIXELS
-    with _Watch(database, "features", "keypoints", len(names)):
-        for (_, _, known), group in cameras.items():
-            reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL", camera_params=known)
-            pycolmap.extract_features(
-                str(database),
-                str(pictures),
-                image_names=group,
-                camera_mode=pycolmap.CameraMode.SINGLE,
-                reader_options=reader,
-                extraction_options=extraction,
-            )
+    extraction.sift.max_num_features = _FEATURES
+    _say(stage="features", table="keypoints", total=len(names))
+    for (_, _, known), group in cameras.items():
+        pycolmap.extract_features(
+            str(database),
+            str(pictures),
+            image_names=group,
+            camera_mode=pycolmap.CameraMode.SINGLE,
+            reader_options=pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL", camera_params=known),
+            extraction_options=extraction,
+        )
 
     if len(names) <= _EXHAUSTIVE_UP_TO:
-        with _Watch(database, "matching", "two_view_geometries", len(names) * (len(names) - 1) // 2):
-            pycolmap.match_exhaustive(str(database))
+        _say(stage="matching", table="two_view_geometries", total=len(names) * (len(names) - 1) // 2)
+        pycolmap.match_exhaustive(str(database))
     else:
         pairing = pycolmap.SequentialPairingOptions()
-        with _Watch(database, "matching", "two_view_geometries", len(names) * (pairing.overlap + 4)):
-            pycolmap.match_sequential(str(database), pairing_options=pairing)
+        _say(stage="matching", table="two_view_geometries", total=len(names) * (pairing.overlap + 4))
+        pycolmap.match_sequential(str(database), pairing_options=pairing)
 
     placed = 0
 
@@ -298,33 +338,6 @@ def _child(job: Path) -> None:
         points=model.num_points3D(),
         reprojection_error=model.compute_mean_reprojection_error(),
     )
-
-
-class _Watch:
-    """Report the progress of a COLMAP call that has none of its own, by counting the rows it adds to its database."""
-
-    def __init__(self, database: Path, stage: str, table: str, total: int) -> None:
-        self._database, self._stage, self._table, self._total = database, stage, table, max(total, 1)
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-
-    def __enter__(self) -> None:
-        _say(stage=self._stage, fraction=0.0)
-        self._thread.start()
-
-    def __exit__(self, *_: object) -> None:
-        self._done.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while not self._done.wait(0.5):
-            try:
-                connection = sqlite3.connect(f"{self._database.as_uri()}?mode=ro", uri=True, timeout=0.1)
-                (count,) = connection.execute(f"SELECT COUNT(*) FROM {self._table}").fetchone()
-                connection.close()
-            except sqlite3.Error:  # not made yet, or being written to
-                continue
-            _say(stage=self._stage, fraction=min(1.0, count / self._total))
 
 
 def _say(**message: Any) -> None:

@@ -19,7 +19,9 @@ def save_checkpoint(run: Path, iteration: int, tensors: dict[str, torch.Tensor],
     path = run / f"checkpoint-{iteration:07d}.safetensors"
     with atomic_path(path) as temporary:
         try:
-            save_file({name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, {"state": json.dumps(state)})
+            save_file(
+                {name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, {"state": json.dumps(state)}
+            )
         except SafetensorError as error:
             raise InputError(f"Cannot write {path}: {error}.") from error
     for old in checkpoints(run)[:-KEEP]:
@@ -46,5 +48,7 @@ def load_checkpoint(run: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]
         except (SafetensorError, OSError, KeyError, TypeError, ValueError):
             continue
     if found:
-        raise InputError(f"No checkpoint in {run} can be read; the newest is {found[-1].name}. Train again to a new folder.")
+        raise InputError(
+            f"No checkpoint in {run} can be read; the newest is {found[-1].name}. Train again to a new folder."
+        )
     return None

@@ -34,9 +34,8 @@ class TrainSettings:
         for name, (least, most) in limits.items():
             value = getattr(self, name)
             if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
-                raise InputError(
-                    f"The setting {name.replace('_', ' ')} must be a whole number from {least} to {most}, not {value!r}."
-                )
+                title = name.replace("_", " ")
+                raise InputError(f"The setting {title} must be a whole number from {least} to {most}, not {value!r}.")
         if self.backend not in ("auto", "cpu", "torch"):
             raise InputError(f"The setting backend must be auto, cpu or torch, not {self.backend!r}.")
 

@@ -97,16 +97,17 @@ def resumed_settings(run: RunFolder, scene_folder: Path, asked: TrainSettings) -
     default, kept = TrainSettings().to_json(), settings.to_json()
     for name, value in asked.to_json().items():
         if value not in (default[name], kept[name]):
-            raise InputError(
-                f"The run {run.path} was started with {name.replace('_', ' ')} {kept[name]}; it cannot go on with {value}."
-            )
+            title = name.replace("_", " ")
+            raise InputError(f"The run {run.path} was started with {title} {kept[name]}; it cannot go on with {value}.")
     return settings
 
 
 class Trainer:
     """One run: the scene's photographs, the cloud, its optimiser, and what was measured so far."""
 
-    def __init__(self, scene: Scene, run: RunFolder, settings: TrainSettings, on_event: Callable[[Event], None]) -> None:
+    def __init__(
+        self, scene: Scene, run: RunFolder, settings: TrainSettings, on_event: Callable[[Event], None]
+    ) -> None:
         self.run, self.settings, self.on_event, self.scene = run, settings, on_event, scene
         self.rates, self.schedule, self.growth = LearningRates(), Schedule(), Growth()
         self.iteration, self.seconds_before = 0, 0.0
@@ -119,7 +120,9 @@ class Trainer:
         self.test = [self.images[name] for name in split.test]
         self.levels: dict[int, list[Target]] = {}
         self.median_range = median_range(scene, self.training)
-        background = np.median(np.stack([np.median(image.pixels, axis=(0, 1)) for image in self.training]), axis=0) / 255
+        background = (
+            np.median(np.stack([np.median(image.pixels, axis=(0, 1)) for image in self.training]), axis=0) / 255
+        )
         cloud = gaussians_from_points(
             scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, background
         )
@@ -269,7 +272,13 @@ class Trainer:
             "background": [round(value, 6) for value in self.cloud.background.detach().sigmoid().tolist()],
             "views": {score.name: {"psnr": score.psnr, "ssim": score.ssim} for score in scores},
         }
-        self.run.log({"iteration": self.iteration, "seconds": round(seconds, 3), **{k: metrics[k] for k in ("test_psnr", "test_ssim")}})
+        self.run.log(
+            {
+                "iteration": self.iteration,
+                "seconds": round(seconds, 3),
+                **{k: metrics[k] for k in ("test_psnr", "test_ssim")},
+            }
+        )
         self.run.write_metrics(metrics)
         self.run.preview.unlink(missing_ok=True)
         return {
@@ -322,7 +331,9 @@ def median_range(scene: Scene, images: Sequence[TrainingImage]) -> float:
     """r_bar: median Euclidean distance between the training cameras and the sparse points in front of them."""
     ranges = []
     for image in images:
-        in_camera = scene.points.positions @ image.camera.world_to_camera[:3, :3].T + image.camera.world_to_camera[:3, 3]
+        in_camera = (
+            scene.points.positions @ image.camera.world_to_camera[:3, :3].T + image.camera.world_to_camera[:3, 3]
+        )
         ranges.append(np.linalg.norm(in_camera[in_camera[:, 2] > 0], axis=1))
     together = np.concatenate(ranges)
     return float(np.median(together)) if len(together) else 1.0

@@ -1,6 +1,7 @@
 """Image losses: L1 and SSIM."""
 
 from functools import lru_cache
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -41,11 +42,11 @@ def _l1_and_ssim(image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
 
 class _Fused(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, image, target):
+    def forward(ctx: Any, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         image, target = image.contiguous(), target.contiguous()
         height, width, _ = image.shape
         sums = torch.empty(height, 2, dtype=torch.float64)
-        derivatives = torch.empty(3, *image.shape)
+        derivatives = image.new_empty(3, *image.shape)
         cpu.run("l1_ssim_forward", height, height, width, image, target, sums, derivatives)
         ctx.save_for_backward(image, target, derivatives)
         l1, similarity = (sums.sum(0) / image.numel()).float()
@@ -53,7 +54,7 @@ class _Fused(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx, l1_gradient, ssim_gradient):
+    def backward(ctx: Any, l1_gradient: Tensor, ssim_gradient: Tensor) -> tuple[Tensor, None]:
         image, target, derivatives = ctx.saved_tensors
         height, width, _ = image.shape
         gradient = torch.empty_like(image)
@@ -63,7 +64,7 @@ class _Fused(torch.autograd.Function):
 
 
 def _ssim_map(image: Tensor, target: Tensor) -> Tensor:
-    """SSIM of every pixel and channel (H, W, 3). The blur is two products with band matrices: far faster than conv2d."""
+    """SSIM of every pixel and channel (H, W, 3). The blur is two band matrix products: far faster than conv2d."""
     down, across = (_blur_matrix(size, image.dtype, image.device) for size in image.shape[:2])
 
     def blur(x: Tensor) -> Tensor:

@@ -47,7 +47,9 @@ class CloudOptimizer:
             for moment in MOMENTS:
                 if moment in state:
                     taken = state[moment][source.clamp(min=0)]
-                    state[moment] = torch.where(known.view(-1, *[1] * (taken.dim() - 1)), taken, torch.zeros_like(taken))
+                    state[moment] = torch.where(
+                        known.view(-1, *[1] * (taken.dim() - 1)), taken, torch.zeros_like(taken)
+                    )
             group["params"][0] = parameter
             if state:
                 self.adam.state[parameter] = state

@@ -75,7 +75,9 @@ def test_a_resumed_run_is_bit_equal_to_one_that_never_stopped(whole_run, tiny_sc
     assert expected.keys() == got.keys()
     for name, tensor in expected.items():
         assert torch.equal(tensor, got[name]), name
-    iterations = [json.loads(line)["iteration"] for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    iterations = [
+        json.loads(line)["iteration"] for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
+    ]
     assert iterations == sorted(iterations)
 
 
@@ -136,7 +138,9 @@ def test_a_full_disk_is_one_sentence_and_nothing_half_written(tiny_scene, tmp_pa
     assert list((tmp_path / "run").iterdir()) == []
 
 
-@pytest.mark.parametrize("values", [{"iterations": 0}, {"width": "640"}, {"backend": "gpu"}, {"colour": 3}, {"seed": True}])
+@pytest.mark.parametrize(
+    "values", [{"iterations": 0}, {"width": "640"}, {"backend": "gpu"}, {"colour": 3}, {"seed": True}]
+)
 def test_settings_are_checked(values):
     with pytest.raises(InputError):
         TrainSettings.from_json(values)

@@ -125,9 +125,7 @@ def test_colours_under_an_uneven_scale_turn_with_its_rotation():
 
 def test_order_of_axes_and_sizes_survives_a_similarity():
     splats = some_splats()
-    np.testing.assert_allclose(
-        transformed(splats, affine(3 * orthogonal(False))).scales, 3 * splats.scales, rtol=1e-6
-    )
+    np.testing.assert_allclose(transformed(splats, affine(3 * orthogonal(False))).scales, 3 * splats.scales, rtol=1e-6)
 
 
 def test_a_shift_leaves_everything_but_positions_bit_equal():
@@ -140,7 +138,7 @@ def test_a_shift_leaves_everything_but_positions_bit_equal():
 def test_a_flattening_matrix_gives_flat_splats():
     flat = transformed(some_splats(), affine(np.diag([1.0, 1.0, 0.0])))
     assert np.isfinite(flat.rotations).all() and np.isfinite(flat.sh).all()
-    np.testing.assert_allclose(covariances(flat)[:, 2, :], 0, atol=1e-9)
+    np.testing.assert_allclose(covariances(flat)[:, 2, :], 0, atol=1e-7)
 
 
 def test_there_and_back_again():

@@ -136,4 +136,7 @@ def test_a_good_request_is_parsed():
 
 
 def test_events_are_strict_json():
-    assert json.loads(to_json({"psnr": float("nan"), "views": [float("inf"), 1.5]})) == {"psnr": None, "views": [None, 1.5]}
+    assert json.loads(to_json({"psnr": float("nan"), "views": [float("inf"), 1.5]})) == {
+        "psnr": None,
+        "views": [None, 1.5],
+    }

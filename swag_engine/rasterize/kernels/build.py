@@ -20,9 +20,10 @@ FOLDER = Path(__file__).parent
 LIBRARIES = FOLDER / "lib"
 SOURCES = ("raster.cpp", "ssim.cpp")
 FLAGS = (
-    "-std=c++17 -O3 -ffp-contract=fast -fno-math-errno -fno-trapping-math -fvisibility=hidden -fno-exceptions -fno-rtti "
-    "-nostdlib++ -shared -Wall -Wextra -Werror -s"
-).split()
+    *("-std=c++17", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
+    *("-fno-exceptions", "-fno-rtti", "-nostdlib++", "-fvisibility=hidden", "-shared", "-s"),
+    *("-Wall", "-Wextra", "-Werror"),
+)
 
 
 @dataclass(frozen=True)

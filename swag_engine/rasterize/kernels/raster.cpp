@@ -73,7 +73,7 @@ inline void for_tiles(const Splat &g, int width, int height, Visit visit) {
     int last = (int)smaller(width - 1.f, g.x + g.half_width - .49f) / TILE;
     for (int tx = first; tx <= last; tx++) {
         float left = tx * TILE + .5f - g.x, low, high;
-        rows_over_columns(g, left, left + smaller(TILE, width - tx * TILE) - 1, low, high);
+        rows_over_columns(g, left, left + (smaller(TILE, width - tx * TILE) - 1), low, high);
         low = larger(0.f, ceilf(g.y + low - .5f));
         high = smaller(height - 1.f, floorf(g.y + high - .5f));
         if (!(low <= high)) continue;
@@ -89,7 +89,7 @@ inline void strip_spans(const Splat &g, const Tile &tile, StripI &first, StripI 
     StripF low, high, zero = {};
     rows_over_columns(g, left, left + (STRIP - 1.f), low, high);
     float to_row = g.y - .5f - tile.y;
-    low = larger(low + to_row, zero);
+    low = smaller(larger(low + to_row, zero), zero + (float)TILE);
     high = smaller(high + to_row, zero + (tile.height - 1.f));
     StripI begin = __builtin_convertvector(low, StripI);
     begin -= (__builtin_convertvector(begin, StripF) < low);  // rounds up: true is -1
@@ -99,9 +99,16 @@ inline void strip_spans(const Splat &g, const Tile &tile, StripI &first, StripI 
     last = (end / ROWS) | empty;
 }
 
-// Pixel (column, row) of a tile as vector and lane of its strips.
-inline int vector_of(int column, int row) { return column / STRIP * STRIP_VECTORS + row / ROWS; }
-inline int lane_of(int column, int row) { return column % STRIP + row % ROWS * STRIP; }
+// Calls visit(vector, lane, pixel of the image) for each pixel of a tile.
+template <class Visit>
+inline void for_pixels(const Tile &tile, int image_width, Visit visit) {
+    for (int y = 0; y < tile.height; y++)
+        for (int s = 0; s < tile.strips; s++) {
+            int columns = smaller(STRIP, tile.width - s * STRIP), vector = s * STRIP_VECTORS + y / ROWS;
+            int64_t pixel = (int64_t)(tile.y + y) * image_width + tile.x + s * STRIP;
+            for (int x = 0; x < columns; x++) visit(vector, y % ROWS * STRIP + x, pixel + x);
+        }
+}
 
 struct Lanes {
     float column[VW], row[VW];
@@ -138,13 +145,15 @@ inline Vec opacity_at(Vec exponent, Vec opacity) { return opacity * exp2(larger(
 
 template <int C>
 void forward_tile(const Tile &tile, int image_width, const Splat *splats, const float *channels, int stride, const int32_t *ids,
-                  int64_t begin, int64_t end, const float *background, float *out, float *transmittance, int64_t *stopped) {
+                  int64_t begin, int64_t end, const float *background, float *out, float *transmittance,
+                  int32_t *endings) {
+    Mask ended[STRIPS * STRIP_VECTORS];  // rank in the tile's list of the Gaussian before which a pixel ended
     struct Pixels {
         Vec T, channel[C];  // T < 0: the pixel has ended with transmittance -T
     } pixels[STRIPS * STRIP_VECTORS];
     memset(pixels, 0, sizeof pixels);  // T = 0: outside of the image
-    for (int y = 0; y < tile.height; y++)
-        for (int x = 0; x < tile.width; x++) pixels[vector_of(x, y)].T[lane_of(x, y)] = 1;
+    for_pixels(tile, image_width, [&](int vector, int lane, int64_t) { pixels[vector].T[lane] = 1; });
+    for (Mask &e : ended) e = Mask{} + (int32_t)(end - begin);
     int alive[STRIPS], strips_alive = tile.strips;  // vectors with a pixel that goes on
     for (int &n : alive) n = (tile.height + ROWS - 1) / ROWS;
 
@@ -169,6 +178,8 @@ void forward_tile(const Tile &tile, int image_width, const Splat *splats, const 
                 if (__builtin_expect(any(ends), 0)) {
                     after = select(ends, -T, after);
                     weight = masked(~ends, weight);
+                    Mask &e = ended[s * STRIP_VECTORS + v];
+                    e = (ends & (int32_t)(i - begin)) | (~ends & e);
                     if (!any(after > 0.f) && --alive[s] == 0) strips_alive--;
                 }
                 for (int c = 0; c < C; c++) strip[v].channel[c] += weight * value[c];
@@ -176,87 +187,86 @@ void forward_tile(const Tile &tile, int image_width, const Splat *splats, const 
             }
         }
     }
-    *stopped = i;
-    for (int y = 0; y < tile.height; y++)
-        for (int x = 0; x < tile.width; x++) {
-            const Pixels &p = pixels[vector_of(x, y)];
-            int lane = lane_of(x, y);
-            int64_t pixel = (int64_t)(tile.y + y) * image_width + tile.x + x;
-            float T = fabsf(p.T[lane]);
-            transmittance[pixel] = T;
-            for (int c = 0; c < C; c++) out[pixel * stride + c] = p.channel[c][lane] + T * background[c];
-        }
+    for_pixels(tile, image_width, [&](int vector, int lane, int64_t pixel) {
+        const Pixels &p = pixels[vector];
+        float T = fabsf(p.T[lane]);
+        transmittance[pixel] = T;
+        endings[pixel] = ended[vector][lane];
+        for (int c = 0; c < C; c++) out[pixel * stride + c] = p.channel[c][lane] + T * background[c];
+    });
 }
 
-// `behind` is what the gradient meets behind the current Gaussian: sum over later ones of T alpha (g . channel), plus the
-// background's part; so dL/dalpha = T (g . channel) - behind / (1 - alpha), and v = alpha dL/dalpha = -dL/ds.
+// Back to front, from the final transmittance: T_i = T_(i+1) / (1 - alpha_i), and `behind` sums what the gradient meets
+// behind the current Gaussian, (g . channel) T alpha of later ones and the background's part. Nothing cancels. Then
+// dL/dalpha = T (g . channel) - behind / (1 - alpha), and v = alpha dL/dalpha = -dL/ds.
 template <int C>
 void backward_tile(const Tile &tile, int image_width, const Splat *splats, const float *channels, int stride,
-                   const int32_t *ids, const int32_t *slots, int64_t begin, int64_t stopped, int64_t end, const float *out,
-                   const float *transmittance, const float *out_gradient, const float *alpha_gradient, int first_channel,
-                   float *gradients, float *background_gradient) {
+                   const int32_t *ids, const int32_t *slots, int64_t begin, int64_t end, const float *background,
+                   const float *transmittance, const int32_t *endings, const float *out_gradient,
+                   const float *alpha_gradient, int first_channel, float *gradients, float *background_gradient) {
     struct Pixels {
-        Vec T, behind, gradient[C];
+        Vec T, behind;
+        Mask ended;
+        Vec gradient[C];
     } pixels[STRIPS * STRIP_VECTORS];
-    memset(pixels, 0, sizeof pixels);
+    memset(pixels, 0, sizeof pixels);  // ended = 0: outside of the image
     double background_sum[C] = {};
-    for (int y = 0; y < tile.height; y++)
-        for (int x = 0; x < tile.width; x++) {
-            Pixels &p = pixels[vector_of(x, y)];
-            int lane = lane_of(x, y);
-            int64_t pixel = (int64_t)(tile.y + y) * image_width + tile.x + x;
-            float behind = first_channel == 0 ? -alpha_gradient[pixel] * transmittance[pixel] : 0.f;
-            for (int c = 0; c < C; c++) {
-                float g = out_gradient[pixel * stride + c];
-                p.gradient[c][lane] = g;
-                behind += g * out[pixel * stride + c];
-                background_sum[c] += g * transmittance[pixel];
-            }
-            p.T[lane] = 1;
-            p.behind[lane] = behind;
+    int32_t strip_ended[STRIPS] = {}, tile_ended = 0;
+    for_pixels(tile, image_width, [&](int vector, int lane, int64_t pixel) {
+        Pixels &p = pixels[vector];
+        float T = transmittance[pixel], behind = first_channel == 0 ? -alpha_gradient[pixel] * T : 0.f;
+        for (int c = 0; c < C; c++) {
+            float g = out_gradient[pixel * stride + c];
+            p.gradient[c][lane] = g;
+            behind += T * g * background[c];
+            background_sum[c] += T * g;
         }
+        p.T[lane] = T;
+        p.behind[lane] = behind;
+        p.ended[lane] = endings[pixel];
+        int32_t &last = strip_ended[vector / STRIP_VECTORS];
+        last = larger(last, endings[pixel]);
+        tile_ended = larger(tile_ended, endings[pixel]);
+    });
     for (int c = 0; c < C; c++) background_gradient[c] = (float)background_sum[c];
-    int alive[STRIPS];
-    for (int &n : alive) n = (tile.height + ROWS - 1) / ROWS;
 
     int64_t slot_size = MOMENTS + stride;
-    for (int64_t i = begin; i < stopped; i++) {
-        const Splat &g = splats[ids[i]];
-        const float *channel = channels + (int64_t)ids[i] * stride;
+    for (int64_t i = begin + tile_ended; i < end; i++) {
+        float *slot = gradients + slots[i] * slot_size;
+        if (first_channel == 0) memset(slot, 0, MOMENTS * sizeof(float));
+        memset(slot + MOMENTS + first_channel, 0, C * sizeof(float));
+    }
+    for (int32_t rank = tile_ended - 1; rank >= 0; rank--) {
+        int32_t id = ids[begin + rank];
+        const Splat &g = splats[id];
+        const float *channel = channels + (int64_t)id * stride;
         Vec value[C], value_gradient[C], opacity = splat(g.opacity);
         for (int c = 0; c < C; c++) value[c] = splat(channel[c]), value_gradient[c] = Vec{};
         Vec moment[MOMENTS] = {};
         StripI first, last;
         strip_spans(g, tile, first, last);
         for (int s = 0; s < tile.strips; s++) {
-            if (first[s] > last[s] || !alive[s]) continue;
+            if (first[s] > last[s] || rank >= strip_ended[s]) continue;
             Exponent exponent(g, tile, s);
             Pixels *strip = pixels + s * STRIP_VECTORS;
             Vec sum_v = {}, sum_vu = {}, sum_vuu = {};
             for (int v = first[s]; v <= last[s]; v++) {
-                Vec u = exponent.u(v), e = exponent(u), T = strip[v].T;
-                Mask drawn = (e >= exponent.limit) & (T > 0.f);
+                Vec u = exponent.u(v), e = exponent(u);
+                Mask drawn = (e >= exponent.limit) & (strip[v].ended > rank);
                 Vec unclamped = opacity_at(e, opacity);
                 Vec alpha = smaller(unclamped, splat(MAX_ALPHA));
-                Vec weight = masked(drawn, alpha * T), after = T - weight;
-                Mask ends = drawn & (after <= MIN_TRANSMITTANCE);
-                if (__builtin_expect(any(ends), 0)) {
-                    after = select(ends, -T, after);
-                    weight = masked(~ends, weight);
-                    drawn &= ~ends;
-                    if (!any(after > 0.f)) --alive[s];
-                }
+                Vec inverse = 1.f / (1.f - alpha);
+                Vec T = select(drawn, strip[v].T * inverse, strip[v].T), behind = strip[v].behind;
+                Vec weight = masked(drawn, alpha * T);
                 Vec along = {};  // gradient . channel
                 for (int c = 0; c < C; c++) {
                     Vec gradient = strip[v].gradient[c];
                     along += gradient * value[c];
                     value_gradient[c] += weight * gradient;
                 }
-                Vec behind = strip[v].behind - weight * along;
-                strip[v].behind = behind;
-                strip[v].T = after;
-                Vec alpha_grad = T * along - behind / (1.f - alpha);
-                Vec gradient = masked(drawn & (unclamped < MAX_ALPHA), alpha_grad * unclamped);
+                strip[v].T = T;
+                strip[v].behind = behind + weight * along;
+                Vec gradient = masked(drawn & (unclamped < MAX_ALPHA), (T * along - behind * inverse) * unclamped);
                 Vec gradient_u = gradient * u;
                 sum_v += gradient;
                 sum_vu += gradient_u;
@@ -270,14 +280,9 @@ void backward_tile(const Tile &tile, int image_width, const Splat *splats, const
             moment[4] += sum_vu * exponent.dx;
             moment[5] += sum_vuu;
         }
-        float *slot = gradients + slots[i] * slot_size;
+        float *slot = gradients + slots[begin + rank] * slot_size;
         for (int m = 0; m < MOMENTS; m++) slot[m] = sum(moment[m]) + (first_channel ? slot[m] : 0.f);
         for (int c = 0; c < C; c++) slot[MOMENTS + first_channel + c] = sum(value_gradient[c]);
-    }
-    for (int64_t i = stopped; i < end; i++) {
-        float *slot = gradients + slots[i] * slot_size;
-        if (first_channel == 0) memset(slot, 0, MOMENTS * sizeof(float));
-        memset(slot + MOMENTS + first_channel, 0, C * sizeof(float));
     }
 }
 
@@ -300,14 +305,14 @@ inline void with_channels(int channels, Call call) {
 
 }  // namespace
 
-API int tile_size() { return TILE; }
-API int splat_bytes() { return sizeof(Splat); }
-API int moment_count() { return MOMENTS; }
+API int64_t tile_size() { return TILE; }
+API int64_t splat_bytes() { return sizeof(Splat); }
+API int64_t moment_count() { return MOMENTS; }
 
 // Packs Gaussians [begin, end) and writes their depth keys; those that cannot be drawn get the key 0xffffffff. The
 // comparisons are written so that NaN is never drawn.
 API void pack(int64_t begin, int64_t end, const float *means2d, const float *conics, const float *opacities,
-              const float *depths, const float *radii, int width, int height, Splat *splats, uint32_t *keys) {
+              const float *depths, const float *radii, int64_t width, int64_t height, Splat *splats, uint32_t *keys) {
     for (int64_t i = begin; i < end; i++) {
         Splat &g = splats[i];
         double a = conics[3 * i], b = conics[3 * i + 1], c = conics[3 * i + 2], det = a * c - b * b;
@@ -361,22 +366,22 @@ API int64_t sort_by_depth(int64_t n, const uint32_t *keys, int32_t *order, int32
 }
 
 // For ranks [begin, end) of the depth order: how many tiles each Gaussian meets, and how many of them fall in each tile.
-API void count_tiles(int64_t begin, int64_t end, const Splat *splats, const int32_t *order, int width, int height,
+API void count_tiles(int64_t begin, int64_t end, const Splat *splats, const int32_t *order, int64_t width, int64_t height,
                      int64_t *per_rank, int64_t *per_tile) {
     for (int64_t rank = begin; rank < end; rank++) {
         int64_t n = 0;
-        for_tiles(splats[order[rank]], width, height, [&](int tile) { n++, per_tile[tile]++; });
+        for_tiles(splats[order[rank]], (int)width, (int)height, [&](int tile) { n++, per_tile[tile]++; });
         per_rank[rank] = n;
     }
 }
 
 // Writes those ranks into the tile lists: the Gaussian, and the slot its gradient in this tile goes to. `next` is where
 // this range's entries of each tile begin; it is advanced.
-API void fill_tiles(int64_t begin, int64_t end, const Splat *splats, const int32_t *order, int width, int height,
-                    const int64_t *rank_starts, int64_t *next, int32_t *ids, int32_t *slots) {
+API void fill_tiles(int64_t begin, int64_t end, const Splat *splats, const int32_t *order, int64_t width, int64_t height,
+                    const int64_t *rank_starts, int32_t *ids, int32_t *slots, int64_t *next) {
     for (int64_t rank = begin; rank < end; rank++) {
         int64_t slot = rank_starts[rank];
-        for_tiles(splats[order[rank]], width, height, [&](int tile) {
+        for_tiles(splats[order[rank]], (int)width, (int)height, [&](int tile) {
             int64_t place = next[tile]++;
             ids[place] = order[rank];
             slots[place] = (int32_t)slot++;
@@ -384,43 +389,46 @@ API void fill_tiles(int64_t begin, int64_t end, const Splat *splats, const int32
     }
 }
 
-// Blends tiles [begin, end). out (H, W, channels), transmittance (H, W), stopped (tiles): where each tile's list ended.
-API void blend_forward(int64_t begin, int64_t end, int width, int height, int channel_count, const Splat *splats,
+// Blends tiles [begin, end). out (H, W, channels), transmittance (H, W), endings (H, W): the rank in its tile's list at
+// which a pixel ended.
+API void blend_forward(int64_t begin, int64_t end, int64_t width, int64_t height, int64_t channel_count, const Splat *splats,
                        const float *channels, const int32_t *ids, const int64_t *tile_starts, const float *background,
-                       float *out, float *transmittance, int64_t *stopped) {
+                       float *out, float *transmittance, int32_t *endings) {
     for (int64_t t = begin; t < end; t++) {
-        Tile tile = tile_at((int)t, width, height);
+        Tile tile = tile_at((int)t, (int)width, (int)height);
         for (int c = 0; c < channel_count; c += GROUP)
-            with_channels<GROUP>(smaller(GROUP, channel_count - c), [&](auto count) {
+            with_channels<GROUP>(smaller(GROUP, (int)channel_count - c), [&](auto count) {
                 forward_tile<decltype(count)::value>(tile, width, splats, channels + c, channel_count, ids, tile_starts[t],
-                                      tile_starts[t + 1], background + c, out + c, transmittance, stopped + t);
+                                                     tile_starts[t + 1], background + c, out + c, transmittance, endings);
             });
     }
 }
 
 // Gradients of tiles [begin, end): a slot of moments and channel gradients per (Gaussian, tile), the background's per
 // tile. Groups of channels add up, since the gradient is linear in them.
-API void blend_backward(int64_t begin, int64_t end, int width, int height, int channel_count, const Splat *splats,
+API void blend_backward(int64_t begin, int64_t end, int64_t width, int64_t height, int64_t channel_count, const Splat *splats,
                         const float *channels, const int32_t *ids, const int32_t *slots, const int64_t *tile_starts,
-                        const int64_t *stopped, const float *out, const float *transmittance, const float *out_gradient,
-                        const float *alpha_gradient, float *gradients, float *background_gradient) {
+                        const float *background, const float *transmittance, const int32_t *endings,
+                        const float *out_gradient, const float *alpha_gradient, float *gradients,
+                        float *background_gradient) {
     for (int64_t t = begin; t < end; t++) {
-        Tile tile = tile_at((int)t, width, height);
+        Tile tile = tile_at((int)t, (int)width, (int)height);
         for (int c = 0; c < channel_count; c += GROUP)
-            with_channels<GROUP>(smaller(GROUP, channel_count - c), [&](auto count) {
-                backward_tile<decltype(count)::value>(tile, width, splats, channels + c, channel_count, ids, slots, tile_starts[t],
-                                       stopped[t], tile_starts[t + 1], out + c, transmittance, out_gradient + c,
-                                       alpha_gradient, c, gradients, background_gradient + t * channel_count + c);
+            with_channels<GROUP>(smaller(GROUP, (int)channel_count - c), [&](auto count) {
+                backward_tile<decltype(count)::value>(
+                    tile, width, splats, channels + c, channel_count, ids, slots, tile_starts[t], tile_starts[t + 1],
+                    background + c, transmittance, endings, out_gradient + c, alpha_gradient, c, gradients,
+                    background_gradient + t * channel_count + c);
             });
     }
 }
 
 // Sums the slots of ranks [begin, end) in their fixed order and turns moments into gradients. With v = -dL/ds summed:
 // ds = 2 c u (dy' + k dx' + dx k') + 2 h dx dx' + u^2 c' + dx^2 h', and c, k, h by the conic.
-API void gather(int64_t begin, int64_t end, int channel_count, const Splat *splats, const int32_t *order,
+API void gather(int64_t begin, int64_t end, int64_t channel_count, const Splat *splats, const int32_t *order,
                 const int64_t *rank_starts, const float *gradients, float *means2d, float *conics, float *opacities,
                 float *channels) {
-    int size = MOMENTS + channel_count;
+    int64_t size = MOMENTS + channel_count;
     for (int64_t rank = begin; rank < end; rank++) {
         int64_t i = order[rank];
         const Splat &g = splats[i];

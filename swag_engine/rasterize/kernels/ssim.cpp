@@ -42,10 +42,10 @@ struct Block {
 
 // Rows [begin, end): sums (height, 2) gets each row's sum of |image - target| and of SSIM; derivatives (3, height, width, 3)
 // those of SSIM by the blurred image, the blurred squared image and the blurred product.
-API void l1_ssim_forward(int64_t begin, int64_t end, int height, int width, const float *image, const float *target,
+API void l1_ssim_forward(int64_t begin, int64_t end, int64_t height, int64_t width, const float *image, const float *target,
                          double *sums, float *derivatives) {
-    int row = width * CHANNELS;
-    int64_t plane = (int64_t)height * row;
+    int row = (int)width * CHANNELS;
+    int64_t plane = height * row;
     for (int64_t y = begin; y < end; y++) {
         double l1 = 0, total = 0;
         for (int at = 0; at < row; at += BLOCK) {
@@ -94,10 +94,10 @@ API void l1_ssim_forward(int64_t begin, int64_t end, int height, int width, cons
 }
 
 // Rows [begin, end) of gradient = l1_weight sign(image - target) + ssim_weight d(sum of SSIM)/d(image).
-API void l1_ssim_backward(int64_t begin, int64_t end, int height, int width, const float *image, const float *target,
+API void l1_ssim_backward(int64_t begin, int64_t end, int64_t height, int64_t width, const float *image, const float *target,
                           const float *derivatives, float l1_weight, float ssim_weight, float *gradient) {
-    int row = width * CHANNELS;
-    int64_t plane = (int64_t)height * row;
+    int row = (int)width * CHANNELS;
+    int64_t plane = height * row;
     for (int64_t y = begin; y < end; y++)
         for (int at = 0; at < row; at += BLOCK) {
             Block block(at, row);

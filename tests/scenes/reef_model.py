@@ -14,6 +14,7 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 SUN = np.array([-0.42, -0.38, 0.82]) / np.linalg.norm([-0.42, -0.38, 0.82])  # towards the sun
+RGB = tuple[float, float, float]
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (V,3), quads (F,4), tint (V,) in 0..1
 
 
@@ -22,6 +23,7 @@ Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (V,3), quads (F,4),
 
 def noise(p: np.ndarray, seed: int = 0) -> np.ndarray:
     """Smooth value noise in -1..1 at points (..., 3), one feature per unit."""
+    p = np.atleast_2d(p)
     cell = np.floor(p).astype(np.int64)
     f = p - cell
     f = f * f * f * (f * (f * 6 - 15) + 10)
@@ -31,7 +33,7 @@ def noise(p: np.ndarray, seed: int = 0) -> np.ndarray:
         h = (x * 73856093) ^ (y * 19349663) ^ (z * 83492791) ^ (seed * 2654435761)
         h = (h ^ (h >> 13)) * 1274126177 & 0xFFFFFFFF
         h = (h ^ (h >> 16)) * 2246822519 & 0xFFFFFFFF
-        return ((h ^ (h >> 15)) & 0xFFFF) / 32767.5 - 1
+        return ((h ^ (h >> 15)) & 0xFFFF) / 32767.5 - 1  # int64 wraps around, which is what a hash wants
 
     total = np.zeros(p.shape[:-1])
     for dx in (0, 1):
@@ -204,14 +206,14 @@ def material(
     coarse = noisy(scale, 3, grain)
     stops = np.linspace(0.33, 0.67, len(colours))
     colour = ramp(coarse, [(s, c) for s, c in zip(stops, colours, strict=True)])
-    detail = noisy(scale * fine, 6, grain)
+    detail = noisy(scale * fine, 4, grain)
     colour = mixed(1.0, colour, ramp(detail, [(0.3, (0.42,) * 3), (0.5, (1.0,) * 3), (0.72, (1.55,) * 3)]), "MULTIPLY")
     height = detail
     if tip:
         tint = node("Attribute", attribute_name="tint").outputs["Fac"]
         colour = mixed(tint, colour, mixed(1.0, (*tip, 1), ramp(detail, [(0.3, (0.7,) * 3), (0.6, (1.1,) * 3)]), "MULTIPLY"))
     for index, (growth_colour, size, share) in enumerate(growth):
-        patch = noisy(size, 5, node("VectorMath", {0: where, 1: (index * 7.7, 3.1, 5.3)}).outputs[0])
+        patch = noisy(size, 3, node("VectorMath", {0: where, 1: (index * 7.7, 3.1, 5.3)}).outputs[0])
         edge = 0.5 + (0.5 - share) * 0.5
         mask = ramp(patch, [(edge - 0.02, (0,) * 3), (edge + 0.03, (1,) * 3)])
         coat = mixed(1.0, (*growth_colour, 1), ramp(detail, [(0.3, (0.5,) * 3), (0.7, (1.4,) * 3)]), "MULTIPLY")
@@ -570,6 +572,7 @@ class Model:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self.scene = bpy.context.scene
         self.rng = np.random.default_rng(seed)
+        self.path = np.array([np.linalg.inv(pose)[:3, 3] for pose in camera_path(96)])
         self.materials = _materials()
         self.still = bpy.data.collections.new("still")
         self.moving = bpy.data.collections.new("moving")
@@ -595,7 +598,7 @@ class Model:
 
     def _light(self) -> None:
         light = bpy.data.lights.new("sun", "SUN")
-        light.energy, light.angle = 3.1, 0.06
+        light.energy, light.angle = 3.9, 0.06
         sun = bpy.data.objects.new("sun", light)
         sun.rotation_mode = "QUATERNION"
         sun.rotation_quaternion = Vector(SUN).to_track_quat("Z", "Y")
@@ -603,25 +606,29 @@ class Model:
         self.scene.collection.objects.link(sun)
         world = bpy.data.worlds.new("sky")
         world.use_nodes = True
-        world.node_tree.nodes["Background"].inputs[0].default_value = (0.5, 0.52, 0.55, 1)
+        world.node_tree.nodes["Background"].inputs[0].default_value = (0.72, 0.75, 0.8, 1)
         self.scene.world = world
         self.scene.view_layers[0].lightgroups.add(name="sun")
 
-    def _surface(self, x: float, y: float) -> tuple[np.ndarray, np.ndarray, str] | None:
-        """What lies under (x, y): point, normal, name of the object."""
-        hit, point, normal, _, item, _ = self.scene.ray_cast(self.depsgraph, (x, y, 12), (0, 0, -1))
-        return (np.array(point), np.array(normal), item.name) if hit else None
+    def _surface(self, x: float, y: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """What lies under (x, y): point and upward normal."""
+        hit, point, normal, *_ = self.scene.ray_cast(self.depsgraph, (x, y, 12), (0, 0, -1))
+        normal = np.array(normal)
+        return (np.array(point), normal if normal[2] > 0 else -normal) if hit else None
 
-    def _stand(self, mesh: bpy.types.Mesh, x: float, y: float, size: float, lean: float = 0.5, sink: float = 0.03) -> bool:
+    def _clear(self, point: np.ndarray, size: float) -> bool:
+        """Whether something of this size at this point would leave the cameras their view."""
+        return np.linalg.norm(self.path - point - [0, 0, 0.3 * size], axis=1).min() > 0.95 + 0.5 * size
+
+    def _stand(self, mesh: bpy.types.Mesh, x: float, y: float, size: float, lean: float) -> None:
         """Stand a mesh on whatever is at (x, y), leaning with the surface."""
         surface = self._surface(x, y)
-        if surface is None or surface[1][2] < 0.35:
-            return False
-        point, normal, _ = surface
+        if surface is None or surface[1][2] < 0.35 or not self._clear(surface[0], size):
+            return
+        point, normal = surface
         up = Vector((1 - lean) * np.array([0, 0, 1]) + lean * normal)
         turn = up.to_track_quat("Z", "Y").to_matrix().to_4x4() @ Matrix.Rotation(self.rng.uniform(0, 2 * np.pi), 4, "Z")
-        self.place(mesh, Matrix.Translation(point - normal * sink) @ turn @ Matrix.Diagonal((size, size, size * self.rng.uniform(0.85, 1.15), 1)))
-        return True
+        self.place(mesh, Matrix.Translation(point - normal * 0.03) @ turn @ Matrix.Diagonal((size, size, size * self.rng.uniform(0.85, 1.15), 1)))
 
     def _model(self) -> None:
         rng = self.rng
@@ -632,12 +639,14 @@ class Model:
         self.place(self.mesh("seabed", sheet(np.stack([x, y, seabed_height(x, y)], -1)), "sand"), Matrix())
 
         def ground(x: float, y: float) -> float:
-            return float(seabed_height(np.array(x), np.array(y)))
+            return seabed_height(np.array(x), np.array(y)).item()
 
         rocks = [self.mesh(f"rock {k}", rock(rng), "rock") for k in range(5)]
 
         def boulder(x: float, y: float, size: float) -> None:
             turn = Matrix.Rotation(rng.uniform(0, 6.28), 4, "Z") @ Matrix.Rotation(rng.normal(0, 0.25), 4, "X")
+            if not self._clear(np.array([x, y, ground(x, y)]), size):
+                return
             stretch = Matrix.Diagonal((size * rng.uniform(0.8, 1.3), size * rng.uniform(0.8, 1.3), size * rng.uniform(0.7, 1.2), 1))
             at = Matrix.Translation((x, y, ground(x, y) + 0.05 * size))
             self.place(rocks[rng.integers(5)], at @ turn @ stretch)
@@ -666,7 +675,7 @@ class Model:
         for k in range(20):
             x, y = rng.normal(0.95, 0.85), rng.normal(-2.35, 0.45)
             tilt = Matrix.Rotation(rng.uniform(0, 6.28), 4, "Z") @ Matrix.Rotation(rng.normal(1.45, 0.16) if k % 5 else 0.3, 4, "X")
-            size = rng.uniform(0.8, 1.1)
+            size = rng.uniform(0.6, 0.85)
             self.place(pot, Matrix.Translation((x, y, ground(x, y) + (0.12 if k % 5 else -0.15))) @ tilt @ Matrix.Scale(size, 4))
         for x, y, lift, turn in ((-1.15, -2.3, 0.2, 0.4), (-0.55, -2.95, 0.12, 1.1), (-1.0, -2.35, 0.72, 0.9), (3.4, -2.5, 0.15, 2.0)):
             at = Matrix.Translation((x, y, ground(x, y) + lift)) @ Matrix.Rotation(turn, 4, "Z") @ Matrix.Rotation(rng.normal(0, 0.12), 4, "X")
@@ -707,9 +716,9 @@ class Model:
 GARDENS = (  # coral heads: x, y, spread, rocks, size
     (-4.9, -2.9, 0.75, 7, 0.5),
     (4.6, -3.1, 0.8, 8, 0.5),
-    (-1.9, -4.2, 0.55, 5, 0.34),
-    (2.1, -4.3, 0.6, 5, 0.36),
-    (0.2, -3.9, 0.4, 3, 0.25),
+    (-2.3, -4.0, 0.5, 5, 0.34),
+    (2.5, -3.9, 0.5, 5, 0.36),
+    (0.3, -4.0, 0.4, 4, 0.25),
     (-6.6, 0.8, 1.0, 9, 0.8),
     (6.8, 0.6, 1.0, 9, 0.8),
 )
@@ -784,7 +793,7 @@ def camera_path(views: int) -> list[np.ndarray]:
         lower = np.sin(phase * 2 * np.pi)
         radius = 6.3 - 0.55 * lower + 0.4 * np.cos(phase * 6 * np.pi)
         centre = np.array([radius * np.sin(angle), -radius * np.cos(angle) * 0.98, 0])
-        centre[2] = float(seabed_height(centre[0], centre[1])) * 0.3 + 1.75 - 0.75 * lower + 0.12 * np.sin(phase * 10 * np.pi)
+        centre[2] = seabed_height(centre[0], centre[1]).item() * 0.3 + 1.75 - 0.75 * lower + 0.12 * np.sin(phase * 10 * np.pi)
         target = np.array([1.1 * np.sin(angle), 0.6, 0.95 + 0.15 * np.cos(phase * 4 * np.pi)])
         forward = target - centre
         forward /= np.linalg.norm(forward)
@@ -835,7 +844,8 @@ class Renderer:
         cycles = scene.cycles
         cycles.samples, cycles.use_adaptive_sampling, cycles.seed = samples, False, 0
         cycles.use_denoising = True
-        cycles.max_bounces, cycles.diffuse_bounces = 2, 2
+        cycles.denoising_prefilter, cycles.denoising_quality = "FAST", "BALANCED"
+        cycles.max_bounces = 0  # sun and sky with their shadows; light from surface to surface costs as much again
         cycles.pixel_filter_type = "BOX"
         layer = scene.view_layers[0]
         layer.use_pass_z = True
@@ -909,6 +919,45 @@ class Renderer:
             np.where(front > 0.5, own.sun_share, passes.sun_share),
             front,
         )
+
+    def volume(
+        self, poses: list[np.ndarray], supersample: int, samples: int, absorption: RGB, scattering: RGB, anisotropy: float, surface: float, light: float
+    ) -> list[np.ndarray]:
+        """The scene in a homogeneous medium up to the height `surface`: linear light (H,W,3) per pose.
+
+        `absorption` and `scattering` per metre, the phase function Henyey-Greenstein's; `light` times the light above
+        the water than the clean passes have. Images are `supersample` times smaller than the passes.
+        """
+        scene = self.model.scene
+        scene.render.film_transparent = False
+        scene.render.resolution_percentage = round(100 / supersample)
+        scene.cycles.samples = samples
+        scene.cycles.max_bounces, scene.cycles.volume_bounces, scene.cycles.diffuse_bounces = 3, 3, 0
+        bpy.data.lights["sun"].energy *= light
+        scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value *= light
+        water = bpy.data.materials.new("water")
+        water.use_nodes = True
+        tree = water.node_tree
+        tree.nodes.clear()
+        both, output = tree.nodes.new("ShaderNodeAddShader"), tree.nodes.new("ShaderNodeOutputMaterial")
+        absorb, scatter = tree.nodes.new("ShaderNodeVolumeAbsorption"), tree.nodes.new("ShaderNodeVolumeScatter")
+        # The coefficient is density * (1 - colour) in the one, density * colour in the other.
+        absorb.inputs["Density"].default_value = max(absorption)
+        absorb.inputs["Color"].default_value = (*(1 - a / max(absorption) for a in absorption), 1)
+        scatter.inputs["Density"].default_value = max(scattering)
+        scatter.inputs["Color"].default_value = (*(s / max(scattering) for s in scattering), 1)
+        scatter.inputs["Anisotropy"].default_value = anisotropy
+        for k, node in enumerate((absorb, scatter)):
+            tree.links.new(node.outputs[0], both.inputs[k])
+        tree.links.new(both.outputs[0], output.inputs["Volume"])
+        self.model.materials["water"] = water
+        bottom = -6.0
+        box = board([-60, 0, (surface + bottom) / 2], [60, 0, (surface + bottom) / 2], 120, surface - bottom)
+        item = self.model.place(self.model.mesh("water", box, "water", smooth=False), Matrix(), self.model.still)
+        self.model.still.hide_render, self.model.moving.hide_render = False, True
+        images = [self._shot(pose)["Image"][..., :3].clip(0) for pose in poses]
+        bpy.data.objects.remove(item)
+        return images
 
 
 def _pixels(path: Path) -> np.ndarray:

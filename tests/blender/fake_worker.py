@@ -1,0 +1,114 @@
+"""Stands in for the engine's Python: speaks the worker's protocol, and does what the name of the scene's folder says.
+
+Called as `fake_worker.py -m swag_engine.worker`, or `-m swag_engine ARGUMENTS` for the command line.
+"""
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+from swag_engine.formats.ply import write_ply
+from swag_engine.gaussians.splats import Splats
+
+ITERATIONS = 10
+cancelled = threading.Event()
+
+
+def send(**event):
+    print(json.dumps(event), flush=True)
+
+
+def splats(count):
+    random = np.random.default_rng(0)
+    return Splats(
+        positions=random.uniform(-1, 1, (count, 3)).astype(np.float32),
+        rotations=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        scales=np.full((count, 3), 0.02, np.float32),
+        opacities=np.full(count, 0.9, np.float32),
+        sh=random.uniform(-1, 1, (count, 1, 3)).astype(np.float32),
+    )
+
+
+def train(request):
+    scene, run = Path(request["scene"]), Path(request["out"])
+    behaviour = scene.name
+    if behaviour == "unusable":
+        send(event="error", kind="input", message=f"{scene} holds no COLMAP model: look for the folder with sparse/0.")
+        return
+    run.mkdir(parents=True, exist_ok=True)
+    (run / "config.json").write_text(json.dumps(request))
+    for photograph in range(1, 4):
+        send(event="progress", stage="load", iteration=photograph, iterations=3, seconds=0.1, seconds_left=1.0)
+    print("a library that prints to stdout")
+    iteration = 0
+    while iteration < ITERATIONS and not cancelled.is_set():
+        iteration += 1
+        send(
+            event="progress", stage="train", iteration=iteration, iterations=ITERATIONS, seconds=iteration * 0.1,
+            seconds_left=65.0, loss=0.1, psnr=20.0 + iteration if iteration > 4 else None, ssim=None,
+            gaussians=100 * iteration, iterations_per_second=7.5,
+        )  # fmt: skip
+        if iteration == 5:
+            write_ply(run / "preview.ply", splats(50))
+            send(event="preview", path=str(run / "preview.ply"), iteration=iteration)
+        if iteration == 6 and behaviour == "killed":
+            print("the last line of the log", file=sys.stderr, flush=True)
+            os.kill(os.getpid(), signal.SIGKILL)
+        if iteration == 6 and behaviour == "crash":
+            raise MemoryError("no memory left")
+        if iteration == 6 and behaviour == "deaf":
+            time.sleep(600)
+        if iteration == 6 and behaviour == "endless":
+            cancelled.wait()
+        time.sleep(0.02)
+    count = 100 * iteration
+    write_ply(run / "result.ply", splats(count))
+    metrics = {"test_psnr": 25.5, "test_ssim": 0.8, "gaussians": count, "seconds": 61.0, "interrupted": cancelled.is_set()}
+    (run / "metrics.json").write_text(json.dumps(metrics))
+    send(
+        event="result", request="train", run=str(run), ply=str(run / "result.ply"), metrics=metrics,
+        interrupted=cancelled.is_set(),
+    )  # fmt: skip
+
+
+def inspect(request):
+    send(
+        event="result", request="inspect", scene=request["scene"], images=12, registered=11,
+        points={"positions": "", "colors": "", "count": 345}, up=[0, 0, 1], cameras=[], summary={},
+        warnings=["The disk lacks one.png."],
+    )  # fmt: skip
+
+
+def main():
+    if sys.argv[2] == "swag_engine":
+        print("arguments", json.dumps(sys.argv[3:]))
+        sys.exit(7)
+    for line in sys.stdin:
+        request = json.loads(line)
+        if request["request"] == "cancel":
+            cancelled.set()
+        else:
+            if Path(request["scene"]).name == "deaf":
+                signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            # On the main thread's behalf: a crash must end the process, as it does in the engine.
+            answer = {"train": train, "inspect": inspect}[request["request"]]
+            threading.Thread(target=run_or_die, args=(answer, request), daemon=True).start()
+    cancelled.set()
+
+
+def run_or_die(answer, request):
+    try:
+        answer(request)
+    except BaseException:
+        import traceback
+
+        traceback.print_exc()
+        os._exit(1)
+
+
+main()

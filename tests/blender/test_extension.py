@@ -1,0 +1,146 @@
+"""The extension as a zip: it builds, validates, installs, enables, and leaves nothing behind."""
+
+import zipfile
+
+REGISTER_TWICE = """
+import bpy, addon_utils
+
+def state():
+    handlers = {name: [h for h in getattr(bpy.app.handlers, name) if "swag" in h.__module__]
+                for name in dir(bpy.app.handlers) if isinstance(getattr(bpy.app.handlers, name), list)}
+    menus = {name: len(getattr(getattr(bpy.types, name).draw, "_draw_funcs", ()))
+             for name in dir(bpy.types) if name.startswith("TOPBAR_MT_file_")}
+    return {
+        "classes": [name for name in dir(bpy.types) if "swag" in name.lower()],
+        "operators": dir(bpy.ops.swag),
+        "properties": [cls.__name__ for cls in (bpy.types.Scene, bpy.types.WindowManager) if hasattr(cls, "swag")],
+        "handlers": {name: kept for name, kept in handlers.items() if kept},
+        "menus": menus,
+    }
+
+addon_utils.disable(EXTENSION)
+before = state()
+assert not before["classes"] and not before["operators"] and not before["properties"] and not before["handlers"], before
+for _ in range(2):
+    assert addon_utils.enable(EXTENSION)
+    during = state()
+    assert "SWAG_OT_train" in during["classes"] and "SWAG_PT_train" in during["classes"]
+    assert during["properties"] == ["Scene", "WindowManager"]
+    addon_utils.disable(EXTENSION)
+    assert state() == before, (before, state())
+bpy.utils.unregister_cli_command(bpy.utils.register_cli_command("swag", print))
+print("CLEAN")
+"""
+
+
+def test_zip_holds_what_runs_and_nothing_else(extension_zip):
+    with zipfile.ZipFile(extension_zip) as archive:
+        names = archive.namelist()
+    for needed in ("__init__.py", "blender_manifest.toml", "LICENSE", "constraints.txt", "requirements.txt",
+                   "swag_engine/worker.py", "swag_blender/panels.py", "operators/train.py"):  # fmt: skip
+        assert needed in names
+    assert any(name.startswith("swag_engine/rasterize/kernels/lib/") for name in names)
+    tops = {name.split("/")[0] for name in names}
+    assert not tops & {"tests", "demo", "benchmarks", "dist", "docs", ".venv", ".git", ".ci", "Makefile"}
+    assert not [name for name in names if "__pycache__" in name or "/." in name]
+
+
+def test_registers_and_unregisters_twice_without_leftovers(blender):
+    printed = blender.run(REGISTER_TWICE)
+    # Blender warns of a command that is registered while an older one of its name is still there.
+    assert "CLEAN" in printed and "duplicate command" not in printed
+
+
+def test_defaults_are_the_engines(blender):
+    from swag_engine.training.config import TrainSettings
+
+    printed = blender.run("import json; print('SETTINGS', json.dumps(bpy.context.scene.swag.train_settings()))")
+    assert blender.json_after("SETTINGS", printed) == TrainSettings().to_json()
+
+
+def test_panels_draw_nothing_heavy(blender):
+    """Blender's process never imports what only the engine needs."""
+    printed = blender.run(
+        "import sys, json; print('HEAVY', json.dumps([m for m in ('torch', 'pycolmap', 'cv2') if m in sys.modules]))"
+    )
+    assert blender.json_after("HEAVY", printed) == []
+
+
+def test_command_runs_the_engine_with_the_same_words_and_exit_code(blender, fake_engine):
+    printed = blender.run(
+        """
+        from bl_ext.user_default.swag_splatting.swag_blender import commands
+        print("CODE", commands.run(["train", "a folder", "--out", "räumlich"]), flush=True)
+        """,
+        SWAG_ENGINE_PYTHON=fake_engine,
+    )
+    assert blender.json_after("arguments", printed) == ["train", "a folder", "--out", "räumlich"]
+    assert blender.json_after("CODE", printed) == 7
+
+
+def test_command_without_an_engine_says_so(blender):
+    printed = blender.run(
+        """
+        from bl_ext.user_default.swag_splatting.swag_blender import commands
+        print("CODE", commands.run(["doctor"]), flush=True)
+        """,
+        SWAG_ENGINE_PYTHON="/no/such/python",
+    )
+    assert "/no/such/python cannot be run" in printed and "Traceback" not in printed
+    assert blender.json_after("CODE", printed) == 2
+
+
+INSTALL = """
+import json, bpy
+from bl_ext.user_default.swag_splatting.swag_blender import engine_process
+try:
+    bpy.ops.swag.install_engine()
+except RuntimeError as error:
+    print("REFUSED", json.dumps(str(error)))
+bpy.context.preferences.system.use_online_access = True
+try:
+    bpy.ops.swag.install_engine()
+except RuntimeError as error:
+    print("FAILED", json.dumps(str(error)))
+print("WHOLE", json.dumps(engine_process.environment_is_whole()))
+engine_process.PACKAGES = ("no_such_package",)
+try:
+    print("ENGINE", json.dumps(engine_process.engine_python()))
+except engine_process.EngineError as error:
+    print("NONE", json.dumps(str(error)))
+"""
+
+
+def make_wheels(folder, requirements, constraints):
+    """Empty packages with the names and versions that the engine asks for."""
+    pinned = dict(line.split("==") for line in constraints.read_text().splitlines() if "==" in line)
+    modules = {"opencv-contrib-python-headless": "cv2"}
+    folder.mkdir()
+    for name in requirements.read_text().split():
+        version = pinned[name].split(";")[0].strip()
+        module, plain = modules.get(name, name), name.replace("-", "_")
+        info = f"{plain}-{version}.dist-info"
+        with zipfile.ZipFile(folder / f"{plain}-{version}-py3-none-any.whl", "w") as wheel:
+            wheel.writestr(f"{module}.py", f"__version__ = {version!r}\n")
+            wheel.writestr(f"{info}/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+            wheel.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+            wheel.writestr(f"{info}/RECORD", "")
+    return folder
+
+
+def test_install_engine_respects_online_access_and_makes_an_environment(blender, root, tmp_path):
+    wheels = make_wheels(tmp_path / "wheels", root / "requirements.txt", root / "constraints.txt")
+    printed = blender.run(INSTALL, PIP_NO_INDEX="1", PIP_FIND_LINKS=str(wheels))
+    assert "Online access is off" in blender.json_after("REFUSED", printed)
+    assert "FAILED" not in printed
+    assert blender.json_after("WHOLE", printed) is True
+    assert "swag_splatting" in blender.json_after("ENGINE", printed)
+
+
+def test_failed_installation_leaves_no_environment_that_looks_whole(blender, tmp_path):
+    (tmp_path / "empty").mkdir()
+    printed = blender.run(INSTALL, PIP_NO_INDEX="1", PIP_FIND_LINKS=str(tmp_path / "empty"))
+    failed = blender.json_after("FAILED", printed)
+    assert "The engine could not be installed. Installing packages failed" in failed and "Traceback" not in printed
+    assert blender.json_after("WHOLE", printed) is False
+    assert "press Install Engine" in blender.json_after("NONE", printed)

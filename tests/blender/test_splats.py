@@ -1,0 +1,243 @@
+"""Splats as Blender objects: their data, and what Cycles draws of them."""
+
+import numpy as np
+import pytest
+
+SETUP = """
+import json, sys, time
+import numpy as np
+from bl_ext.user_default.swag_splatting.swag_blender import scene_import, splats
+from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+from bl_ext.user_default.swag_splatting.swag_engine.gaussians.splats import Splats
+
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+
+def random_splats(count, coefficients, seed=0):
+    random = np.random.default_rng(seed)
+    rotations = random.normal(size=(count, 4))
+    rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
+    return Splats(
+        random.normal(size=(count, 3)).astype("f4"), rotations.astype("f4"),
+        random.uniform(0.01, 0.1, (count, 3)).astype("f4"), random.uniform(0, 1, count).astype("f4"),
+        random.normal(size=(count, coefficients, 3)).astype("f4"),
+        {"label": random.integers(-5, 9, count).astype("i4"), "importance": random.random(count).astype("f4")},
+    )
+
+def saved(path):
+    held = np.load(path)
+    return Splats(*(held[name] for name in ("positions", "rotations", "scales", "opacities", "sh")))
+
+def point_sampled(width, height):
+    # One sample at each pixel's centre: no filter between the formula and the figure.
+    scene.cycles.samples = 1
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 0.01
+    scene.render.film_transparent = True
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    scene.render.filepath = sys.argv[-1] + "/render.exr"
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    pixels = np.empty(width * height * 4, "f4")
+    image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
+    return pixels.reshape(height, width, 4)[::-1]
+
+def view(width, height, focal):
+    root = bpy.data.objects.new("root", None)
+    scene.collection.objects.link(root)
+    pinhole = {"name": "view", "width": width, "height": height, "fx": focal, "fy": focal, "cx": width / 2 - 3,
+               "cy": height / 2 + 2}
+    camera = scene_import.camera_object(pinhole | {"world_to_camera": np.eye(4).tolist()}, root, scene.collection)
+    scene_import.look_through(scene, camera)
+"""
+
+
+def test_what_goes_in_comes_out_bit_for_bit(blender):
+    blender.run(
+        SETUP
+        + """
+def equal(a, b):
+    fields = ("positions", "rotations", "scales", "opacities", "sh")
+    assert all(np.array_equal(getattr(a, n), getattr(b, n)) for n in fields)
+    assert a.extras.keys() == b.extras.keys(), (a.extras.keys(), b.extras.keys())
+    assert all(np.array_equal(a.extras[n], b.extras[n]) and a.extras[n].dtype == b.extras[n].dtype for n in a.extras)
+
+for coefficients in (1, 4, 16):
+    made = random_splats(1000, coefficients)
+    obj = splats.new_splat_object("reef", made, scene.collection)
+    assert splats.is_splats(obj) and not splats.is_splats(None)
+    equal(splats.read_splats(obj), made)
+# Another number of splats, in place.
+obj.location = (1, 2, 3)
+data_name, modifiers = obj.data.name, [m.name for m in obj.modifiers]
+for count in (1, 1500, 700):
+    made = random_splats(count, 4, seed=count)
+    splats.replace_splats(obj, made)
+    equal(splats.read_splats(obj), made)
+assert obj.data.name == data_name and [m.name for m in obj.modifiers] == modifiers and tuple(obj.location) == (1, 2, 3)
+assert len(bpy.data.pointclouds) == 3 and len(bpy.data.scenes) == 1 and len(bpy.data.meshes) == 0
+assert {a.name for a in obj.data.attributes} >= {"scale", "rotation", "radius", "radiance:base", "radiance:sh_2"}
+assert obj.data.attributes["rotation"].data_type == "QUATERNION"
+# Saved and opened again.
+name = obj.name
+bpy.ops.wm.save_as_mainfile(filepath=bpy.app.tempdir + "splats.blend")
+bpy.ops.wm.open_mainfile(filepath=bpy.app.tempdir + "splats.blend")
+equal(splats.read_splats(bpy.data.objects[name]), made)
+        """
+    )
+
+
+def test_two_hundred_thousand_splats_are_quick(blender):
+    printed = blender.run(
+        SETUP
+        + """
+made = random_splats(200_000, 16)
+start = time.perf_counter()
+obj = splats.new_splat_object("reef", made, scene.collection)
+middle = time.perf_counter()
+splats.replace_splats(obj, random_splats(1, 1))
+flat = Splats(made.positions, made.rotations, made.scales, made.opacities, made.sh[:, :1])
+before = time.perf_counter()
+splats.replace_splats(obj, flat)
+print("SECONDS", json.dumps([middle - start, time.perf_counter() - before]))
+        """
+    )
+    new, replaced = blender.json_after("SECONDS", printed)
+    print(new, replaced)
+    assert new < 1.5 and replaced < 0.5
+
+
+def test_an_ellipsoid_has_the_gaussians_alpha(blender, tmp_path):
+    """The solid form, from the front: alpha = opacity exp(-r^2 / 2 sigma^2); BT.709 linear light of display grey .7."""
+    blender.run(
+        SETUP
+        + """
+one = Splats(np.zeros((1, 3), "f4"), np.array([[1, 0, 0, 0]], "f4"), np.full((1, 3), 0.1, "f4"), np.array([0.8], "f4"),
+             np.full((1, 1, 3), 0.2 / 0.28209479, "f4"))
+obj = splats.new_splat_object("one", one, scene.collection)
+camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+scene.collection.objects.link(camera)
+camera.location, camera.data.type, camera.data.ortho_scale, scene.camera = (0, 0, 5), "ORTHO", 1, camera
+scene.render.resolution_x = scene.render.resolution_y = 101
+for facing in (False, True):
+    splat_preview.prepare_cycles(scene, display_values=facing)
+    splat_preview.set_input(obj, splat_preview.FACE_CAMERA, facing)
+    np.save(f"{sys.argv[-1]}/{facing}.npy", point_sampled(101, 101))
+        """,
+        tmp_path,
+    )
+    sigmas = np.arange(26) / 101 / 0.1
+    for facing, colour in ((False, ((0.7 + 0.055) / 1.055) ** 2.4), (True, 0.7)):
+        row = np.load(tmp_path / f"{facing}.npy")[50, 50:76]
+        assert np.allclose(row[:, 3], 0.8 * np.exp(-(sigmas**2) / 2), atol=1e-3), facing
+        assert np.allclose(row[:, :3] / row[:, 3:], colour, atol=1e-4), facing
+
+
+@pytest.fixture(scope="module")
+def heap():
+    """A heap of splats in front of a camera at the origin, with degree-3 harmonics."""
+    random = np.random.default_rng(3)
+    count = 400
+    rotations = random.normal(size=(count, 4))
+    rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
+    sh = random.normal(size=(count, 16, 3)) * 0.2
+    sh[:, 0] = random.uniform(-1.5, 1.5, (count, 3))
+    held = {
+        "positions": np.c_[random.uniform(-3, 3, (count, 2)), random.uniform(3, 9, count)],
+        "rotations": rotations,
+        "scales": np.exp(random.uniform(np.log(0.01), np.log(0.3), (count, 3))),
+        "opacities": random.uniform(0.1, 1, count),
+        "sh": sh,
+    }
+    return {name: array.astype(np.float32) for name, array in held.items()}
+
+
+def drawn_by_the_engine(held, width, height, focal):
+    import torch
+
+    from swag_engine.gaussians.sh import evaluate_sh
+    from swag_engine.rasterize.api import rasterize
+
+    t = {name: torch.tensor(array, dtype=torch.float64) for name, array in held.items()}
+    directions = torch.nn.functional.normalize(t["positions"], dim=1)
+    colors = evaluate_sh(t["sh"], directions, 3)
+    K = torch.tensor([[focal, 0, width / 2 - 3], [0, focal, height / 2 + 2], [0, 0, 1]], dtype=torch.float64)
+    drawn = rasterize(
+        t["positions"], t["rotations"], t["scales"], t["opacities"], colors, torch.eye(4, dtype=torch.float64), K,
+        width, height, torch.zeros(3, dtype=torch.float64), backend="torch",
+    )  # fmt: skip
+    return drawn.channels.numpy(), drawn.alpha.numpy()
+
+
+def psnr(a, b):
+    return -10 * np.log10(np.mean((a - b) ** 2))
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_cycles_draws_the_engines_picture(blender, heap, tmp_path, moved):
+    """Display values, a camera with shift: equal to the rasteriser, also when scene and splats are turned together."""
+    np.savez(tmp_path / "heap.npz", **heap)
+    blender.run(
+        SETUP
+        + f"""
+moved = {moved}
+"""
+        + """
+view(160, 100, 150.0)
+obj = splats.new_splat_object("heap", saved(sys.argv[1]), scene.collection, bpy.data.objects["root"])
+if moved:
+    bpy.data.objects["root"].matrix_world = splats.FILE_FRAME
+    bpy.data.objects["root"].rotation_euler.z = 0.7
+    bpy.data.objects["root"].location = (3, 1, -2)
+    bpy.data.objects["root"].scale = (2, 2, 2)
+splat_preview.prepare_cycles(scene, display_values=True)
+splat_preview.set_input(obj, splat_preview.PIXEL_SIZE, 1 / 150)
+assert scene.view_settings.view_transform == "Raw"
+np.save(sys.argv[-1] + "/render.npy", point_sampled(160, 100))
+        """,
+        tmp_path / "heap.npz",
+        tmp_path,
+    )
+    render = np.load(tmp_path / "render.npy")
+    color, alpha = drawn_by_the_engine(heap, 160, 100, 150.0)
+    print(psnr(render[..., :3], color), psnr(render[..., 3], alpha))
+    assert psnr(render[..., :3], color) > 55 and psnr(render[..., 3], alpha) > 55
+
+
+def test_linear_light_blends_light(blender, tmp_path):
+    """Two splats over each other: the one behind shows through as light, after the sRGB curve."""
+    blender.run(
+        SETUP
+        + """
+colors = np.array([[0.9, 0.2, 0.03], [0.1, 0.8, 0.5]])
+two = Splats(np.array([[0, 0, 4], [0, 0, 5]], "f4"), np.array([[1, 0, 0, 0]] * 2, "f4"), np.full((2, 3), 2.0, "f4"),
+             np.array([0.6, 0.9], "f4"), ((colors - 0.5) / 0.28209479177387814)[:, None].astype("f4"))
+view(33, 33, 400.0)
+splats.new_splat_object("two", two, scene.collection, bpy.data.objects["root"])
+splat_preview.prepare_cycles(scene, display_values=False)
+assert scene.view_settings.view_transform == "Standard"
+np.save(sys.argv[-1] + "/render.npy", point_sampled(33, 33))
+        """,
+        tmp_path,
+    )
+    display = np.array([[0.9, 0.2, 0.03], [0.1, 0.8, 0.5]])
+    light = np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+    middle = np.load(tmp_path / "render.npy")[18, 13]
+    assert np.allclose(middle[:3], 0.6 * light[0] + 0.4 * 0.9 * light[1], atol=1e-3)
+    assert middle[3] == pytest.approx(1 - 0.4 * 0.1, abs=1e-3)
+
+
+def test_viewport_shows_points_or_splats(blender):
+    blender.run(
+        SETUP
+        + """
+obj = splats.new_splat_object("reef", random_splats(500, 4), scene.collection)
+def shown():
+    graph = bpy.context.evaluated_depsgraph_get()
+    graph.update()
+    return sum(i.is_instance for i in graph.object_instances)
+assert shown() == 0
+splat_preview.set_input(obj, splat_preview.POINTS_IN_VIEWPORT, False)
+assert shown() == 500
+        """
+    )

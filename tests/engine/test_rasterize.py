@@ -1,0 +1,416 @@
+"""The rasteriser: projection and blending against their definitions, the kernels against the reference."""
+
+import ctypes
+import itertools
+import math
+import warnings
+
+import pytest
+import torch
+
+from swag_engine.errors import InputError
+from swag_engine.rasterize import cpu
+from swag_engine.rasterize.api import rasterize
+from swag_engine.rasterize.kernels import build
+from swag_engine.rasterize.projection import project
+
+GRADIENTS = ("means", "quats", "scales", "opacities", "channels", "background")
+
+
+def make_scene(n, channels=3, width=40, height=29, seed=0, size=0.25):
+    """Arguments of rasterize() in float64, exact in float32: Gaussians in front of a turned camera."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape):
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    turn = torch.linalg.qr(normal(3, 3)).Q
+    turn = turn * torch.linalg.det(turn)
+    viewmat = torch.eye(4, dtype=torch.float64)
+    viewmat[:3, :3], viewmat[:3, 3] = turn, normal(3)
+    seen = normal(n, 3) * torch.tensor([1.2, 0.9, 1.0]) + torch.tensor([0.0, 0.0, 3.5])
+    scene = {
+        "means": (seen - viewmat[:3, 3]) @ turn,
+        "quats": normal(n, 4),
+        "scales": size * torch.exp(0.7 * normal(n, 3)),
+        "opacities": torch.sigmoid(2 * normal(n) + 0.5),
+        "channels": normal(n, channels),
+        "viewmat": viewmat,
+        "K": torch.tensor([[0.8 * width, 0, 0.52 * width], [0, 0.85 * width, 0.47 * height], [0, 0, 1]]),
+        "background": normal(channels),
+    }
+    return {key: value.float().double() for key, value in scene.items()} | {"width": width, "height": height}
+
+
+def run(scene, backend, dtype=torch.float32):
+    """Image, alpha and the gradients of a fixed random functional of both; float64 on return."""
+    tensors = {k: v.to(dtype, copy=True) for k, v in scene.items() if isinstance(v, torch.Tensor)}
+    for name in GRADIENTS:
+        tensors[name].requires_grad_()
+    rendering = rasterize(**{**scene, **tensors}, backend=backend)
+    generator = torch.Generator().manual_seed(99)
+    loss = 0
+    for output in (rendering.channels, rendering.alpha):
+        weights = 1 + torch.randn(output.shape, generator=generator, dtype=torch.float64)
+        loss = loss + (output * weights.to(dtype)).sum()
+    loss.backward()
+    results = {"channels_out": rendering.channels, "alpha": rendering.alpha, "means2d": rendering.means2d.grad}
+    results |= {name: tensors[name].grad for name in GRADIENTS}
+    return {key: value.detach().double() for key, value in results.items()}, rendering
+
+
+def blend_by_the_book(scene):
+    """Image, alpha, and the distance of the nearest comparison to a tie: one Gaussian after the other on all pixels."""
+    arguments = [scene[k] for k in ("means", "quats", "scales", "opacities", "viewmat", "K", "width", "height")]
+    projection = project(*arguments)
+    height, width = scene["height"], scene["width"]
+    rows, columns = (torch.arange(size, dtype=torch.float64) + 0.5 for size in (height, width))
+    y, x = torch.meshgrid(rows, columns, indexing="ij")
+    out = torch.zeros(height, width, scene["channels"].shape[1], dtype=torch.float64)
+    transmittance = torch.ones(height, width, dtype=torch.float64)
+    going = torch.ones(height, width, dtype=torch.bool)
+    order = torch.argsort(projection.depths, stable=True).tolist()
+    gaps = projection.depths[order].diff()
+    margin = gaps.min().item() if len(gaps) else 1.0
+    for i in order:
+        if projection.depths[i] <= 0 or projection.radii[i] == 0:
+            continue
+        a, b, c = projection.conics[i]
+        dx, dy = x - projection.means2d[i, 0], y - projection.means2d[i, 1]
+        unclamped = scene["opacities"][i] * torch.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
+        alpha = unclamped.clamp(max=0.99)
+        seen = (alpha >= 1 / 255) & going
+        after = transmittance * (1 - alpha)
+        ends = seen & (after <= 1e-4)
+        margin = min(margin, (unclamped * 255 - 1)[going].abs().min().item(), (unclamped / 0.99 - 1).abs().min().item())
+        if seen.any():
+            margin = min(margin, (after / 1e-4 - 1)[seen].abs().min().item())
+        going &= ~ends
+        seen &= ~ends
+        out += torch.where(seen, alpha * transmittance, 0)[..., None] * scene["channels"][i]
+        transmittance = torch.where(seen, after, transmittance)
+        if not going.any():
+            break
+    return out + transmittance[..., None] * scene["background"], 1 - transmittance, margin
+
+
+def clear_scenes(count, **options):
+    """Scenes in which rounding to float32 cannot turn a comparison (1/255, 1e-4, .99, depth order) the other way."""
+    seeds = itertools.count()
+    while count:
+        scene = make_scene(**options, seed=next(seeds))
+        if blend_by_the_book(scene)[2] > 1e-5:
+            count -= 1
+            yield scene
+
+
+def relative_error(value, truth):
+    return ((value - truth).abs().max() / truth.abs().max().clamp(min=1e-30)).item()
+
+
+# -- projection --------------------------------------------------------------------------------------------------------
+
+
+def rotation_matrix(quat):
+    """By the exponential of the axis-angle vector: no formula shared with the engine."""
+    w, *axis = (quat / quat.norm()).tolist()
+    length = math.hypot(*axis)
+    x, y, z = (2 * math.atan2(length, w) * v / length for v in axis)
+    return torch.linalg.matrix_exp(torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64))
+
+
+def test_projection_is_the_linearised_camera():
+    scene = make_scene(30, seed=4)
+    arguments = [scene[k] for k in ("means", "quats", "scales", "opacities", "viewmat", "K", "width", "height")]
+    projection = project(*arguments)
+    checked = 0
+    for i in range(30):
+        camera = scene["viewmat"][:3, :3] @ scene["means"][i] + scene["viewmat"][:3, 3]
+        if projection.radii[i] == 0 or (camera[:2] / camera[2]).abs().max() > 0.6:
+            continue
+
+        def pixel(point):
+            homogeneous = scene["K"] @ (scene["viewmat"][:3, :3] @ point + scene["viewmat"][:3, 3])
+            return homogeneous[:2] / homogeneous[2]
+
+        jacobian = torch.autograd.functional.jacobian(pixel, scene["means"][i])
+        axes = rotation_matrix(scene["quats"][i]) * scene["scales"][i]
+        covariance = jacobian @ axes @ axes.T @ jacobian.T + 0.3 * torch.eye(2, dtype=torch.float64)
+        a, b, c = projection.conics[i]
+        conic = torch.stack([torch.stack([a, b]), torch.stack([b, c])])
+        torch.testing.assert_close(conic @ covariance, torch.eye(2, dtype=torch.float64), atol=1e-10, rtol=0)
+        torch.testing.assert_close(projection.means2d[i], pixel(scene["means"][i]))
+        largest = torch.linalg.eigvalsh(covariance)[1]
+        radius = (2 * math.log(255 * scene["opacities"][i]) * largest).sqrt()
+        torch.testing.assert_close(projection.radii[i], radius)
+        torch.testing.assert_close(projection.depths[i], camera[2])
+        checked += 1
+    assert checked > 15
+
+
+def test_beyond_the_guard_band_the_shape_stops_depending_on_the_place():
+    scene = make_scene(1)
+    scene["viewmat"] = torch.eye(4, dtype=torch.float64)
+    arguments = [scene[k] for k in ("quats", "scales", "opacities", "viewmat", "K", "width", "height")]
+    far_right = torch.tensor([[3.0, 0.0, 2.0]], dtype=torch.float64, requires_grad=True)
+    project(far_right, *arguments).conics.sum().backward()
+    assert far_right.grad[0, 0] == 0 and far_right.grad[0, 1] != 0 and far_right.grad[0, 2] != 0
+    further = project(far_right.detach() + torch.tensor([1.0, 0, 0]), *arguments)
+    torch.testing.assert_close(project(far_right, *arguments).conics.detach(), further.conics)
+
+
+def test_gaussians_behind_the_near_plane_are_not_drawn():
+    scene = make_scene(3)
+    scene["viewmat"] = torch.eye(4, dtype=torch.float64)
+    scene["means"] = torch.tensor([[0, 0, -1.0], [0, 0, 0.005], [0, 0, 1.0]], dtype=torch.float64)
+    _, rendering = run(scene, "torch", torch.float64)
+    assert rendering.radii[0] == 0 and rendering.radii[1] == 0 and rendering.radii[2] > 0
+
+
+# -- reference ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [0, 1, 40, 150])
+def test_reference_blends_by_the_book(n):
+    scene = make_scene(n, channels=4, seed=n, size=0.5)
+    if n > 2:
+        scene["means"][1] = scene["means"][0]  # equal depths: the lower index is in front
+    results, _ = run(scene, "torch", torch.float64)
+    image, alpha, _ = blend_by_the_book(scene)
+    torch.testing.assert_close(results["channels_out"], image, atol=1e-12, rtol=0)
+    torch.testing.assert_close(results["alpha"], alpha, atol=1e-12, rtol=0)
+    assert n < 150 or (alpha > 0.9998).any()  # pixels that end early are among them
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_reference_gradients_by_finite_differences(seed):
+    scene = make_scene(6, channels=2, width=14, height=9, seed=seed, size=0.5)
+    scene["opacities"][0] = 1.0  # clamped at its centre
+    inputs = [scene[name].clone().requires_grad_() for name in GRADIENTS]
+
+    weights = torch.randn(4, 9, 14, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+    def function(*values):
+        rendering = rasterize(**{**scene, **dict(zip(GRADIENTS, values, strict=True))}, backend="torch")
+        outputs = torch.cat([rendering.channels, rendering.alpha[..., None]], -1)
+        return (weights * outputs).sum((1, 2, 3))
+
+    assert torch.autograd.gradcheck(function, inputs, eps=1e-7, atol=1e-5, rtol=1e-4)
+
+
+# -- kernels -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4, 7, 11])
+def test_kernels_agree_with_the_reference(channels):
+    worst = {}
+    for number, scene in enumerate(clear_scenes(8, n=50, channels=channels, width=47, height=35)):
+        scene["width"] = 47 - 5 * number  # partial tiles and strips of every kind
+        truth, _ = run(scene, "torch", torch.float64)
+        result, _ = run(scene, "cpu")
+        for key in truth:
+            worst[key] = max(worst.get(key, 0), relative_error(result[key], truth[key]))
+    assert max(worst.values()) < 1e-5, worst
+
+
+def test_kernels_agree_where_pixels_end_early():
+    for scene in clear_scenes(3, n=120, width=33, height=35, size=0.5):
+        truth, rendering = run(scene, "torch", torch.float64)
+        assert (rendering.alpha > 0.9998).float().mean() > 0.05
+        result, _ = run(scene, "cpu")
+        assert max(relative_error(result[key], truth[key]) for key in truth) < 1e-5
+
+
+@pytest.mark.parametrize("target", build.host_targets(), ids=lambda t: f"v{t.level}")
+def test_every_instruction_set_agrees(target, monkeypatch):
+    supported = {"AVX512": 4, "AVX2": 3}.get(torch.backends.cpu.get_cpu_capability(), 2)
+    if target.level > supported:
+        pytest.skip(f"this processor has no x86-64-v{target.level}")
+    kernels = ctypes.CDLL(str(target.path))
+    monkeypatch.setattr(cpu, "library", lambda: kernels)
+    for scene in clear_scenes(3, n=40, channels=5):
+        truth, _ = run(scene, "torch", torch.float64)
+        result, _ = run(scene, "cpu")
+        assert max(relative_error(result[key], truth[key]) for key in truth) < 1e-5
+
+
+def test_same_bits_for_any_number_of_threads():
+    scene = make_scene(3000, channels=4, width=200, height=130, size=0.1)
+    before = torch.get_num_threads()
+    results = []
+    try:
+        for threads in (1, 2, 3, 7, 1):
+            torch.set_num_threads(threads)
+            results.append(run(scene, "cpu")[0])
+    finally:
+        torch.set_num_threads(before)
+    for result in results[1:]:
+        # torch sums the projection's gradients itself; what the kernels give is compared
+        for key in ("channels_out", "alpha", "means2d", "opacities", "channels", "background"):
+            assert torch.equal(result[key], results[0][key]), key
+
+
+def test_torch_fallback_in_float32_is_close_and_auto_takes_the_kernels():
+    scene = next(clear_scenes(1, n=60))
+    slow, fast, auto = (run(scene, backend)[0] for backend in ("torch", "cpu", "auto"))
+    assert max(relative_error(slow[key], fast[key]) for key in fast) < 1e-4
+    assert all(torch.equal(auto[key], fast[key]) for key in fast)
+
+
+# -- hard cases --------------------------------------------------------------------------------------------------------
+
+
+def changed(n=5, width=40, height=29, **values):
+    scene = make_scene(n, width=width, height=height)
+    scene["viewmat"] = torch.eye(4, dtype=torch.float64)
+    scene["means"] = torch.randn(n, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64) * 0.3
+    scene["means"] += torch.tensor([0.0, 0.0, 3.0])
+    for key, value in values.items():
+        scene[key] = value(scene[key]) if callable(value) else value
+    return scene
+
+
+def one_row(value):
+    def change(tensor):
+        tensor = tensor.clone()
+        tensor[1] = value
+        return tensor
+
+    return change
+
+
+def first_row(tensor):
+    return tensor[:1].expand_as(tensor).clone()
+
+
+def focal(pixels):
+    return torch.tensor([[pixels, 0, 20], [0, pixels, 14.5], [0, 0, 1]], dtype=torch.float64)
+
+
+HARD = {
+    "no Gaussian": changed(n=0),
+    "one Gaussian": changed(n=1),
+    "two Gaussians": changed(n=2),
+    "one pixel": changed(width=1, height=1),
+    "all behind the camera": changed(means=lambda m: m * torch.tensor([1, 1, -1.0])),
+    "all on the near plane": changed(means=lambda m: m * torch.tensor([0, 0, 0.0]) + torch.tensor([0, 0, 0.01])),
+    "just beyond the near plane": changed(
+        means=lambda m: m * 1e-2 * torch.tensor([1, 1, 0]) + torch.tensor([0, 0, 0.0101])
+    ),
+    "all off screen": changed(means=lambda m: m + torch.tensor([100.0, 0, 0])),
+    "huge scales": changed(scales=lambda s: s * 0 + math.exp(10)),
+    "vanishing scales": changed(scales=lambda s: s * 0 + math.exp(-20)),
+    "zero scales": changed(scales=lambda s: s * 0),
+    "needles": changed(scales=lambda s: s * 0 + torch.tensor([1e3, 1e-3, 1e-3])),
+    "pancakes": changed(scales=lambda s: s * 0 + torch.tensor([1e2, 1e2, 1e-5])),
+    "zero quaternions": changed(quats=lambda q: q * 0),
+    "tiny quaternions": changed(quats=lambda q: q * 1e-9),
+    "huge quaternions": changed(quats=lambda q: q * 1e25),
+    "opacity 0": changed(opacities=lambda o: o * 0),
+    "opacity 1": changed(opacities=lambda o: o * 0 + 1),
+    "opacity 2": changed(opacities=lambda o: o * 0 + 2),
+    "field of view 2 degrees": changed(K=focal(20 / math.tan(math.radians(1)))),
+    "field of view 170 degrees": changed(K=focal(20 / math.tan(math.radians(85)))),
+    "coordinates of 1e6": changed(means=lambda m: m * 1e6, scales=lambda s: s * 1e6),
+    "far away": changed(means=lambda m: m + torch.tensor([0, 0, 1e6])),
+    "far aside": changed(means=lambda m: m * torch.tensor([1e30, 1e30, 1])),
+    "thousands of equals": changed(n=1500, means=first_row, quats=first_row, scales=first_row),
+}
+for bad_name, bad_value in (("nan", math.nan), ("inf", math.inf), ("-inf", -math.inf)):
+    for field in ("means", "quats", "scales", "opacities", "channels"):
+        HARD[f"{bad_name} in {field}"] = changed(**{field: one_row(bad_value)})
+
+
+@pytest.mark.parametrize("backend", ["cpu", "torch"])
+@pytest.mark.parametrize("case", HARD)
+def test_hard_cases_give_finite_pictures_and_gradients(case, backend):
+    results, rendering = run(HARD[case], backend)
+    for key, value in results.items():
+        assert value.isfinite().all(), key
+    assert (rendering.alpha >= 0).all() and (rendering.alpha <= 1).all()
+    assert rendering.channels.shape[:2] == (HARD[case]["height"], HARD[case]["width"])
+    if " in " in case:  # the bad one is out, the others are drawn as if it were not there
+        assert rendering.radii[1] == 0 and (rendering.radii[[0, 2, 3, 4]] > 0).any()
+        assert all((results[name][1] == 0).all() for name in GRADIENTS[:-1])
+        others = [0, 2, 3, 4]
+        without = HARD[case] | {name: HARD[case][name][others] for name in GRADIENTS[:-1]}
+        assert torch.equal(run(without, backend)[0]["channels_out"], results["channels_out"])
+
+
+@pytest.mark.parametrize("case", ["no Gaussian", "all behind the camera", "all off screen", "opacity 0"])
+@pytest.mark.parametrize("backend", ["cpu", "torch"])
+def test_nothing_visible_shows_the_background(case, backend):
+    results, rendering = run(HARD[case], backend)
+    torch.testing.assert_close(
+        rendering.channels.detach(), HARD[case]["background"].float().expand_as(rendering.channels)
+    )
+    assert (rendering.alpha == 0).all() and (rendering.radii == 0).all()
+    assert all((results[name] == 0).all() for name in GRADIENTS[:-1]) and (results["background"] != 0).all()
+
+
+def test_needles_and_huge_gaussians_match_the_reference():
+    for case in ("huge scales", "vanishing scales", "zero scales", "pancakes", "opacity 1", "thousands of equals"):
+        truth, _ = run(HARD[case], "torch", torch.float64)
+        result, _ = run(HARD[case], "cpu")
+        assert relative_error(result["channels_out"], truth["channels_out"]) < 1e-4, case
+        assert relative_error(result["alpha"], truth["alpha"]) < 1e-4, case
+
+
+# -- doors -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name, value, message",
+    [
+        ("quats", torch.zeros(5, 3), r"quats has shape \(5, 3\), expected \(5, 4\)"),
+        ("opacities", torch.zeros(5, 1), "opacities has shape"),
+        ("background", torch.zeros(4), "background has shape"),
+        ("channels", torch.zeros(5, 3, dtype=torch.float64), "channels is torch.float64"),
+        ("K", torch.eye(3, dtype=torch.int64), "K is torch.int64"),
+        ("width", 0, "cannot render"),
+        ("backend", "gpu", "none of auto, cpu, torch"),
+    ],
+)
+def test_wrong_arguments_are_named(name, value, message):
+    scene = {k: v.float() if isinstance(v, torch.Tensor) else v for k, v in changed().items()}
+    with pytest.raises(ValueError, match=message):
+        rasterize(**{**scene, name: value})
+
+
+def test_non_contiguous_tensors_are_fine():
+    scene = next(clear_scenes(1, n=40))
+    strided = dict(scene)
+    for name in GRADIENTS:
+        strided[name] = torch.stack([scene[name], scene[name]], -1)[..., 0]
+    expected, result = run(scene, "cpu")[0], run(strided, "cpu")[0]
+    assert all(torch.equal(expected[key], result[key]) for key in expected)
+
+
+def test_without_kernels_torch_takes_over_with_one_warning(monkeypatch):
+    scene = changed()
+    expected, _ = run(scene, "torch")
+    monkeypatch.setattr(cpu, "host_targets", lambda: [])
+    cpu.library.cache_clear()
+    try:
+        with pytest.warns(UserWarning, match="CPU kernels not loaded") as caught:
+            result, _ = run(scene, "auto")
+        assert len(caught) == 1 and all(torch.equal(result[key], expected[key]) for key in expected)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            run(scene, "auto")
+        with pytest.raises(InputError, match="cpu backend"):
+            run(scene, "cpu")
+    finally:
+        cpu.library.cache_clear()
+
+
+def test_build_compiles_once_and_clears_what_is_stale(monkeypatch, tmp_path):
+    monkeypatch.setattr(build, "LIBRARIES", tmp_path / "lib")
+    target = build.host_targets()[-1]
+    (path,) = build.build([target])
+    assert ctypes.CDLL(str(path)).tile_size() > 0
+    stale = path.with_name("swag-linux-x64-v2-000000000000.so")
+    stale.touch()
+    written = path.stat().st_mtime_ns
+    build.build([target])
+    assert path.stat().st_mtime_ns == written and not stale.exists()
