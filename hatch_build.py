@@ -1,4 +1,4 @@
-"""Build hook: compiles the kernels for this machine before the wheel is put together."""
+"""What building the package does: takes the dependencies from requirements.txt and compiles the kernels."""
 
 import subprocess
 import sys
@@ -7,6 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+from hatchling.metadata.plugin.interface import MetadataHookInterface
+
+
+class Requirements(MetadataHookInterface):
+    """requirements.txt is what Blender's Install Engine installs too: the list stands once."""
+
+    def update(self, metadata: dict[str, Any]) -> None:
+        metadata["dependencies"] = (Path(self.root) / "requirements.txt").read_text(encoding="utf-8").split()
 
 
 class KernelBuildHook(BuildHookInterface):
