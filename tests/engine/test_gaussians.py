@@ -1,0 +1,142 @@
+"""Where Gaussians start, how they split, and what range they are seen at."""
+
+import numpy as np
+import pytest
+import torch
+
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.gaussians.grow import Growth, GrowthStatistics, rotation_matrices, split_along_longest_axis
+from swag_engine.gaussians.init import gaussians_from_points
+from swag_engine.rasterize.render import render
+from swag_engine.scene.cameras import Camera
+from swag_engine.scene.colmap import Points
+from swag_engine.training.config import LearningRates
+from swag_engine.training.optimizer import CloudOptimizer
+
+
+def make_cloud(n, seed=0, dtype=torch.float64):
+    draw = torch.Generator().manual_seed(seed)
+    means = torch.randn(n, 3, generator=draw) * torch.tensor([1.0, 1.0, 0.3]) + torch.tensor([0.0, 0.0, 5.0])
+    return GaussianCloud(
+        means=means.to(dtype),
+        quats=torch.randn(n, 4, generator=draw).to(dtype),
+        log_scales=(torch.rand(n, 3, generator=draw) * 1.5 - 3).to(dtype),
+        opacity_logits=torch.randn(n, generator=draw).to(dtype),
+        sh0=torch.randn(n, 1, 3, generator=draw).to(dtype),
+        shN=0.1 * torch.randn(n, 3, 3, generator=draw).to(dtype),
+        background=torch.zeros(3, dtype=dtype),
+    )
+
+
+def points_at(positions, colors=None):
+    n = len(positions)
+    colors = np.full((n, 3), 128, np.uint8) if colors is None else colors
+    return Points(np.asarray(positions, float), colors, np.zeros(n, np.float32), np.full(n, 3, np.int32))
+
+
+def test_gaussians_start_as_wide_as_their_neighbours_are_near():
+    grid = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0), np.arange(5.0)), -1).reshape(-1, 3)
+    cloud = gaussians_from_points(points_at(grid), 1000, 3, 0, np.array([0.1, 0.2, 0.3]))
+    torch.testing.assert_close(cloud.scales, torch.ones(125, 3))
+    torch.testing.assert_close(cloud.background.sigmoid(), torch.tensor([0.1, 0.2, 0.3]))
+    assert cloud.shN.shape == (125, 15, 3)
+
+
+def test_gaussians_start_in_the_colour_of_their_points():
+    colors = np.array([[0, 128, 255], [10, 20, 30]], np.uint8)
+    cloud = gaussians_from_points(points_at([[0, 0, 1], [1, 0, 1]], colors), 10, 0, 0, np.full(3, 0.5))
+    seen = cloud.colors(torch.zeros(3), 0) * 255
+    torch.testing.assert_close(seen, torch.tensor(colors).float(), atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize(
+    "positions",
+    [[[0, 0, 1]], [[0, 0, 1], [0, 0, 1]], [[0, 0, 1]] * 50, [[0, 0, 1], [1, 0, 1], [np.nan, 0, 0], [1e9, 0, 1]]],
+    ids=["one point", "two equal points", "many equal points", "not a number, and far away"],
+)
+def test_odd_points_still_give_finite_gaussians(positions):
+    cloud = gaussians_from_points(points_at(positions), 1000, 1, 0, np.zeros(3))
+    assert len(cloud) == np.isfinite(positions).all(axis=1).sum()
+    for name, tensor in cloud.parameters().items():
+        assert torch.isfinite(tensor).all(), name
+
+
+def test_the_cap_holds_for_the_start_too_and_is_seeded():
+    points = points_at(np.random.default_rng(0).normal(size=(500, 3)))
+    first, again = (gaussians_from_points(points, 100, 0, 3, np.zeros(3)) for _ in range(2))
+    assert len(first) == 100 and torch.equal(first.means, again.means)
+
+
+def test_a_split_keeps_mass_mean_and_variance():
+    cloud = make_cloud(50)
+    index = torch.arange(50)
+    children = [split_along_longest_axis(cloud, index, sign) for sign in (1.0, -1.0)]
+    mass, first, second = torch.zeros(50), torch.zeros(50, 3), torch.zeros(50, 3, 3)
+    for child in children:
+        part = GaussianCloud(**child, background=cloud.background)
+        weight = part.opacities * part.scales.prod(dim=-1)
+        mass = mass + weight
+        first = first + weight[:, None] * part.means
+        offset = part.means - cloud.means
+        second = second + weight[:, None, None] * (covariance(part) + offset[:, :, None] * offset[:, None, :])
+    torch.testing.assert_close(mass, cloud.opacities * cloud.scales.prod(dim=-1))
+    torch.testing.assert_close(first / mass[:, None], cloud.means)
+    torch.testing.assert_close(second / mass[:, None, None], covariance(cloud))
+
+
+def covariance(cloud):
+    axes = rotation_matrices(cloud.quats) * cloud.scales[:, None, :]
+    return axes @ axes.transpose(1, 2)
+
+
+def test_growth_splits_what_the_loss_pulls_and_drops_what_is_transparent():
+    cloud = make_cloud(10)
+    cloud.opacity_logits[3] = -9.0
+    statistics = GrowthStatistics(torch.zeros(10), torch.ones(10))
+    statistics.gradient[[2, 7]] = torch.tensor([1.0, 2.0])
+    grown, source = Growth().event(cloud, statistics, 10, 5.0)
+    assert len(grown) == 10  # 9 left and room for one: the stronger of the two is split
+    assert 3 not in source and 7 not in source and (source == -1).sum() == 2
+    kept = source[source >= 0]
+    torch.testing.assert_close(grown.means[: len(kept)], cloud.means[kept])
+
+
+def test_growth_of_a_wholly_transparent_cloud_changes_nothing():
+    cloud = make_cloud(4)
+    cloud.opacity_logits[:] = -20.0
+    grown, source = Growth().event(cloud, GrowthStatistics.zeros(4), 100, 5.0)
+    assert len(grown) == 4 and torch.equal(source, torch.arange(4))
+
+
+def test_moments_follow_their_gaussians_and_start_at_zero_for_new_ones():
+    optimizer = CloudOptimizer(make_cloud(6, dtype=torch.float32), LearningRates(), 5.0)
+    optimizer.cloud.means.sum().backward()
+    optimizer.step(0.0)
+    moments = optimizer.state_tensors()["adam.means.exp_avg"]
+    moments += torch.arange(6)[:, None]  # tell them apart
+    source = torch.tensor([4, 0, -1])
+    optimizer.replace(make_cloud(3, dtype=torch.float32), source)
+    after = optimizer.state_tensors()["adam.means.exp_avg"]
+    torch.testing.assert_close(after, torch.stack([moments[4], moments[0], torch.zeros(3)]))
+
+
+def test_range_is_euclidean_and_normalised_by_alpha():
+    """45 degrees off the axis the range is 41 % more than the depth; transparency does not change it."""
+    cloud = make_cloud(2)
+    cloud.means[:] = torch.tensor([[3.0, 0.0, 3.0], [0.0, 0.0, 3.0]])
+    cloud.log_scales[:] = -2.5
+    cloud.opacity_logits[:] = 0.0
+    camera = Camera("a", 64, 16, 24.0, 24.0, 32.0, 8.0, np.eye(4))
+    picture = render(cloud, camera, with_range=True)
+    assert picture.alpha[8, 56] < 0.6
+    torch.testing.assert_close(picture.range[8, 56], torch.tensor(18.0).sqrt().double())
+    torch.testing.assert_close(picture.range[8, 32], torch.tensor(3.0).double())
+    assert picture.range[0, 0] == 0 and picture.alpha[0, 0] == 0
+
+
+def test_range_has_finite_gradients_where_nothing_is():
+    cloud = make_cloud(3)
+    cloud.means.requires_grad_()
+    camera = Camera("a", 32, 16, 24.0, 24.0, 16.0, 8.0, np.eye(4))
+    render(cloud, camera, with_range=True).range.sum().backward()
+    assert torch.isfinite(cloud.means.grad).all() and cloud.means.grad.abs().sum() > 0
