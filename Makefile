@@ -20,7 +20,7 @@ extension: .venv/ready
 	$(VENV) .ci/build_extension.py
 
 # The stamp changes when a pin or a kernel does, so that a second run starts at once.
-.venv/ready: constraints.txt requirements.txt requirements-dev.txt environment.sh $(wildcard swag_engine/rasterize/kernels/*.cpp)
+.venv/ready: constraints.txt requirements.txt requirements-dev.txt environment.sh $(wildcard swag_engine/rasterize/kernels/*.*)
 	PYTHON=$(PYTHON) sh environment.sh
 	touch $@
 

@@ -1,7 +1,11 @@
 """Colour by direction: real spherical harmonics up to degree 3."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
+
+from ..rasterize import cpu
 
 # Constants of the real spherical harmonics (Condon-Shortley phase included), in the order l, m = -l .. l, as 3DGS files
 # have them. E.g. Y_00 = sqrt(1 / 4 pi).
@@ -41,5 +45,28 @@ def evaluate_sh(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
     """
     if not 0 <= degree <= 3 or sh.shape[1] < (degree + 1) ** 2:
         raise ValueError(f"degree {degree} of 0 to 3 needs {(degree + 1) ** 2} coefficients, sh has {sh.shape[1]}")
+    # The kernel has no gradient by direction: training takes none.
+    if cpu.can_run(sh, directions) and not directions.requires_grad:
+        return _Colors.apply(sh, directions, degree)
     basis = sh_basis(directions, degree)
     return (0.5 + (basis[:, :, None] * sh[:, : basis.shape[1]]).sum(1)).clamp(min=0)
+
+
+class _Colors(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, sh: Tensor, directions: Tensor, degree: int) -> Tensor:
+        sh, directions = sh.contiguous(), directions.contiguous()
+        colors = torch.empty_like(directions)
+        ctx.coefficients, ctx.degree = sh.shape[1], degree
+        cpu.run("sh_forward", len(sh), ctx.coefficients, degree, sh, directions, colors)
+        ctx.save_for_backward(directions, colors)
+        return colors
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, color_gradients: Tensor) -> tuple[Tensor, None, None]:
+        directions, colors = ctx.saved_tensors
+        gradients = directions.new_empty(len(directions), ctx.coefficients, 3)
+        inputs = directions, colors, color_gradients.contiguous()
+        cpu.run("sh_backward", len(directions), ctx.coefficients, ctx.degree, *inputs, gradients)
+        return gradients, None, None

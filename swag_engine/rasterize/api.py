@@ -2,12 +2,10 @@
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from ..errors import InputError
-from . import cpu, reference
-from .projection import project
+from . import cpu, projection, reference
 
 BACKENDS = ("auto", "cpu", "torch")
 
@@ -70,17 +68,17 @@ def rasterize(
     if backend not in BACKENDS:
         raise ValueError(f"backend {backend!r} is none of {', '.join(BACKENDS)}")
 
-    fits_kernels = means.device.type == "cpu" and means.dtype == torch.float32
-    if backend == "cpu" and not (fits_kernels and cpu.library()):
+    kernels = backend != "torch" and cpu.can_run(means)
+    if backend == "cpu" and not kernels:
         raise InputError("The cpu backend cannot run here: it needs its compiled kernels and float32 on the CPU.")
-    blend = cpu.blend if backend != "torch" and fits_kernels and cpu.library() else reference.blend
+    blend = cpu.blend if kernels else reference.blend
 
-    projection = project(means, quats, scales, opacities, viewmat, K, width, height)
-    radii = torch.where(torch.isfinite(channels.detach().sum(1)), projection.radii, 0)
-    if projection.means2d.requires_grad:
-        projection.means2d.retain_grad()
+    project = cpu.project if kernels and not (viewmat.requires_grad or K.requires_grad) else projection.project
+    projected = project(means, quats, scales, opacities, channels, viewmat, K, width, height)
+    if projected.means2d.requires_grad:
+        projected.means2d.retain_grad()
     blended, alpha = blend(
-        projection.means2d, projection.conics, opacities, channels, background, projection.depths, radii,
+        projected.means2d, projected.conics, opacities, channels, background, projected.depths, projected.radii,
         width, height,
     )  # fmt: skip
-    return Rendering(blended, alpha, projection.means2d, radii)
+    return Rendering(blended, alpha, projected.means2d, projected.radii)

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from .kernels.build import host_targets
+from .projection import Projection
 
 RANK_CHUNKS = 8  # parts of the depth order that are binned independently
 TASKS_PER_THREAD = 8
@@ -37,6 +38,12 @@ def library() -> ctypes.CDLL | None:
         stacklevel=2,
     )
     return None
+
+
+def can_run(*tensors: Tensor) -> bool:
+    """Whether the kernels take these tensors: float32 on the CPU, and the kernels could be loaded."""
+    fits = all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
+    return fits and library() is not None
 
 
 @cache
@@ -86,6 +93,56 @@ def _converted(argument: Argument) -> ctypes.c_void_p | ctypes.c_int64 | ctypes.
         assert argument.is_contiguous() and argument.device.type == "cpu"
         return ctypes.c_void_p(argument.data_ptr())
     return ctypes.c_int64(argument) if isinstance(argument, int) else ctypes.c_float(argument)
+
+
+class _Project(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any,
+        means: Tensor,
+        quats: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        channels: Tensor,
+        viewmat: Tensor,
+        K: Tensor,
+        width: int,
+        height: int,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        n = len(means)
+        viewmat, K, means, quats, scales = (tensor.contiguous() for tensor in (viewmat, K, means, quats, scales))
+        means2d, conics, depths, radii = (means.new_empty(n, *shape) for shape in ((2,), (3,), (), ()))
+        limits = opacities.contiguous(), channels.contiguous()
+        inputs = width, height, channels.shape[1], viewmat, K, means, quats, scales, *limits
+        run("project_forward", n, *inputs, means2d, conics, depths, radii)
+        ctx.save_for_backward(viewmat, K, means, quats, scales, radii)
+        ctx.size = width, height
+        ctx.mark_non_differentiable(depths, radii)
+        return means2d, conics, depths, radii
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, by_means2d: Tensor, by_conics: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
+        saved = ctx.saved_tensors
+        results = [torch.empty_like(tensor) for tensor in saved[2:5]]
+        incoming = by_means2d.contiguous(), by_conics.contiguous()
+        run("project_backward", len(results[0]), *ctx.size, *saved, *incoming, *results)
+        return *results, None, None, None, None, None, None
+
+
+def project(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    channels: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+) -> Projection:
+    """As projection.project, for float32 tensors on the CPU; no gradient by viewmat, K or through the depths."""
+    return Projection(*_Project.apply(means, quats, scales, opacities, channels, viewmat, K, width, height))
 
 
 class _Blend(torch.autograd.Function):

@@ -28,21 +28,30 @@ class Projection:
 
 
 def project(
-    means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    channels: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
 ) -> Projection:
     """Project means (N, 3), quats (N, 4) wxyz of any length, scales (N, 3) with viewmat (4, 4) and K (3, 3).
 
     Gaussians that are behind the near plane, off screen, fainter than 1/255 or not finite get radius 0 and no gradient.
-    `opacities` (N,) only bound the radii. Beyond the guard band x/z and y/z are held, with zero derivative, in the
-    Jacobian (not in the centre). Everything is written out by component: a batch of small matrix products is slow.
+    `opacities` (N,) bound the radii, `channels` (N, C) are only looked at for numbers that are not finite. Beyond the
+    guard band x/z and y/z are held, with zero derivative, in the Jacobian (not in the centre).
     """
     rotation, translation = viewmat[:3, :3], viewmat[:3, 3]
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     camera = means @ rotation.T + translation
     with torch.no_grad():
-        finite = torch.isfinite(camera.sum(1) + quats.sum(1) + scales.sum(1))
+        finite = torch.isfinite(camera.sum(1) + quats.sum(1) + scales.sum(1) + channels.sum(1))
         usable = finite & (camera[:, 2] > NEAR)
-    # Stand-ins go in before anything is computed: a where() after it would turn inf * 0 into a NaN gradient.
+    # Stand-ins go in before anything is computed: a where() after it would turn inf * 0 into a NaN gradient. All is
+    # written out by component: a batch of small matrix products is slow.
     keep = usable[:, None]
     x, y, z = torch.where(keep, camera, camera.new_tensor([0.0, 0, 1])).unbind(1)
     quats = torch.where(keep, quats, quats.new_tensor([1.0, 0, 0, 0]))

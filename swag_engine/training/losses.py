@@ -34,8 +34,7 @@ def l1_ssim(image: Tensor, target: Tensor, valid: Tensor | None, ssim_weight: fl
 def _l1_and_ssim(image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
     if image.shape != target.shape or image.dim() != 3 or image.shape[2] != 3:
         raise ValueError(f"images must both be (H, W, 3), got {tuple(image.shape)} and {tuple(target.shape)}")
-    on_cpu = image.device.type == target.device.type == "cpu" and image.dtype == target.dtype == torch.float32
-    if on_cpu and cpu.library():
+    if cpu.can_run(image, target):
         return _Fused.apply(image, target)
     return (image - target).abs().mean(), _ssim_map(image, target).mean()
 

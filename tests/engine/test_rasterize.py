@@ -61,7 +61,9 @@ def run(scene, backend, dtype=torch.float32):
 
 def blend_by_the_book(scene):
     """Image, alpha, and the distance of the nearest comparison to a tie: one Gaussian after the other on all pixels."""
-    arguments = [scene[k] for k in ("means", "quats", "scales", "opacities", "viewmat", "K", "width", "height")]
+    arguments = [
+        scene[k] for k in ("means", "quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")
+    ]
     projection = project(*arguments)
     height, width = scene["height"], scene["width"]
     rows, columns = (torch.arange(size, dtype=torch.float64) + 0.5 for size in (height, width))
@@ -121,7 +123,9 @@ def rotation_matrix(quat):
 
 def test_projection_is_the_linearised_camera():
     scene = make_scene(30, seed=4)
-    arguments = [scene[k] for k in ("means", "quats", "scales", "opacities", "viewmat", "K", "width", "height")]
+    arguments = [
+        scene[k] for k in ("means", "quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")
+    ]
     projection = project(*arguments)
     checked = 0
     for i in range(30):
@@ -151,7 +155,7 @@ def test_projection_is_the_linearised_camera():
 def test_beyond_the_guard_band_the_shape_stops_depending_on_the_place():
     scene = make_scene(1)
     scene["viewmat"] = torch.eye(4, dtype=torch.float64)
-    arguments = [scene[k] for k in ("quats", "scales", "opacities", "viewmat", "K", "width", "height")]
+    arguments = [scene[k] for k in ("quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")]
     far_right = torch.tensor([[3.0, 0.0, 2.0]], dtype=torch.float64, requires_grad=True)
     project(far_right, *arguments).conics.sum().backward()
     assert far_right.grad[0, 0] == 0 and far_right.grad[0, 1] != 0 and far_right.grad[0, 2] != 0
@@ -219,6 +223,21 @@ def test_kernels_agree_where_pixels_end_early():
         assert (rendering.alpha > 0.9998).float().mean() > 0.05
         result, _ = run(scene, "cpu")
         assert max(relative_error(result[key], truth[key]) for key in truth) < 1e-5
+
+
+def test_kernels_agree_beyond_the_guard_band_and_for_degenerate_shapes():
+    scene = changed(n=8, means=lambda m: m * torch.tensor([8.0, 5.0, 1.0]), scales=lambda s: s * 4)
+    camera = scene["means"]
+    beside = (camera[:, :2] / camera[:, 2:]).abs() > torch.tensor([0.9, 0.7])
+    assert beside.any(0).all() and not beside.all(1).any()
+    scene["quats"][:2] *= 1e-8
+    scene["quats"][2] = 0
+    scene["scales"][3:5, 0] = 1e-7
+    truth, rendering = run(scene, "torch", torch.float64)
+    assert (rendering.radii > 0).all()
+    result, _ = run(scene, "cpu")
+    errors = {key: relative_error(result[key], truth[key]) for key in truth}
+    assert max(errors.values()) < 1e-5, errors
 
 
 @pytest.mark.parametrize("target", build.host_targets(), ids=lambda t: f"v{t.level}")

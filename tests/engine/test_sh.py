@@ -65,6 +65,24 @@ def test_gradients():
     assert torch.autograd.gradcheck(lambda s, d: evaluate_sh(s, d, 3), inputs)
 
 
+@pytest.mark.parametrize("degree", range(4))
+def test_kernel_agrees_with_float64(degree):
+    generator = torch.Generator().manual_seed(3)
+    sh = torch.randn(300, 16, 3, dtype=torch.float64, generator=generator)
+    weights = torch.randn(300, 3, dtype=torch.float64, generator=generator)
+    results = []
+    for dtype in (torch.float64, torch.float32):
+        values = sh.to(dtype, copy=True).requires_grad_()
+        colors = evaluate_sh(values, directions(300).to(dtype), degree)
+        (colors * weights.to(dtype)).sum().backward()
+        results.append((colors.detach().double(), values.grad.double()))
+    (colors, gradient), (kernel_colors, kernel_gradient) = results
+    assert (colors == 0).any() and (colors > 0).any()
+    torch.testing.assert_close(kernel_colors, colors, atol=3e-6, rtol=0)
+    torch.testing.assert_close(kernel_gradient, gradient, atol=3e-6, rtol=0)
+    assert (kernel_gradient[:, (degree + 1) ** 2 :] == 0).all()
+
+
 def test_too_few_coefficients_are_refused():
     with pytest.raises(ValueError, match="degree 2 of 0 to 3 needs 9"):
         evaluate_sh(torch.zeros(2, 4, 3), torch.zeros(2, 3), 2)
