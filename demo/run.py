@@ -6,9 +6,12 @@ The bpy package is the Blender that runs here, without a window; each step is th
 sidebar calls. Everything is written to demo/output.
 """
 
+import importlib
+import json
 import os
 import shutil
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -17,8 +20,8 @@ OUTPUT = ROOT / "demo" / "output"
 EXTENSION = "bl_ext.user_default.swag_splatting"
 # What two cores train in about two and a half minutes.
 ITERATIONS, WIDTH, MAX_GAUSSIANS = 2000, 480, 40_000
-# Every pixel is blended exactly with any number; more only smooth the edges inside a pixel.
-SAMPLES = 4
+# One sample looks at the middle of each pixel, as the trainer does, and blends exactly: there is no noise.
+SAMPLES = 1
 
 
 def main() -> None:
@@ -26,7 +29,8 @@ def main() -> None:
     started = time.monotonic()
     shutil.rmtree(OUTPUT, ignore_errors=True)
     OUTPUT.mkdir(parents=True)
-    bpy = blender_with_extension()
+    user = tempfile.TemporaryDirectory()
+    bpy = blender_with_extension(Path(user.name))
     from bl_ext.user_default.swag_splatting.swag_blender import scene_import, splats
     from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
     from bl_ext.user_default.swag_splatting.swag_engine.scene.split import split_views
@@ -49,7 +53,8 @@ def main() -> None:
     held_out = split_views(sorted(obj.name for obj in scene.objects if obj.type == "CAMERA")).test
     camera = scene.objects[held_out[len(held_out) // 2]]
     scene_import.look_through(scene, camera)
-    splat_preview.set_input(trained, splat_preview.PIXEL_SIZE, scene_import.pixel_size(root, WIDTH))
+    background = json.loads((OUTPUT / "run" / "metrics.json").read_text())["background"]
+    splat_preview.remember_training(trained, scene_import.pixel_size(root, WIDTH), background)
     splat_preview.prepare_cycles(scene, display_values=True)
     scene.cycles.samples = SAMPLES
     scene.render.filepath = str(OUTPUT / "render.png")
@@ -82,17 +87,15 @@ Done in {time.monotonic() - started:.0f} s: {len(trained.data.points)} Gaussians
       the training run: its settings, its figures (metrics.jsonl), its checkpoints""")
 
 
-def blender_with_extension():
-    """The bpy module, with this working tree enabled as an extension; the user's own Blender settings stay untouched."""
-    user = OUTPUT / "blender-user"
+def blender_with_extension(user: Path):
+    """The bpy module with this working tree enabled as an extension; `user` stands for the user's own Blender settings."""
     os.environ["BLENDER_USER_RESOURCES"] = str(user)
     extensions = user / "extensions" / "user_default"
     extensions.mkdir(parents=True)
     (extensions / "swag_splatting").symlink_to(ROOT, target_is_directory=True)
     import bpy
 
-    import addon_utils  # on the path once bpy is there
-
+    addon_utils = importlib.import_module("addon_utils")  # on the path once bpy is there
     addon_utils.enable("bl_pkg")
     addon_utils.enable(EXTENSION, default_set=True)
     return bpy

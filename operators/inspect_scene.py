@@ -33,7 +33,9 @@ class SWAG_OT_inspect_scene(bpy.types.Operator):
 
 def describe(result: dict[str, Any]) -> str:
     """The result of an `inspect` request in lines for the panel: one of figures, then the warnings."""
-    first = f"{result['registered']} of {result['images']} photographs have a camera, {result['points']['count']} points"
+    first = (
+        f"{result['registered']} of {result['images']} photographs have a camera, {result['points']['count']} points"
+    )
     return "\n".join((first, *result["warnings"]))
 
 

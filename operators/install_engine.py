@@ -32,7 +32,7 @@ class SWAG_OT_install_engine(Job, bpy.types.Operator):
     def start(self, context: bpy.types.Context) -> Engine:
         if not bpy.app.online_access:
             raise EngineError(
-                "Online access is off: allow it in Preferences > System > Network, or name a Python that has the engine."
+                "Online access is off: allow it in Preferences > System > Network, or name a Python with the engine."
             )
         root = engine_process.ROOT
         return Engine(

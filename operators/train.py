@@ -5,7 +5,6 @@ from typing import Any
 
 import bpy
 from bpy.props import BoolProperty
-from mathutils import Matrix
 
 from ..swag_blender import scene_import, splats
 from ..swag_blender.engine_process import Engine, EngineError

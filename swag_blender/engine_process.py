@@ -30,6 +30,7 @@ PACKAGES = ("torch", "pycolmap")
 CANCEL_SECONDS, TERMINATE_SECONDS = 60.0, 5.0
 # Seconds that a child whose stdin has been closed gets to end by itself.
 CLOSE_SECONDS = 2.0
+NICENESS = 10
 
 _running: set["Engine"] = set()
 
@@ -79,7 +80,7 @@ def engine_python() -> str:
     if environment_is_whole():
         return str(environment_python())
     raise EngineError(
-        "The engine is not installed: press Install Engine in the preferences of SWAG Splatting, or name a Python there."
+        "The engine is not installed: press Install Engine in the preferences of SWAG Splatting, or name a Python."
     )
 
 
@@ -99,9 +100,10 @@ class Engine:
     def __init__(self, command: list[str] | None = None) -> None:
         command = command or [engine_python(), "-m", "swag_engine.worker"]
         # A session of its own: Ctrl-C in the terminal reaches Blender, which then decides what becomes of the child.
-        apart: dict[str, Any] = (
-            {"creationflags": subprocess.CREATE_NO_WINDOW} if os.name == "nt" else {"start_new_session": True}
-        )
+        # A lower priority: the child takes all processors that Blender leaves, and the window stays quick.
+        apart: dict[str, Any] = {"start_new_session": True}
+        if os.name == "nt":
+            apart = {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.BELOW_NORMAL_PRIORITY_CLASS}
         try:
             self._process = subprocess.Popen(
                 command,
@@ -115,6 +117,9 @@ class Engine:
             )
         except OSError as error:
             raise EngineError(f"The engine's Python {command[0]} cannot be started: {error.strerror}.") from error
+        if os.name != "nt":
+            with contextlib.suppress(OSError):
+                os.setpriority(os.PRIO_PROCESS, self._process.pid, NICENESS)
         self.log: deque[str] = deque(maxlen=200)
         self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._deadline: float | None = None
@@ -256,18 +261,11 @@ def stop_all() -> bool:
     return was_running
 
 
-@bpy.app.handlers.persistent
-def _before_load(*_: object) -> None:
-    stop_all()
-
-
 def register() -> None:
-    bpy.app.handlers.load_pre.append(_before_load)
     atexit.register(stop_all)
 
 
 def unregister() -> None:
     stop_all()
     atexit.unregister(stop_all)
-    bpy.app.handlers.load_pre.remove(_before_load)
     blender_finds.cache_clear()

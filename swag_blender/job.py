@@ -8,9 +8,11 @@ from typing import Any
 import bpy
 
 from ..swag_engine.errors import InputError
-from .engine_process import Engine, EngineError, wait_for_result
+from .engine_process import Engine, EngineError, stop_all, wait_for_result
 
 TIMER_SECONDS = 0.1
+# A redraw can take long on a machine without a graphics card.
+REDRAW_SECONDS = 0.5
 PRINT_SECONDS = 1.0
 
 
@@ -77,6 +79,7 @@ class Job:
             self._engine = self.start(context)
         except (EngineError, InputError) as error:
             return self._fail(context, error)
+        self._drawn = 0.0
         self._timer = context.window_manager.event_timer_add(TIMER_SECONDS, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -85,6 +88,7 @@ class Job:
         status = context.window_manager.swag
         if event.type == "ESC" and event.value == "PRESS":
             status.stopping = True
+            redraw(context)
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
@@ -99,7 +103,7 @@ class Job:
             outcome = self._fail(context, error)
         if outcome:
             self._close(context)
-        redraw(context)
+            redraw(context)
         return outcome or {"PASS_THROUGH"}
 
     def cancel(self, context: bpy.types.Context) -> None:
@@ -118,6 +122,9 @@ class Job:
                 context.window_manager.swag.show(event)
             elif event not in previews[:-1]:
                 self.on_event(context, event)
+        if events and time.monotonic() - self._drawn >= REDRAW_SECONDS:
+            redraw(context)
+            self._drawn = time.monotonic()
         return None
 
     def _close(self, context: bpy.types.Context) -> None:
@@ -144,3 +151,32 @@ def redraw(context: bpy.types.Context) -> None:
             for region in area.regions:
                 if (area.type, region.type) in {("VIEW_3D", "UI"), ("PREFERENCES", "WINDOW")}:
                     region.tag_redraw()
+
+
+_stopped_by_load = ""
+
+
+@bpy.app.handlers.persistent
+def _before_load(*_: object) -> None:
+    global _stopped_by_load
+    _stopped_by_load = bpy.context.window_manager.swag.job
+    stop_all()
+
+
+@bpy.app.handlers.persistent
+def _after_load(*_: object) -> None:
+    # A .blend can have been saved while a job ran; the one that is open now has none.
+    status = bpy.context.window_manager.swag
+    status.begin(_stopped_by_load)
+    if _stopped_by_load:
+        status.end("Stopped, because another file was opened; what was saved until then is kept.", False)
+
+
+def register() -> None:
+    bpy.app.handlers.load_pre.append(_before_load)
+    bpy.app.handlers.load_post.append(_after_load)
+
+
+def unregister() -> None:
+    bpy.app.handlers.load_post.remove(_after_load)
+    bpy.app.handlers.load_pre.remove(_before_load)

@@ -2,8 +2,8 @@
 
 A child process of Install Engine, with the worker's manners: events as JSON lines on stdout, the log on stderr, and an
 end when stdin closes or `{"request": "cancel"}` comes. Standard library only; it runs under Blender's own Python.
-`FOLDER/installed.json` is written last: without it the environment is not whole. What a broken run downloaded, pip keeps
-in its cache, so that a second try goes on from there.
+`FOLDER/installed.json` is written last: without it the environment is not whole. What a broken run downloaded, pip
+keeps in its cache, so that a second try goes on from there.
 """
 
 import json
@@ -82,6 +82,10 @@ def progress(step: int, text: str) -> None:
     send({"event": "progress", "stage": "install", "iteration": step, "iterations": 3, "text": text})
 
 
+def fail(sentence: str) -> None:
+    send({"event": "error", "kind": "input", "message": sentence})
+
+
 def send(event: dict[str, object]) -> None:
     print(json.dumps(event), flush=True)
 
@@ -92,9 +96,9 @@ def main() -> None:
     try:
         versions = installer.install()
     except Cancelled:
-        send({"event": "error", "kind": "input", "message": "The installation was stopped; Install Engine goes on with it."})
+        fail("The installation was stopped; Install Engine goes on with it.")
     except (RuntimeError, OSError) as error:
-        send({"event": "error", "kind": "input", "message": f"The engine could not be installed. {error}"})
+        fail(f"The engine could not be installed. {error}")
     else:
         send({"event": "result", "request": "install", "versions": versions})
 

@@ -5,7 +5,6 @@ import textwrap
 import bpy
 
 from . import EXTENSION, engine_process, splats
-from .nodes import splat_preview
 from .properties import time_text
 
 
@@ -69,7 +68,9 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
         if problem:
             draw_wrapped(layout, problem, width, icon="INFO")
             if swag.scene_folder:
-                layout.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES").module = EXTENSION
+                layout.operator(
+                    "preferences.addon_show", text="Open Preferences", icon="PREFERENCES"
+                ).module = EXTENSION
         elif status.last_job == "Training":
             draw_wrapped(layout, status.message, width, icon="ERROR" if status.failed else "CHECKMARK")
 

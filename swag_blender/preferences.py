@@ -33,9 +33,13 @@ class SwagPreferences(bpy.types.AddonPreferences):
         row = layout.row()
         row.enabled = bpy.app.online_access
         installed = engine_process.environment_is_whole()
-        row.operator("swag.install_engine", text="Install Engine Again" if installed else "Install Engine", icon="IMPORT")
+        row.operator(
+            "swag.install_engine", text="Install Engine Again" if installed else "Install Engine", icon="IMPORT"
+        )
         if not bpy.app.online_access:
-            layout.label(text="Installing needs online access: Preferences > System > Network.", icon="INTERNET_OFFLINE")
+            layout.label(
+                text="Installing needs online access: Preferences > System > Network.", icon="INTERNET_OFFLINE"
+            )
         layout.label(text=f"Downloads one to three gigabytes into {engine_process.environment_folder()}")
 
 

@@ -135,7 +135,7 @@ class SwagStatus(PropertyGroup):
         if not self.iteration:
             return []
         return [
-            f"Validation {self.psnr:.2f} dB" if self.psnr else "Validation comes later",
+            f"PSNR {self.psnr:.2f} dB" if self.psnr else "PSNR not yet",
             f"{self.gaussians} Gaussians",
             f"{self.speed:.1f} iterations/s",
             f"{time_text(self.seconds_left)} left",
@@ -159,14 +159,6 @@ def _absolute(folder: str) -> str:
     return os.path.abspath(bpy.path.abspath(folder)) if folder else ""
 
 
-@bpy.app.handlers.persistent
-def _after_load(*_: object) -> None:
-    # A .blend can have been saved while a job ran: the one that is open now has none.
-    for manager in bpy.data.window_managers:
-        if manager.swag.job:
-            manager.swag.end("The job was stopped when another file was opened; Continue goes on with it.", False)
-
-
 _CLASSES = (SwagScene, SwagStatus)
 
 
@@ -175,11 +167,9 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Scene.swag = PointerProperty(type=SwagScene)
     bpy.types.WindowManager.swag = PointerProperty(type=SwagStatus)
-    bpy.app.handlers.load_post.append(_after_load)
 
 
 def unregister() -> None:
-    bpy.app.handlers.load_post.remove(_after_load)
     del bpy.types.WindowManager.swag
     del bpy.types.Scene.swag
     for cls in reversed(_CLASSES):

@@ -19,16 +19,21 @@ Splat trainers blend display (sRGB) values. Two ways to blend here:
   the trainer's. For pictures of splats alone, such as comparisons with photographs.
 """
 
+import math
+from collections.abc import Sequence
+
 import bpy
+from mathutils import Color
 
 from . import point_material
 from .build import Field, add, arranged, combined
 
 NAME = "SWAG Splat Preview"
-OPACITY = "swag:opacity"
+OPACITY, REACH, PLACE = "swag:opacity", "swag:reach", "swag:place"
 RADIUS_IN_SIGMA = 3.0
-# Where a splat of opacity 1 falls below alpha 1/255, which splat renderers leave out.
-QUAD_IN_SIGMA = 3.33
+BACKGROUND_KEY = "swag_background"  # on a splat object: the display colour that the training had behind the splats
+# Splat renderers leave out what is fainter.
+LEAST_ALPHA = 1 / 255
 # Kerbl et al. evaluate the projection's derivative at most this far outside the picture: beyond, it is of no use.
 FRUSTUM_MARGIN = 1.3
 # Renderers of the 3DGS family widen the projected covariance by this many square pixels (Kerbl et al. 2023, "Gaussian
@@ -67,8 +72,17 @@ def set_input(obj: bpy.types.Object, name: str, value: float | bool) -> None:
             obj.update_tag()
 
 
+def remember_training(obj: bpy.types.Object, pixel_size: float, background: Sequence[float]) -> None:
+    """Keep with the splats what they were trained with, so that renders look the same.
+
+    pixel_size: 1 / focal length in pixels of the training images; background: the display colour (3,) behind them.
+    """
+    set_input(obj, PIXEL_SIZE, pixel_size)
+    obj[BACKGROUND_KEY] = [float(value) for value in background]
+
+
 def prepare_cycles(scene: bpy.types.Scene, display_values: bool) -> None:
-    """Settings with which Cycles draws splats fully and in their own colours.
+    """Settings with which Cycles draws splats fully and in their own colours, before their trained background.
 
     `display_values`: see the module text; the splat objects of the scene are switched to the same way of blending.
     """
@@ -83,6 +97,18 @@ def prepare_cycles(scene: bpy.types.Scene, display_values: bool) -> None:
     scene.view_settings.exposure, scene.view_settings.gamma = 0.0, 1.0
     for obj in scene.objects:
         set_input(obj, BLEND_DISPLAY, display_values)
+    background = next((obj[BACKGROUND_KEY] for obj in scene.objects if BACKGROUND_KEY in obj), None)
+    if background is not None:
+        scene.world = scene.world or bpy.data.worlds.new("World")
+        scene.world.use_nodes = True
+        tree = scene.world.node_tree
+        node = next((n for n in tree.nodes if n.bl_idname == "ShaderNodeBackground"), None)
+        if node is None:
+            node = tree.nodes.new("ShaderNodeBackground")
+            add(tree, "ShaderNodeOutputWorld", Surface=Field(node.outputs[0]))
+        color = Color(background)
+        node.inputs["Color"].default_value = (*(color if display_values else color.from_srgb_to_scene_linear()), 1.0)
+        node.inputs["Strength"].default_value = 1.0
 
 
 def node_group() -> bpy.types.NodeTree:
@@ -135,7 +161,13 @@ def node_group() -> bpy.types.NodeTree:
     ellipsoids = _instances(tree, geometry, sphere, rotation, wide * RADIUS_IN_SIGMA, material(facing=False))
     quad = Field(add(tree, "GeometryNodeMeshGrid", Size_X=2.0, Size_Y=2.0, Vertices_X=2, Vertices_Y=2).outputs["Mesh"])
     turn, extent = _projected(tree, ray, view, camera, sigma, rotation, widening)
-    facing = _instances(tree, geometry, quad, turn, extent * QUAD_IN_SIGMA, material(facing=True))
+    # As far as the splat is worth drawing, in sigma: Cycles pays for each rectangle that a ray meets. 0: nowhere.
+    reach = ((opacity * (1 / LEAST_ALPHA)).math("MAXIMUM", 1.0).math("LOGARITHM", math.e) * 2.0).math("SQRT")
+    geometry = _stored(tree, geometry, REACH, "FLOAT", reach)
+    quad = _stored(tree, quad, PLACE, "FLOAT_VECTOR", Field(add(tree, "GeometryNodeInputPosition").outputs[0]))
+    facing = _instances(tree, geometry, quad, turn, extent * reach, material(facing=True))
+    # One mesh: Cycles meets its rectangles much faster than as many instances.
+    facing = Field(add(tree, "GeometryNodeRealizeInstances", Geometry=facing).outputs["Geometry"])
     points = add(tree, "GeometryNodeSetMaterial", Geometry=geometry, Material=point_material.material())
     points = Field(points.outputs["Geometry"])
 
@@ -156,12 +188,15 @@ def material(facing: bool) -> bpy.types.Material:
     made.use_nodes = True
     tree = made.node_tree
     tree.nodes.clear()
-    point = Field(add(tree, "ShaderNodeTexCoord").outputs["Object"])
-    opacity = _instance_attribute(tree, OPACITY, "Fac")
+    owner = "GEOMETRY" if facing else "INSTANCER"
+    opacity = _shader_attribute(tree, owner, OPACITY, "Fac")
     if facing:
-        alpha = opacity * (point.dot(point) * (-0.5 * QUAD_IN_SIGMA**2)).math("EXPONENT")
-        alpha = alpha * alpha.math("GREATER_THAN", 1 / 255)
+        point = _shader_attribute(tree, owner, PLACE, "Vector")
+        reach = _shader_attribute(tree, owner, REACH, "Fac")
+        alpha = opacity * (point.dot(point) * reach * reach * -0.5).math("EXPONENT")
+        alpha = alpha * alpha.math("GREATER_THAN", LEAST_ALPHA)
     else:
+        point = Field(add(tree, "ShaderNodeTexCoord").outputs["Object"])
         geometry = add(tree, "ShaderNodeNewGeometry")
         toward_eye = add(
             tree,
@@ -173,11 +208,12 @@ def material(facing: bool) -> bpy.types.Material:
         distance_squared = point.dot(point) - along * along
         front = Field(geometry.outputs["Backfacing"]).math("LESS_THAN", 0.5)
         alpha = opacity * (distance_squared * (-0.5 * RADIUS_IN_SIGMA**2)).math("EXPONENT") * front
-    emission = add(tree, "ShaderNodeEmission", Color=_instance_attribute(tree, point_material.COLOR, "Color"))
+    emission = add(tree, "ShaderNodeEmission", Color=_shader_attribute(tree, owner, point_material.COLOR, "Color"))
     mix = tree.nodes.new("ShaderNodeMixShader")
     tree.links.new(alpha.socket, mix.inputs[0])
     tree.links.new(tree.nodes.new("ShaderNodeBsdfTransparent").outputs[0], mix.inputs[1])
     tree.links.new(emission.outputs[0], mix.inputs[2])
+    made.cycles.emission_sampling = "NONE"  # splats are looked at; they light nothing
     add(tree, "ShaderNodeOutputMaterial", Surface=Field(mix.outputs[0]))
     arranged(tree)
     return made
@@ -310,8 +346,8 @@ def _attribute(tree: bpy.types.NodeTree, name: str, kind: str) -> bpy.types.Node
     return add(tree, "GeometryNodeInputNamedAttribute", {"data_type": kind}, Name=name)
 
 
-def _instance_attribute(tree: bpy.types.NodeTree, name: str, output: str) -> Field:
-    node = add(tree, "ShaderNodeAttribute", {"attribute_type": "INSTANCER", "attribute_name": name})
+def _shader_attribute(tree: bpy.types.NodeTree, owner: str, name: str, output: str) -> Field:
+    node = add(tree, "ShaderNodeAttribute", {"attribute_type": owner, "attribute_name": name})
     return Field(node.outputs[output])
 
 

@@ -16,7 +16,7 @@ EXTENSION = "bl_ext.user_default.swag_splatting"
 INSTALL = """
 import bpy, addon_utils, sys
 addon_utils.enable("bl_pkg")
-bpy.ops.extensions.package_install_files(filepath=sys.argv[-1], repo="user_default", enable_on_install=True, overwrite=True)
+bpy.ops.extensions.package_install_files(filepath=sys.argv[-1], repo="user_default", enable_on_install=True)
 bpy.ops.wm.save_userpref()
 """
 ENABLE = f"""

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+
 from swag_engine.formats.ply import write_ply
 from swag_engine.gaussians.splats import Splats
 
@@ -68,7 +69,13 @@ def train(request):
         time.sleep(0.02)
     count = 100 * iteration
     write_ply(run / "result.ply", splats(count))
-    metrics = {"test_psnr": 25.5, "test_ssim": 0.8, "gaussians": count, "seconds": 61.0, "interrupted": cancelled.is_set()}
+    metrics = {
+        "test_psnr": 25.5,
+        "test_ssim": 0.8,
+        "gaussians": count,
+        "seconds": 61.0,
+        "interrupted": cancelled.is_set(),
+    }
     (run / "metrics.json").write_text(json.dumps(metrics))
     send(
         event="result", request="train", run=str(run), ply=str(run / "result.ply"), metrics=metrics,

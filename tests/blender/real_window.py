@@ -7,16 +7,19 @@ SWAG_ENGINE_PYTHON the engine's Python. The file $READY tells the caller that al
 import json
 import os
 import subprocess
+import sys
 import time
 import traceback
 from pathlib import Path
 
 import bpy
 
+# Before Blender draws for the first time: a splash screen would eat the first click.
+bpy.context.preferences.view.show_splash = False
 OUT = Path(os.environ["SWAG_OUT"])
 # Where the buttons are on a screen of 1280 x 800, from its top left corner.
-TRAIN, CANCEL = (900, 368), (900, 358)
-report = {"version": bpy.app.version_string, "engine": [], "ticks": []}
+TRAIN, CANCEL, CONTINUE = (900, 368), (900, 370), (960, 368)
+report = {"version": bpy.app.version_string}
 
 
 def view3d():
@@ -33,9 +36,23 @@ def click(x, y):
     # In steps: Blender highlights a button when the pointer moves over it, and clicks what is highlighted.
     for offset in (40, 20, 10, 0):
         subprocess.run(["xdotool", "mousemove", str(x - offset), str(y)], check=True)
-        yield 0.1
+        yield 0.2
+    yield 0.5
     subprocess.run(["xdotool", "click", "1"], check=True)
     yield 0.2
+
+
+def measured(function, seconds):
+    """`function`, with the time of each call noted in `seconds`."""
+
+    def timed(*arguments):
+        started = time.perf_counter()
+        try:
+            return function(*arguments)
+        finally:
+            seconds.append(time.perf_counter() - started)
+
+    return timed
 
 
 def until(condition, seconds):
@@ -47,7 +64,6 @@ def until(condition, seconds):
 
 
 def steps():
-    bpy.context.preferences.view.show_splash = False
     bpy.context.preferences.system.use_online_access = False
     bpy.ops.extensions.package_install_files(
         filepath=os.environ["SWAG_ZIP"], repo="user_default", enable_on_install=True, overwrite=True
@@ -79,11 +95,11 @@ def steps():
     yield from until(lambda: status.iteration > 0 and status.factor > 0, 20)
     clouds = lambda: [o for o in bpy.data.objects if "swag_run" in o]  # noqa: E731
     yield from until(clouds, 20)
-    end, last = time.monotonic() + 3, time.monotonic()
-    while time.monotonic() < end:
-        yield 0.02
-        report["ticks"].append(time.monotonic() - last)
-        last = time.monotonic()
+    # What we take of Blender's time while the training runs (drawing in software takes most of it here).
+    job = sys.modules["bl_ext.user_default.swag_splatting.swag_blender.job"]
+    report["held_seconds"] = []
+    job.Job._follow = measured(job.Job._follow, report["held_seconds"])
+    yield 4.0
     report["training"] = {"iteration": status.iteration, "gaussians": status.gaussians, "figures": status.figures()}
     report["preview"] = len(clouds()[0].data.points)
     photograph("3-training")
@@ -98,6 +114,20 @@ def steps():
     }  # fmt: skip
     photograph("4-cancelled")
 
+    yield from click(*CONTINUE)
+    yield from until(lambda: status.job == "Training" and status.iteration > report["training"]["iteration"], 20)
+    subprocess.run(["xdotool", "key", "Escape"], check=True)
+    yield from until(lambda: not status.job, 20)
+    report["escaped"] = {"failed": status.failed, "message": status.message, "points": len(clouds()[0].data.points)}
+
+    yield from click(*CONTINUE)
+    yield from until(lambda: status.job == "Training", 5)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    yield 0.5
+    status = bpy.context.window_manager.swag
+    engines = sys.modules["bl_ext.user_default.swag_splatting.swag_blender.engine_process"]._running
+    report["loaded"] = {"job": status.job, "engines": len(engines), "message": status.message}
+
 
 def run(generator):
     try:
@@ -109,9 +139,9 @@ def run(generator):
         photograph("failed")
     (OUT / "report.json").write_text(json.dumps(report))
     Path(os.environ["READY"]).touch()
-    bpy.app.timers.register(bpy.ops.wm.quit_blender, first_interval=2.0)
+    bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None, first_interval=2.0)
     return None
 
 
 sequence = steps()
-bpy.app.timers.register(lambda: run(sequence), first_interval=2.0)
+bpy.app.timers.register(lambda: run(sequence), first_interval=2.0, persistent=True)

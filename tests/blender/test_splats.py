@@ -29,9 +29,8 @@ def saved(path):
     return Splats(*(held[name] for name in ("positions", "rotations", "scales", "opacities", "sh")))
 
 def point_sampled(width, height):
-    # One sample at each pixel's centre: no filter between the formula and the figure.
+    # The first sample of a pixel is at its centre: no filter between the formula and the figure.
     scene.cycles.samples = 1
-    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BOX", 0.01
     scene.render.film_transparent = True
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
     scene.render.filepath = sys.argv[-1] + "/render.exr"
@@ -225,6 +224,32 @@ np.save(sys.argv[-1] + "/render.npy", point_sampled(33, 33))
     middle = np.load(tmp_path / "render.npy")[18, 13]
     assert np.allclose(middle[:3], 0.6 * light[0] + 0.4 * 0.9 * light[1], atol=1e-3)
     assert middle[3] == pytest.approx(1 - 0.4 * 0.1, abs=1e-3)
+
+
+def test_background_of_the_training_is_behind_the_splats(blender, tmp_path):
+    blender.run(
+        SETUP
+        + """
+view(9, 9, 20.0)
+obj = splats.new_splat_object("behind", random_splats(1, 1), scene.collection)
+obj.location.y = 50
+splat_preview.remember_training(obj, 0.01, [0.2, 0.02, 0.9])
+for display in (True, False):
+    splat_preview.prepare_cycles(scene, display)
+    pixels = point_sampled(9, 9)
+    assert pixels[..., 3].max() == 0
+    scene.render.film_transparent = False
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    np.save(f"{sys.argv[-1]}/{display}.npy", np.array(image.pixels[:3]))
+    bpy.data.images.remove(image)
+        """,
+        tmp_path,
+    )
+    display = np.array([0.2, 0.02, 0.9])
+    light = np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+    assert np.allclose(np.load(tmp_path / "True.npy"), display, atol=1e-4)
+    assert np.allclose(np.load(tmp_path / "False.npy"), light, atol=1e-4)
 
 
 def test_viewport_shows_points_or_splats(blender):

@@ -1,5 +1,8 @@
 """Training from Blender without a window, against a worker that behaves as told."""
 
+import os
+import sys
+
 import pytest
 
 TRAIN = """
@@ -47,7 +50,7 @@ print("AGAIN", json.dumps({"objects": len(objects), "run": again.run_folder}))
     # A second run never writes over the first.
     assert blender.json_after("AGAIN", printed) == {"objects": 2, "run": result["run"] + "-2"}
     assert "Training: Photograph 1 of 3" in printed
-    assert "Training: Iteration 10 of 10, Validation 30.00 dB, 1000 Gaussians, 7.5 iterations/s, 1:05 left" in printed
+    assert "Training: Iteration 10 of 10, PSNR 30.00 dB, 1000 Gaussians, 7.5 iterations/s, 1:05 left" in printed
 
 
 @pytest.mark.parametrize(
@@ -137,9 +140,34 @@ print("LEFT", start()._process.pid, flush=True)
     assert blender.json_after("DISABLED", printed) is True
     left = blender.json_after("LEFT", printed)
     with pytest.raises(ProcessLookupError):
-        import os
-
         os.kill(left, 0)
+
+
+def test_trains_with_the_real_engine(blender, tiny_scene):
+    printed = blender.run(
+        TRAIN
+        + """
+bpy.ops.swag.import_scene(directory=str(root))
+swag = bpy.context.scene.swag
+swag.iterations, swag.width, swag.run_folder = 60, 64, bpy.app.tempdir + "run"
+print("RETURNED", json.dumps(sorted(bpy.ops.swag.train())), flush=True)
+made = [o for o in bpy.data.objects if "swag_run" in o]
+print("RESULT", json.dumps({"objects": len(made), "points": len(made[0].data.points), "parent": made[0].parent.name,
+      "gaussians": swag.result_gaussians, "psnr": swag.result_psnr}))
+try:
+    bpy.ops.swag.train(resume=True)
+except RuntimeError as error:
+    print("REPORTED", json.dumps(str(error)))
+""",
+        tiny_scene,
+        SWAG_ENGINE_PYTHON=sys.executable,
+    )
+    assert blender.json_after("RETURNED", printed) == ["FINISHED"]
+    result = blender.json_after("RESULT", printed)
+    assert result["objects"] == 1 and result["points"] == result["gaussians"] > 0
+    assert result["parent"] == tiny_scene.name and result["psnr"] > 10
+    assert "is finished already" in blender.json_after("REPORTED", printed)
+    assert "Traceback" not in printed
 
 
 def test_inspect_says_what_was_found(blender, fake_engine, tmp_path):

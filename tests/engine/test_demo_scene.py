@@ -221,6 +221,29 @@ def test_the_same_settings_write_the_same_files(made: Path) -> None:
         assert (made / "base" / file).read_bytes() == (made / "again" / file).read_bytes(), file
 
 
+def test_ranges_are_euclidean() -> None:
+    """A held-out view's ranges carry its pixels to where the next photograph shows the same; z-depths would not."""
+    model = pycolmap.Reconstruction(str(SHIPPED / "sparse" / "0"))
+    poses = {image.name: image.cam_from_world().matrix() for image in model.images.values()}
+    fx, fy, cx, cy = model.cameras[1].params
+    y, x = np.mgrid[0:360, 0:640] + 0.5
+    rays = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], -1)
+    length = np.linalg.norm(rays, axis=-1)
+    for k, distance in zip((0, 8, 16), ranges(SHIPPED), strict=True):
+        here, there = poses[f"reef_{k:03d}.jpg"], poses[f"reef_{k + 1:03d}.jpg"]
+        photograph, other = (picture(SHIPPED / "images" / f"reef_{n:03d}.jpg").astype(np.float32) for n in (k, k + 1))
+
+        def mismatch(z: np.ndarray, here=here, there=there, photograph=photograph, other=other) -> float:
+            surface = np.isfinite(z)
+            world = (rays * np.where(surface, z, 1)[..., None] - here[:, 3]) @ here[:, :3]
+            u, v, w = np.moveaxis(world @ there[:, :3].T + there[:, 3], -1, 0)
+            u, v = (fx * u / w + cx - 0.5).astype(np.float32), (fy * v / w + cy - 0.5).astype(np.float32)
+            inside = surface & (length > 1.1) & (w > 0) & (u > 0) & (u < 639) & (v > 0) & (v < 359)
+            return float(np.median(np.abs(cv2.remap(other, u, v, cv2.INTER_LINEAR) - photograph).max(-1)[inside]))
+
+        assert mismatch(distance / length) < 0.6 * mismatch(distance)
+
+
 def test_the_generator_makes_the_shipped_scene(made: Path) -> None:
     assert truth(SHIPPED)["held_out"] == [f"reef_{k:03d}.jpg" for k in (0, 8, 16)]
     for k in (0, 8, 16):  # of 24 views are 0, 2, 4 of 6
@@ -229,6 +252,7 @@ def test_the_generator_makes_the_shipped_scene(made: Path) -> None:
         afresh = linear(picture(made / "base" / "clean" / f"reef_{k // 4:03d}.png"))
         assert np.corrcoef(shipped.ravel(), afresh.ravel())[0, 1] > 0.93
         assert shipped.mean() == pytest.approx(afresh.mean(), rel=0.05)
+        assert np.nanmedian(np.abs(ranges(made / "base")[k // 4] / ranges(SHIPPED)[k // 8][4::8, 4::8] - 1)) < 0.015
 
 
 def test_the_shipped_scene_is_small_whole_and_deep() -> None:

@@ -10,7 +10,7 @@ does not share that equation.
 What is written to DIR:
     images/NAME.jpg       the photographs
     sparse/0/             the COLMAP model (binary): exact poses, points triangulated from observations with noise
-    clean/NAME.png        what the held-out views (every eighth) look like without water, on black
+    clean/NAME.png        what the held-out views (every eighth) look like without water and fish, on black
     range/NAME.png        their ranges, 16 bit, millimetres, 0 in open water
     masks/NAME.png        255 where a moving object is, for the images that have one
     truth.json            every coefficient and setting
@@ -37,11 +37,11 @@ RGB = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Water:
-    beta_D: RGB = (0.21, 0.075, 0.05)
+    beta_D: RGB = (0.19, 0.07, 0.045)
     """Attenuation of the direct signal, per metre, red green blue."""
-    beta_B: RGB = (0.16, 0.095, 0.08)
+    beta_B: RGB = (0.15, 0.09, 0.075)
     """Build-up of backscatter, per metre."""
-    B_inf: RGB = (0.025, 0.15, 0.22)
+    B_inf: RGB = (0.03, 0.175, 0.255)
     """Colour of open water, in the values that `light` names."""
     light: Literal["linear", "srgb"] = "linear"
     """The values the model holds in: linear light, as physics asks, or displayed sRGB values."""
@@ -60,7 +60,8 @@ class Settings:
     """Cycles samples per rendered pixel (denoised)."""
     seed: int = 0
     """Of everything: the model, the points, the gains, the fish."""
-    points: int = 5000
+    points: int = 2500
+    """At most; fewer where the images are small."""
     water: Water = field(default_factory=Water)
     lamp: float = 0.0
     """Share of a lamp at the camera in the light at the median range; its light falls as 1 / (lamp_tau + r^2)."""
@@ -82,10 +83,12 @@ VOLUME = {  # per metre; beam attenuation is absorption + scattering
     "scattering": (0.05, 0.05, 0.05),
     "anisotropy": 0.6,
     "surface": 5.0,  # height of the water's surface, metres above the sand
-    "light": 2.0,  # above the water, times the light of the clean images
+    "light": 1.4,  # above the water, times the light of the clean images
 }
 
 HELD_OUT = 8  # every eighth image of sorted names, from index 0
+JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
+PNG = [cv2.IMWRITE_PNG_COMPRESSION, 9]
 PIXEL_NOISE = 0.3  # standard deviation of an observation, pixels
 
 
@@ -150,19 +153,30 @@ def caustic_pattern(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def world_points(distance: np.ndarray, focal: float, world_to_camera: np.ndarray) -> np.ndarray:
     """(H,W,3) points seen at pixel centres, for ranges (H,W); open water gives the camera's centre."""
     h, w = distance.shape
-    rays = np.stack(np.broadcast_arrays((np.arange(w) + 0.5 - w / 2) / focal, ((np.arange(h) + 0.5 - h / 2) / focal)[:, None], 1.0), -1)
+    rays = np.stack(
+        np.broadcast_arrays((np.arange(w) + 0.5 - w / 2) / focal, ((np.arange(h) + 0.5 - h / 2) / focal)[:, None], 1.0),
+        -1,
+    )
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     local = rays * np.where(np.isinf(distance), 0, distance)[..., None]
     return (local - world_to_camera[:3, 3]) @ world_to_camera[:3, :3]
 
 
 def photograph(
-    passes: Passes, settings: Settings, focal: float, pose: np.ndarray, reference: float, gain: float, rng: np.random.Generator
+    passes: Passes,
+    settings: Settings,
+    focal: float,
+    pose: np.ndarray,
+    reference: float,
+    gain: float,
+    rng: np.random.Generator,
 ) -> np.ndarray:
     """The displayed image (H,W,3), sRGB 0..1 before clipping, of one view's passes (`focal` in rendered pixels)."""
     light = np.ones_like(passes.alpha)
     if settings.lamp:
-        light = light * lamp_light(np.where(np.isinf(passes.range), reference, passes.range), settings.lamp, settings.lamp_tau, reference)
+        light = light * lamp_light(
+            np.where(np.isinf(passes.range), reference, passes.range), settings.lamp, settings.lamp_tau, reference
+        )
     if settings.caustics:
         pattern = caustic_pattern(world_points(passes.range, focal, pose), rng)
         light = light * (1 + settings.caustics * passes.sun_share * (pattern - 1))
@@ -178,7 +192,9 @@ def photograph(
 # ---------------------------------------------------------------------------------------------------- COLMAP
 
 
-def triangulated(start: np.ndarray, poses: list[np.ndarray], observed: np.ndarray, focal: float, size: tuple[int, int]) -> np.ndarray:
+def triangulated(
+    start: np.ndarray, poses: list[np.ndarray], observed: np.ndarray, focal: float, size: tuple[int, int]
+) -> np.ndarray:
     """The point whose reprojections are nearest to `observed` (n,2) pixels in `poses`, by Gauss-Newton from `start`."""
     point = start.astype(np.float64)
     for _ in range(3):
@@ -192,7 +208,14 @@ def triangulated(start: np.ndarray, poses: list[np.ndarray], observed: np.ndarra
 
 
 def write_model(
-    folder: Path, names: list[str], poses: list[np.ndarray], focal: float, images: list[np.ndarray], ranges: list[np.ndarray], count: int, rng: np.random.Generator
+    folder: Path,
+    names: list[str],
+    poses: list[np.ndarray],
+    focal: float,
+    images: list[np.ndarray],
+    ranges: list[np.ndarray],
+    count: int,
+    rng: np.random.Generator,
 ) -> int:
     """Writes a COLMAP model of points found where the images have contrast; returns their number.
 
@@ -203,23 +226,26 @@ def write_model(
     contrast, strength = [], []
     for image, distance in zip(images, ranges, strict=True):
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-        gradient = cv2.GaussianBlur(np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)), (0, 0), 1.5)
+        gradient = cv2.GaussianBlur(
+            np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)), (0, 0), 1.5
+        )
         filled = np.where(np.isinf(distance), 1e3, distance).astype(np.float32)
         # A silhouette is no point of the world: it slides along the object as the camera moves.
         flat = cv2.dilate(filled, np.ones((3, 3))) < 1.04 * cv2.erode(filled, np.ones((3, 3)))
         contrast.append(np.where(flat & np.isfinite(distance), gradient, 0))
-        strength.append(np.clip(gradient / 40, 0.1, 0.9))
+        strength.append(np.clip(gradient / 80, 0.05, 0.6))
 
     model = pycolmap.Reconstruction()
-    camera = pycolmap.Camera(model="PINHOLE", width=width, height=height, params=[focal, focal, width / 2, height / 2], camera_id=1)
+    camera = pycolmap.Camera(
+        model="PINHOLE", width=width, height=height, params=[focal, focal, width / 2, height / 2], camera_id=1
+    )
     model.add_camera_with_trivial_rig(camera)
-    observations: list[list[np.ndarray]] = [[] for _ in names]
-    tracks: list[tuple[np.ndarray, list[tuple[int, int]], np.ndarray]] = []
+    tracks: list[tuple[np.ndarray, list[int], np.ndarray, np.ndarray]] = []  # point, views, observations, colour
     for view in range(len(names)):
         chance = contrast[view].ravel().astype(np.float64)
         if not chance.any():
             continue
-        wanted = min(2 * count // len(names) + 1, np.count_nonzero(chance))
+        wanted = min(3 * count // len(names) + 1, np.count_nonzero(chance))
         world = world_points(ranges[view], focal, poses[view]).reshape(-1, 3)
         for pixel in rng.choice(len(chance), wanted, replace=False, p=chance / chance.sum()):
             seen, where = [], []
@@ -229,7 +255,10 @@ def write_model(
                     continue
                 u, v = focal * x / z + width / 2, focal * y / z + height / 2
                 column, row = int(np.floor(u)), int(np.floor(v))
-                if not (0 <= column < width and 0 <= row < height) or abs(ranges[other][row, column] / np.linalg.norm(local) - 1) > 0.01:
+                if (
+                    not (0 <= column < width and 0 <= row < height)
+                    or abs(ranges[other][row, column] / np.linalg.norm(local) - 1) > 0.01
+                ):
                     continue
                 if other == view or rng.random() < strength[other][row, column]:
                     seen.append(other)
@@ -238,20 +267,27 @@ def write_model(
                 continue
             where = np.array(where)
             point = triangulated(world[pixel], [poses[k] for k in seen], where, focal, (width, height))
-            if np.linalg.norm(point - world[pixel]) > 0.1 * np.linalg.norm(world[pixel] - np.linalg.inv(poses[view])[:3, 3]):
+            if np.linalg.norm(point - world[pixel]) > 0.1 * np.linalg.norm(
+                world[pixel] - np.linalg.inv(poses[view])[:3, 3]
+            ):
                 continue  # too little parallax
-            elements = []
-            for k, at in zip(seen, where, strict=True):
-                elements.append((k, len(observations[k])))
-                observations[k].append(at)
             row, column = divmod(pixel, width)
-            tracks.append((point, elements, images[view][row, column]))
+            tracks.append((point, seen, where, images[view][row, column]))
+    tracks = [tracks[k] for k in rng.permutation(len(tracks))[:count]]
+
+    observations: list[list[np.ndarray]] = [[] for _ in names]
+    elements = []
+    for _, seen, where, _ in tracks:
+        elements.append([pycolmap.TrackElement(k + 1, len(observations[k])) for k in seen])
+        for k, at in zip(seen, where, strict=True):
+            observations[k].append(at)
     for k, (name, pose) in enumerate(zip(names, poses, strict=True)):
-        image = pycolmap.Image(name=name, camera_id=1, image_id=k + 1, keypoints=np.array(observations[k]).reshape(-1, 2))
+        image = pycolmap.Image(
+            name=name, camera_id=1, image_id=k + 1, keypoints=np.array(observations[k]).reshape(-1, 2)
+        )
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
-    for point, elements, colour in tracks:
-        track = pycolmap.Track([pycolmap.TrackElement(k + 1, index) for k, index in elements])
-        model.add_point3D(point, track, colour)
+    for (point, _, _, colour), track in zip(tracks, elements, strict=True):
+        model.add_point3D(point, pycolmap.Track(track), colour)
     model.update_point_3d_errors()
     folder.mkdir(parents=True)
     model.write_binary(str(folder))
@@ -261,36 +297,45 @@ def write_model(
 # ---------------------------------------------------------------------------------------------------- the scene
 
 
-def render(settings: Settings) -> tuple[list[np.ndarray], list[Passes], list[np.ndarray] | None]:
-    """Poses (world_to_camera, OpenCV axes), passes, and with `volume` the photographs in linear light (H,W,3)."""
+@dataclass
+class Rendered:
+    """What Cycles gives; one entry a view in every list."""
+
+    poses: list[np.ndarray]  # world_to_camera (4,4), OpenCV axes
+    still: list[Passes]
+    seen: list[Passes]  # with the fish
+    volume: list[np.ndarray] | None  # photographs in linear light (H,W,3)
+
+
+def render(settings: Settings) -> Rendered:
     factor = settings.supersample
-    renderer = Renderer(
-        Model(settings.seed), settings.width * factor, settings.height * factor, focal_length(settings) * factor, settings.samples
-    )
+    width, height, focal = (n * factor for n in (settings.width, settings.height, focal_length(settings)))
+    renderer = Renderer(Model(settings.seed), width, height, focal, settings.samples)
     poses = camera_path(settings.views)
-    passes = []
+    still = []
     for k, pose in enumerate(poses):
-        passes.append(renderer.still(pose))
+        still.append(renderer.still(pose))
         print(f"rendered view {k + 1} of {len(poses)}", file=sys.stderr)
+    seen = list(still)
     fish = np.random.default_rng((settings.seed, 1))
     for k in fish.permutation(len(poses))[: round(settings.moving_object * len(poses))]:
-        passes[k] = renderer.with_fish(passes[k], poses[k], fish)
-    if not settings.volume:
-        return poses, passes, None
-    return poses, passes, renderer.volume(poses, factor, 16 * settings.samples, **VOLUME)
+        seen[k] = renderer.with_fish(still[k], poses[k], fish)
+    volume = renderer.volume(poses, factor, 16 * settings.samples, **VOLUME) if settings.volume else None
+    return Rendered(poses, still, seen, volume)
 
 
 def focal_length(settings: Settings) -> float:
     return settings.width * 500 / 640
 
 
-def make_scene(settings: Settings, rendered: tuple[list[np.ndarray], list[Passes], list[np.ndarray] | None] | None = None) -> dict:
+def make_scene(settings: Settings, rendered: Rendered | None = None) -> dict:
     """Writes the scene and returns what truth.json holds. `rendered` (from `render`) is used where it is given."""
-    poses, all_passes, volumes = rendered or render(settings)
+    rendered = rendered or render(settings)
+    poses, volume = rendered.poses, rendered.volume
     factor, focal = settings.supersample, focal_length(settings)
     names = [f"reef_{k:03d}.jpg" for k in range(settings.views)]
     gains = np.exp(np.random.default_rng((settings.seed, 2)).normal(0, settings.exposure, len(names)))
-    finite = np.concatenate([p.range[np.isfinite(p.range)][::97] for p in all_passes])
+    finite = np.concatenate([p.range[np.isfinite(p.range)][::97] for p in rendered.still])
     reference = float(np.median(finite))
 
     for part in ("images", "sparse", "clean", "range", "masks"):
@@ -298,35 +343,41 @@ def make_scene(settings: Settings, rendered: tuple[list[np.ndarray], list[Passes
     for part in ("images", "clean", "range"):
         (settings.out / part).mkdir(parents=True)
     images, ranges, with_object = [], [], []
-    for k, (name, pose, passes) in enumerate(zip(names, poses, all_passes, strict=True)):
-        if volumes:
-            shown = srgb(volumes[k] * gains[k])
+    for k, (name, still, seen) in enumerate(zip(names, rendered.still, rendered.seen, strict=True)):
+        if volume:
+            shown = srgb(volume[k] * gains[k])
         else:
             waves = np.random.default_rng((settings.seed, 3, k))
-            shown = photograph(passes, settings, focal * factor, pose, reference, gains[k], waves)
+            shown = photograph(seen, settings, focal * factor, poses[k], reference, gains[k], waves)
         images.append(to_8bit(shown))
-        ranges.append(nearest_range(passes.range, passes.alpha, factor))
-        jpeg = [cv2.IMWRITE_JPEG_QUALITY, 95, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-        cv2.imwrite(str(settings.out / "images" / name), images[-1][..., ::-1], jpeg)
+        ranges.append(nearest_range(seen.range, seen.alpha, factor))
+        cv2.imwrite(str(settings.out / "images" / name), images[-1][..., ::-1], JPEG)
         png = Path(name).with_suffix(".png").name
         if settings.truth == "all" or k % HELD_OUT == 0:
-            cv2.imwrite(str(settings.out / "clean" / png), to_8bit(srgb(averaged(passes.colour, factor)))[..., ::-1])
-            millimetres = np.where(np.isinf(ranges[-1]), 0, ranges[-1] * 1000).round().clip(0, 65535)
-            cv2.imwrite(str(settings.out / "range" / png), millimetres.astype(np.uint16))
-        if passes.fish.any():
+            cv2.imwrite(
+                str(settings.out / "clean" / png), to_8bit(srgb(averaged(still.colour, factor)))[..., ::-1], PNG
+            )
+            distance = nearest_range(still.range, still.alpha, factor)
+            millimetres = np.where(np.isinf(distance), 0, distance * 1000).round().clip(0, 65535)
+            cv2.imwrite(str(settings.out / "range" / png), millimetres.astype(np.uint16), PNG)
+        if seen.fish.any():
             with_object.append(name)
             (settings.out / "masks").mkdir(exist_ok=True)
-            cv2.imwrite(str(settings.out / "masks" / png), np.where(averaged(passes.fish, factor) > 0.5, 255, 0).astype(np.uint8))
+            cv2.imwrite(
+                str(settings.out / "masks" / png), np.where(averaged(seen.fish, factor) > 0.5, 255, 0).astype(np.uint8)
+            )
 
     rng = np.random.default_rng((settings.seed, 4))
     points = write_model(settings.out / "sparse" / "0", names, poses, focal, images, ranges, settings.points, rng)
     low, high = np.percentile(finite, [2, 98])
     truth = {
-        "water": None if volumes else {**asdict(settings.water), "per": "metre"},
-        "volume": VOLUME if volumes else None,
+        "water": None if volume else {**asdict(settings.water), "per": "metre"},
+        "volume": VOLUME if volume else None,
         "units": "1 unit of the COLMAP model is 1 metre; ranges are Euclidean, camera centre to surface; z is up",
         "range": {"p2": float(low), "median": reference, "p98": float(high)},
-        "lamp": {"share": settings.lamp, "tau": settings.lamp_tau, "reference_range": reference} if settings.lamp else None,
+        "lamp": {"share": settings.lamp, "tau": settings.lamp_tau, "reference_range": reference}
+        if settings.lamp
+        else None,
         "exposure": {"sd_log_gain": settings.exposure, "gains": dict(zip(names, gains.tolist(), strict=True))},
         "caustics": {"strength": settings.caustics, "towards_sun": SUN.tolist()} if settings.caustics else None,
         "moving_objects": with_object,

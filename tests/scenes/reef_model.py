@@ -211,7 +211,9 @@ def material(
     height = detail
     if tip:
         tint = node("Attribute", attribute_name="tint").outputs["Fac"]
-        colour = mixed(tint, colour, mixed(1.0, (*tip, 1), ramp(detail, [(0.3, (0.7,) * 3), (0.6, (1.1,) * 3)]), "MULTIPLY"))
+        colour = mixed(
+            tint, colour, mixed(1.0, (*tip, 1), ramp(detail, [(0.3, (0.7,) * 3), (0.6, (1.1,) * 3)]), "MULTIPLY")
+        )
     for index, (growth_colour, size, share) in enumerate(growth):
         patch = noisy(size, 3, node("VectorMath", {0: where, 1: (index * 7.7, 3.1, 5.3)}).outputs[0])
         edge = 0.5 + (0.5 - share) * 0.5
@@ -266,7 +268,9 @@ def staghorn(rng: np.random.Generator) -> Mesh:
 
 def table(rng: np.random.Generator) -> Mesh:
     s = np.concatenate([np.linspace(0.02, 1, 26), np.linspace(1, 0.12, 14), np.full(4, 0.1)])
-    height = np.concatenate([0.42 + 0.06 * np.linspace(0, 1, 26) ** 2, 0.45 - 0.14 * np.linspace(0, 1, 14), [0.25, 0.1, 0, -0.1]])
+    height = np.concatenate(
+        [0.42 + 0.06 * np.linspace(0, 1, 26) ** 2, 0.45 - 0.14 * np.linspace(0, 1, 14), [0.25, 0.1, 0, -0.1]]
+    )
     v, f, t = lathe(s * 0.55, height, 72)
     angle = np.arctan2(v[:, 1], v[:, 0])
     edge = 1 + 0.16 * noise(np.stack([np.cos(angle) * 2, np.sin(angle) * 2, angle * 0 + rng.uniform(0, 99)], -1))
@@ -295,7 +299,9 @@ def sponge(rng: np.random.Generator) -> Mesh:
     for _ in range(rng.integers(4, 8)):
         h, r = rng.uniform(0.3, 0.7), rng.uniform(0.06, 0.11)
         z = np.concatenate([np.linspace(0, 1, 12), [1.02, 1.0], np.linspace(0.97, 0.3, 6)])
-        radius = r * np.concatenate([0.65 + 0.35 * np.linspace(0, 1, 12) ** 0.7, [0.95, 0.8], np.linspace(0.75, 0.5, 6)])
+        radius = r * np.concatenate(
+            [0.65 + 0.35 * np.linspace(0, 1, 12) ** 0.7, [0.95, 0.8], np.linspace(0.75, 0.5, 6)]
+        )
         tint = np.concatenate([np.zeros(12), [0.1, 0.5], np.linspace(0.8, 1, 6)])
         v, f, t = lathe(radius, z * h, 20, tint)
         v[:, :2] *= (1 + 0.13 * noise(v * 16 + rng.uniform(0, 99)))[:, None]
@@ -318,7 +324,14 @@ def fan(rng: np.random.Generator) -> Mesh:
             spread = 0.34 + 0.1 * rng.random()
             children = (-1, 1) if rng.random() < 0.86 else (-1, 0, 1)
             for k in children:
-                grow(px[-1], pz[-1], a[-1] * 0.97 + k * spread, length * rng.uniform(0.78, 0.93), max(radius * 0.78, 0.005), level + 1)
+                grow(
+                    px[-1],
+                    pz[-1],
+                    a[-1] * 0.97 + k * spread,
+                    length * rng.uniform(0.78, 0.93),
+                    max(radius * 0.78, 0.005),
+                    level + 1,
+                )
 
     for angle in (-0.45, 0.05, 0.5):
         grow(0, -0.05, angle, 0.17, 0.022, 1)
@@ -333,7 +346,9 @@ def fingers(rng: np.random.Generator) -> Mesh:
         s = np.linspace(0, 1, 9)
         lean = base * 1.4 + rng.normal(0, 0.08, 2)
         path = np.stack([base[0] + lean[0] * s * h * 2, base[1] + lean[1] * s * h * 2, s * h - 0.04], -1)
-        v, f, t = tube(path, r * np.sqrt(np.clip(1.02 - s**6, 0.05, 1)) * (1 + 0.15 * np.sin(s * 7 + rng.uniform(0, 6))), 10, s**2)
+        v, f, t = tube(
+            path, r * np.sqrt(np.clip(1.02 - s**6, 0.05, 1)) * (1 + 0.15 * np.sin(s * 7 + rng.uniform(0, 6))), 10, s**2
+        )
         parts.append((v + 0.012 * noise(v * 25)[:, None], f, t))
     return joined(parts)
 
@@ -354,7 +369,12 @@ def cups(rng: np.random.Generator) -> Mesh:
     parts = []
     for _ in range(4):
         s, angle = np.linspace(0.1, 1, 18), np.linspace(0, 2.4 * np.pi, 90)
-        r = 0.36 * s[:, None] * (1 + 0.12 * np.sin(angle * 5 + rng.uniform(0, 6)) * s[:, None]) * (0.75 + 0.1 * angle / np.pi)
+        r = (
+            0.36
+            * s[:, None]
+            * (1 + 0.12 * np.sin(angle * 5 + rng.uniform(0, 6)) * s[:, None])
+            * (0.75 + 0.1 * angle / np.pi)
+        )
         z = 0.3 * s[:, None] ** 1.6 + 0.05 * s[:, None] * np.sin(angle * 8 + rng.uniform(0, 6)) + 0.035 * angle
         grid = np.stack([r * np.cos(angle), r * np.sin(angle), z], -1)
         grid += 0.01 * noise(grid * 20)[..., None]
@@ -370,7 +390,9 @@ def anemone(rng: np.random.Generator) -> Mesh:
         base, s = rng.normal(0, 0.075, 2), np.linspace(0, 1, 6)
         out = base * 4 + rng.normal(0, 0.25, 2)
         h = rng.uniform(0.12, 0.24)
-        path = np.stack([base[0] + out[0] * s**1.5 * h, base[1] + out[1] * s**1.5 * h, 0.13 + h * (s - 0.45 * s**3)], -1)
+        path = np.stack(
+            [base[0] + out[0] * s**1.5 * h, base[1] + out[1] * s**1.5 * h, 0.13 + h * (s - 0.45 * s**3)], -1
+        )
         parts.append(tube(path, np.linspace(0.012, 0.009, 6), 5, s**3))
     return joined(parts)
 
@@ -420,7 +442,11 @@ def hull(t: np.ndarray, s: np.ndarray, inset: float = 0.0) -> np.ndarray:
     rocker = 0.55 * np.abs(t) ** 5
     a = np.minimum(np.abs(s), 1.25) * np.pi / 2
     y = np.sign(s) * np.clip(breadth * np.sin(np.minimum(a, np.pi / 2)) ** 0.85 - inset, 0, None)
-    z = rocker + (depth - rocker) * (1 - np.cos(np.minimum(a, np.pi / 2))) ** 0.85 + depth * np.clip(np.abs(s) - 1, 0, 1)
+    z = (
+        rocker
+        + (depth - rocker) * (1 - np.cos(np.minimum(a, np.pi / 2))) ** 0.85
+        + depth * np.clip(np.abs(s) - 1, 0, 1)
+    )
     return np.stack([t * LENGTH, y, z + inset * 0.6 * (np.abs(s) < 0.4)], axis=-1)
 
 
@@ -434,7 +460,13 @@ def wreck(rng: np.random.Generator) -> tuple[Mesh, Mesh]:
             t = np.linspace(-0.985, 0.985, 120)
             decay = fbm(np.stack([t * 4.2, np.full_like(t, row * 0.45), np.full_like(t, side * 9.0)], -1), 3, 5)
             height = row / rows
-            kept = decay + 0.75 - 0.95 * height * (0.35 + np.clip(t + 0.35, 0, 1.2)) - 0.6 * (side < 0) * np.exp(-(((t - 0.1) / 0.2) ** 2)) * (height > 0.3) > 0
+            kept = (
+                decay
+                + 0.75
+                - 0.95 * height * (0.35 + np.clip(t + 0.35, 0, 1.2))
+                - 0.6 * (side < 0) * np.exp(-(((t - 0.1) / 0.2) ** 2)) * (height > 0.3)
+                > 0
+            )
             butts = rng.choice(120, 3)  # where one plank ends and the next begins
             for run in np.split(np.arange(120), np.flatnonzero(~kept | np.isin(np.arange(120), butts))):
                 if len(run) < 6:
@@ -452,7 +484,9 @@ def wreck(rng: np.random.Generator) -> tuple[Mesh, Mesh]:
             centre = hull(np.full(22, t), s, 0.13)
             wide = np.array([0.055, 0, 0])
             deep = hull(np.full(22, t), s, 0.24) - centre
-            timber.append(slab(np.stack([centre - wide, centre + wide], axis=1), np.stack([deep, deep], axis=1), rng.random()))
+            timber.append(
+                slab(np.stack([centre - wide, centre + wide], axis=1), np.stack([deep, deep], axis=1), rng.random())
+            )
     for t in np.linspace(-0.75, 0.7, 10):
         a, b = hull(t, -0.84, 0.1), hull(t, 0.84, 0.1)
         if rng.random() < 0.3:
@@ -481,14 +515,23 @@ def wreck(rng: np.random.Generator) -> tuple[Mesh, Mesh]:
         for s in (0.62, 1.0):
             t = np.linspace(-0.97, 0.25 if side < 0 else 0.75, 60)
             timber.append(tube(hull(t, side * s) + [0, side * 0.04, 0], 0.065, 6, rng.random()))
-    timber.append(tube(np.array([[-0.9, 0, 0.2], [-0.92, 0.02, 1.7], [-1.0, 0.06, 2.75], [-1.02, 0.1, 2.9]]), np.array([0.17, 0.16, 0.15, 0.05]), 14, 0.5))
+    timber.append(
+        tube(
+            np.array([[-0.9, 0, 0.2], [-0.92, 0.02, 1.7], [-1.0, 0.06, 2.75], [-1.02, 0.1, 2.9]]),
+            np.array([0.17, 0.16, 0.15, 0.05]),
+            14,
+            0.5,
+        )
+    )
 
     iron: list[Mesh] = []
     for t, s in ((-0.3, 1.0), (-0.6, 1.0), (0.35, 0.62)):  # chain plates and straps
         for side in (-1, 1):
             iron.append(tube(hull(np.full(10, t), side * np.linspace(s - 0.35, s, 10)) + [0, side * 0.06, 0], 0.035, 6))
     for x in (-0.35, 0.35):
-        iron.append(lathe(np.array([0.19, 0.19, 0.21, 0.21, 0.19]), np.array([0.0, 0.02, 0.03, 0.1, 0.11]) + 1.9 + x, 24))
+        iron.append(
+            lathe(np.array([0.19, 0.19, 0.21, 0.21, 0.19]), np.array([0.0, 0.02, 0.03, 0.1, 0.11]) + 1.9 + x, 24)
+        )
     iron = [moved(m, Matrix.Translation((-0.95, 0.03, -0.3))) if k >= 6 else m for k, m in enumerate(iron)]
     return joined(timber), joined(iron)
 
@@ -541,14 +584,21 @@ def anchor() -> Mesh:
 def fish() -> Mesh:
     s = np.linspace(0, 1, 28)
     half = 0.11 * np.sin(np.pi * np.clip(s, 0, 1) ** 0.7) ** 0.8 + 0.012
-    v, f, t = lathe(half, (s - 0.5) * 0.52, 24, s)
+    v, f, t = lathe(half, (s - 0.5) * 0.52, 24, 0.5 + 0.5 * np.tanh(8 * np.cos(s * 14) - 5))
     body = v[:, [2, 0, 1]] * [1, 0.42, 1]
     edge = np.linspace(-1, 1, 9)
-    tail = np.stack([np.stack([np.full(9, 0.24), 0 * edge, 0.03 * edge], -1), np.stack([0.36 + 0.05 * np.abs(edge), 0 * edge, 0.15 * edge], -1)])
+    tail = np.stack(
+        [
+            np.stack([np.full(9, 0.24), 0 * edge, 0.03 * edge], -1),
+            np.stack([0.36 + 0.05 * np.abs(edge), 0 * edge, 0.15 * edge], -1),
+        ]
+    )
     x = np.linspace(-0.12, 0.2, 9)
     top = np.interp(x, (s - 0.5) * 0.52, half)
     fins = [
-        sheet(np.stack([np.stack([x, 0 * x, k * top * 0.9], -1), np.stack([x + 0.05, 0 * x, k * (top + 0.06)], -1)]), 0.95)
+        sheet(
+            np.stack([np.stack([x, 0 * x, k * top * 0.9], -1), np.stack([x + 0.05, 0 * x, k * (top + 0.06)], -1)]), 0.95
+        )
         for k in (-1, 1)
     ]
     return joined([(body, f, t), sheet(tail, 1.0), *fins])
@@ -561,7 +611,7 @@ def seabed_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     p = np.stack([x, y, np.zeros_like(x)], -1)
     hills = 0.22 * fbm(p * 0.22, 3, 3) + 0.05 * fbm(p * 0.9, 3, 8)
     ridge = 1.5 * np.exp(-(((y - 6.5 - 1.2 * np.sin(x * 0.35)) / 2.4) ** 2)) * (0.75 + 0.5 * noise(p * 0.28, 4))
-    scour = -0.22 * np.exp(-(((x / 4.8) ** 2 + (y / 2.0) ** 2)))
+    scour = -0.22 * np.exp(-((x / 4.8) ** 2 + (y / 2.0) ** 2))
     return hills + ridge + scour
 
 
@@ -581,7 +631,9 @@ class Model:
         self._light()
         self._model()
 
-    def place(self, mesh: bpy.types.Mesh, matrix: Matrix, collection: bpy.types.Collection | None = None) -> bpy.types.Object:
+    def place(
+        self, mesh: bpy.types.Mesh, matrix: Matrix, collection: bpy.types.Collection | None = None
+    ) -> bpy.types.Object:
         item = bpy.data.objects.new(mesh.name, mesh)
         item.matrix_world = matrix
         (collection or self.still).objects.link(item)
@@ -628,7 +680,12 @@ class Model:
         point, normal = surface
         up = Vector((1 - lean) * np.array([0, 0, 1]) + lean * normal)
         turn = up.to_track_quat("Z", "Y").to_matrix().to_4x4() @ Matrix.Rotation(self.rng.uniform(0, 2 * np.pi), 4, "Z")
-        self.place(mesh, Matrix.Translation(point - normal * 0.03) @ turn @ Matrix.Diagonal((size, size, size * self.rng.uniform(0.85, 1.15), 1)))
+        self.place(
+            mesh,
+            Matrix.Translation(point - normal * 0.03)
+            @ turn
+            @ Matrix.Diagonal((size, size, size * self.rng.uniform(0.85, 1.15), 1)),
+        )
 
     def _model(self) -> None:
         rng = self.rng
@@ -647,7 +704,9 @@ class Model:
             turn = Matrix.Rotation(rng.uniform(0, 6.28), 4, "Z") @ Matrix.Rotation(rng.normal(0, 0.25), 4, "X")
             if not self._clear(np.array([x, y, ground(x, y)]), size):
                 return
-            stretch = Matrix.Diagonal((size * rng.uniform(0.8, 1.3), size * rng.uniform(0.8, 1.3), size * rng.uniform(0.7, 1.2), 1))
+            stretch = Matrix.Diagonal(
+                (size * rng.uniform(0.8, 1.3), size * rng.uniform(0.8, 1.3), size * rng.uniform(0.7, 1.2), 1)
+            )
             at = Matrix.Translation((x, y, ground(x, y) + 0.05 * size))
             self.place(rocks[rng.integers(5)], at @ turn @ stretch)
 
@@ -661,7 +720,12 @@ class Model:
             boulder(rng.uniform(-8, 8), rng.uniform(-6, 5), rng.lognormal(-2.3, 0.45))
 
         # The wreck: heeled towards the cameras, sunk into the sand.
-        lie = Matrix.Translation((0, 0.4, -0.42)) @ Matrix.Rotation(-0.12, 4, "Z") @ Matrix.Rotation(0.36, 4, "X") @ Matrix.Rotation(0.035, 4, "Y")
+        lie = (
+            Matrix.Translation((0, 0.4, -0.42))
+            @ Matrix.Rotation(-0.12, 4, "Z")
+            @ Matrix.Rotation(0.36, 4, "X")
+            @ Matrix.Rotation(0.035, 4, "Y")
+        )
         timber, iron = wreck(rng)
         self.place(self.mesh("hull", timber, "wood", smooth=False), lie)
         self.place(self.mesh("hull iron", iron, "rust"), lie)
@@ -669,28 +733,54 @@ class Model:
         self.place(self.mesh("mast", mast(), "wood"), fallen)
         self.place(
             self.mesh("anchor", anchor(), "rust"),
-            Matrix.Translation((-3.35, -2.25, ground(-3.35, -2.25) + 0.32)) @ Matrix.Rotation(0.5, 4, "Z") @ Matrix.Rotation(-1.22, 4, "Y") @ Matrix.Rotation(0.5, 4, "Z"),
+            Matrix.Translation((-3.35, -2.25, ground(-3.35, -2.25) + 0.32))
+            @ Matrix.Rotation(0.5, 4, "Z")
+            @ Matrix.Rotation(-1.22, 4, "Y")
+            @ Matrix.Rotation(0.5, 4, "Z"),
         )
         pot = self.mesh("amphora", amphora(), "clay")
         for k in range(20):
             x, y = rng.normal(0.95, 0.85), rng.normal(-2.35, 0.45)
-            tilt = Matrix.Rotation(rng.uniform(0, 6.28), 4, "Z") @ Matrix.Rotation(rng.normal(1.45, 0.16) if k % 5 else 0.3, 4, "X")
+            tilt = Matrix.Rotation(rng.uniform(0, 6.28), 4, "Z") @ Matrix.Rotation(
+                rng.normal(1.45, 0.16) if k % 5 else 0.3, 4, "X"
+            )
             size = rng.uniform(0.6, 0.85)
-            self.place(pot, Matrix.Translation((x, y, ground(x, y) + (0.12 if k % 5 else -0.15))) @ tilt @ Matrix.Scale(size, 4))
-        for x, y, lift, turn in ((-1.15, -2.3, 0.2, 0.4), (-0.55, -2.95, 0.12, 1.1), (-1.0, -2.35, 0.72, 0.9), (3.4, -2.5, 0.15, 2.0)):
-            at = Matrix.Translation((x, y, ground(x, y) + lift)) @ Matrix.Rotation(turn, 4, "Z") @ Matrix.Rotation(rng.normal(0, 0.12), 4, "X")
+            self.place(
+                pot,
+                Matrix.Translation((x, y, ground(x, y) + (0.12 if k % 5 else -0.15))) @ tilt @ Matrix.Scale(size, 4),
+            )
+        for x, y, lift, turn in (
+            (-1.15, -2.3, 0.2, 0.4),
+            (-0.55, -2.95, 0.12, 1.1),
+            (-1.0, -2.35, 0.72, 0.9),
+            (3.4, -2.5, 0.15, 2.0),
+        ):
+            at = (
+                Matrix.Translation((x, y, ground(x, y) + lift))
+                @ Matrix.Rotation(turn, 4, "Z")
+                @ Matrix.Rotation(rng.normal(0, 0.12), 4, "X")
+            )
             self.place(self.mesh("crate", crate(rng), "wood", smooth=False), at @ Matrix.Scale(0.85, 4))
-        loose = [self.mesh(f"plank {k}", board([-0.9, 0, 0], [0.9, 0, 0], 0.17, 0.05, rng.random(), 4), "wood", smooth=False) for k in range(4)]
+        loose = [
+            self.mesh(f"plank {k}", board([-0.9, 0, 0], [0.9, 0, 0], 0.17, 0.05, rng.random(), 4), "wood", smooth=False)
+            for k in range(4)
+        ]
         for _ in range(26):
             x, y = rng.uniform(-4.5, 5.5), rng.uniform(-3.8, -1.5)
-            at = Matrix.Translation((x, y, ground(x, y) + 0.06)) @ Matrix.Rotation(rng.uniform(0, 6.28), 4, "Z") @ Matrix.Rotation(rng.normal(0, 0.12), 4, "Y")
+            at = (
+                Matrix.Translation((x, y, ground(x, y) + 0.06))
+                @ Matrix.Rotation(rng.uniform(0, 6.28), 4, "Z")
+                @ Matrix.Rotation(rng.normal(0, 0.12), 4, "Y")
+            )
             self.place(loose[rng.integers(4)], at @ Matrix.Diagonal((rng.uniform(0.4, 1.2), 1, 1, 1)))
 
         # Life, standing on what is there.
         self.depsgraph = bpy.context.evaluated_depsgraph_get()
         kinds: dict[str, list[bpy.types.Mesh]] = {}
         for name, shape, looks in LIFE:
-            kinds[name] = [self.mesh(f"{name} {look} {k}", shape(rng), look, name != "grass") for look in looks for k in range(2)]
+            kinds[name] = [
+                self.mesh(f"{name} {look} {k}", shape(rng), look, name != "grass") for look in looks for k in range(2)
+            ]
 
         def stand(names: list[str], weights: list[float], x: float, y: float, size: float) -> None:
             name = rng.choice(names, p=np.array(weights) / sum(weights))
@@ -704,13 +794,31 @@ class Model:
             stand(hard, weights, x, 5.2 + 1.2 * np.sin(x * 0.35) + rng.normal(0, 1.3), rng.lognormal(0.1, 0.25))
         for cx, cy, spread, count, _ in GARDENS:
             for _ in range(count * 5):
-                stand(hard, weights, cx + rng.normal(0, spread * 1.1), cy + rng.normal(0, spread * 0.7), rng.lognormal(-0.3, 0.25))
+                stand(
+                    hard,
+                    weights,
+                    cx + rng.normal(0, spread * 1.1),
+                    cy + rng.normal(0, spread * 0.7),
+                    rng.lognormal(-0.3, 0.25),
+                )
         for _ in range(55):
-            stand(["grass", "starfish", "urchin", "brain", "fingers"], [5, 2, 1, 1, 1], rng.uniform(-7, 7), rng.uniform(-5.5, -1.4), rng.lognormal(-0.45, 0.25))
+            stand(
+                ["grass", "starfish", "urchin", "brain", "fingers"],
+                [5, 2, 1, 1, 1],
+                rng.uniform(-7, 7),
+                rng.uniform(-5.5, -1.4),
+                rng.lognormal(-0.45, 0.25),
+            )
         for _ in range(46):  # what has settled on the wreck
             t, s = rng.uniform(-0.95, 0.9), rng.choice([-1.0, 1.0, rng.uniform(-0.8, 0.8)])
             at = lie @ Vector(hull(t, s))
-            stand(["sponge", "fan", "fingers", "anemone", "staghorn", "cups"], [3, 3, 3, 2, 1.5, 1], at.x, at.y, rng.lognormal(-0.75, 0.25))
+            stand(
+                ["sponge", "fan", "fingers", "anemone", "staghorn", "cups"],
+                [3, 3, 3, 2, 1.5, 1],
+                at.x,
+                at.y,
+                rng.lognormal(-0.75, 0.25),
+            )
 
 
 GARDENS = (  # coral heads: x, y, spread, rocks, size
@@ -745,16 +853,54 @@ def _materials() -> dict[str, bpy.types.Material]:
         return {"colours": [base, other], "scale": 5, "tip": tip, "cells": cells, "bump": 0.5}
 
     looks = {
-        "sand": dict(colours=[(0.34, 0.27, 0.18), (0.56, 0.47, 0.33), (0.66, 0.57, 0.42)], scale=0.7, fine=14, wave=1.1,
-                     growth=[((0.16, 0.17, 0.08), 0.55, 0.28), ((0.62, 0.56, 0.5), 9, 0.18), ((0.2, 0.14, 0.1), 14, 0.15)], vary=0, bump=0.5),
-        "rock": dict(colours=[(0.10, 0.085, 0.07), (0.24, 0.19, 0.15), (0.38, 0.31, 0.25)], scale=2.2, fine=7,
-                     growth=[(pink, 2.4, 0.42), (green, 1.6, 0.42), ((0.48, 0.24, 0.05), 4.5, 0.24), ((0.5, 0.45, 0.4), 11, 0.2)], vary=0.02, bump=0.7),
-        "wood": dict(colours=[(0.075, 0.045, 0.026), (0.20, 0.12, 0.065), (0.33, 0.22, 0.13)], scale=1.4, stretch=(0.5, 5, 5), fine=5,
-                     tip=(0.26, 0.19, 0.13), growth=[(green, 1.5, 0.32), (rust, 2.2, 0.26), (pink, 4, 0.2), ((0.46, 0.42, 0.34), 12, 0.14)], vary=0.01, bump=0.6),
-        "rust": dict(colours=[(0.10, 0.035, 0.018), (0.34, 0.11, 0.03), (0.52, 0.23, 0.06)], scale=4, fine=6,
-                     growth=[((0.16, 0.17, 0.12), 3, 0.3), (pink, 5, 0.18)], vary=0, bump=0.9),
-        "clay": dict(colours=[(0.34, 0.13, 0.06), (0.52, 0.23, 0.11), (0.6, 0.34, 0.2)], scale=2.5, fine=8,
-                     growth=[(green, 3, 0.3), ((0.55, 0.48, 0.4), 6, 0.28)], vary=0.02, bump=0.5),
+        "sand": dict(
+            colours=[(0.34, 0.27, 0.18), (0.56, 0.47, 0.33), (0.66, 0.57, 0.42)],
+            scale=0.7,
+            fine=14,
+            wave=1.1,
+            growth=[((0.16, 0.17, 0.08), 0.55, 0.28), ((0.62, 0.56, 0.5), 9, 0.18), ((0.2, 0.14, 0.1), 14, 0.15)],
+            vary=0,
+            bump=0.5,
+        ),
+        "rock": dict(
+            colours=[(0.13, 0.11, 0.09), (0.31, 0.25, 0.2), (0.48, 0.4, 0.32)],
+            scale=2.2,
+            fine=7,
+            growth=[
+                (pink, 2.4, 0.42),
+                (green, 1.6, 0.42),
+                ((0.48, 0.24, 0.05), 4.5, 0.24),
+                ((0.5, 0.45, 0.4), 11, 0.2),
+            ],
+            vary=0.02,
+            bump=0.7,
+        ),
+        "wood": dict(
+            colours=[(0.10, 0.062, 0.036), (0.27, 0.17, 0.095), (0.44, 0.31, 0.19)],
+            scale=1.4,
+            stretch=(0.5, 5, 5),
+            fine=5,
+            tip=(0.36, 0.28, 0.20),
+            growth=[(green, 1.5, 0.32), (rust, 2.2, 0.26), (pink, 4, 0.2), ((0.46, 0.42, 0.34), 12, 0.14)],
+            vary=0.01,
+            bump=0.6,
+        ),
+        "rust": dict(
+            colours=[(0.10, 0.035, 0.018), (0.34, 0.11, 0.03), (0.52, 0.23, 0.06)],
+            scale=4,
+            fine=6,
+            growth=[((0.16, 0.17, 0.12), 3, 0.3), (pink, 5, 0.18)],
+            vary=0,
+            bump=0.9,
+        ),
+        "clay": dict(
+            colours=[(0.34, 0.13, 0.06), (0.52, 0.23, 0.11), (0.6, 0.34, 0.2)],
+            scale=2.5,
+            fine=8,
+            growth=[(green, 3, 0.3), ((0.55, 0.48, 0.4), 6, 0.28)],
+            vary=0.02,
+            bump=0.5,
+        ),
         "violet": coral((0.22, 0.12, 0.46), (0.34, 0.18, 0.55), (0.78, 0.68, 0.9)),
         "cream": coral((0.5, 0.34, 0.16), (0.62, 0.45, 0.24), (0.88, 0.8, 0.62)),
         "blue": coral((0.08, 0.2, 0.5), (0.12, 0.3, 0.58), (0.6, 0.75, 0.9)),
@@ -772,7 +918,9 @@ def _materials() -> dict[str, bpy.types.Material]:
         "pale": coral((0.4, 0.36, 0.25), (0.5, 0.46, 0.34), (0.9, 0.75, 0.8)),
         "leaf": dict(colours=[(0.05, 0.14, 0.02), (0.12, 0.25, 0.04)], scale=6, tip=(0.34, 0.42, 0.1), bump=0.1),
         "black": dict(colours=[(0.02, 0.015, 0.025), (0.06, 0.04, 0.07)], scale=8, tip=(0.12, 0.08, 0.14), bump=0.1),
-        "fish": dict(colours=[(0.85, 0.3, 0.02), (0.95, 0.55, 0.05)], scale=7, fine=5, tip=(0.1, 0.2, 0.75), vary=0.03, bump=0.1),
+        "fish": dict(
+            colours=[(0.85, 0.3, 0.02), (0.95, 0.55, 0.05)], scale=7, fine=5, tip=(0.1, 0.2, 0.75), vary=0.03, bump=0.1
+        ),
     }
     return {name: material(name, **settings) for name, settings in looks.items()}
 
@@ -783,17 +931,19 @@ def _materials() -> dict[str, bpy.types.Material]:
 def camera_path(views: int) -> list[np.ndarray]:
     """world_to_camera (4,4) per view, OpenCV axes: a closed loop, out low over the reef and back higher up.
 
-    A loop has no end, so that every view, held out or not, lies between two others.
+    A loop has no end, so that every view, held out or not, lies between two others. Fewer views are some of the same.
     """
     poses = []
     for k in range(views):
-        phase = (k + 0.25) / views
+        phase = k / views + 0.25 / 24
         swing = 4 * abs(phase - 0.5) - 1  # 1 .. -1 .. 1: to one side and back
-        angle = np.radians(62) * np.sin(swing * np.pi / 2 * 0.8) / np.sin(np.pi / 2 * 0.8)
+        angle = np.radians(44) * np.sin(swing * np.pi / 2 * 0.8) / np.sin(np.pi / 2 * 0.8)
         lower = np.sin(phase * 2 * np.pi)
-        radius = 6.3 - 0.55 * lower + 0.4 * np.cos(phase * 6 * np.pi)
+        radius = 6.5 - 0.45 * lower + 0.4 * np.cos(phase * 6 * np.pi)
         centre = np.array([radius * np.sin(angle), -radius * np.cos(angle) * 0.98, 0])
-        centre[2] = seabed_height(centre[0], centre[1]).item() * 0.3 + 1.75 - 0.75 * lower + 0.12 * np.sin(phase * 10 * np.pi)
+        centre[2] = (
+            seabed_height(centre[0], centre[1]).item() * 0.3 + 1.75 - 0.75 * lower + 0.12 * np.sin(phase * 10 * np.pi)
+        )
         target = np.array([1.1 * np.sin(angle), 0.6, 0.95 + 0.15 * np.cos(phase * 4 * np.pi)])
         forward = target - centre
         forward /= np.linalg.norm(forward)
@@ -893,9 +1043,7 @@ class Renderer:
         alpha = np.where(np.isinf(distance), 0, alpha)
         luminance = colour.mean(-1)
         share = (shot["Combined_sun"][..., :3].mean(-1) / np.maximum(luminance, 1e-4)).clip(0, 1)
-        return Passes(
-            colour * (alpha > 0)[..., None], alpha, distance.astype(np.float32), share, np.zeros_like(alpha)
-        )
+        return Passes(colour * (alpha > 0)[..., None], alpha, distance.astype(np.float32), share, np.zeros_like(alpha))
 
     def with_fish(self, passes: Passes, world_to_camera: np.ndarray, rng: np.random.Generator) -> Passes:
         """`passes` with one to three fish swimming before the camera; they cast no shadow."""
@@ -906,7 +1054,9 @@ class Renderer:
             z = rng.uniform(1.6, 3.2)
             at = to_world @ [z * rng.uniform(-0.45, 0.45), z * rng.uniform(-0.25, 0.2), z, 1]
             turn = Matrix.Rotation(heading + rng.normal(0, 0.15), 4, "Z") @ Matrix.Rotation(rng.normal(0, 0.1), 4, "Y")
-            self.model.place(shape, Matrix.Translation(at[:3]) @ turn @ Matrix.Scale(rng.uniform(0.9, 1.3), 4), self.model.moving)
+            self.model.place(
+                shape, Matrix.Translation(at[:3]) @ turn @ Matrix.Scale(rng.uniform(0.9, 1.3), 4), self.model.moving
+            )
         own = self._passes(world_to_camera, self.model.moving)
         for item in list(self.model.moving.objects):
             bpy.data.objects.remove(item)
@@ -921,7 +1071,15 @@ class Renderer:
         )
 
     def volume(
-        self, poses: list[np.ndarray], supersample: int, samples: int, absorption: RGB, scattering: RGB, anisotropy: float, surface: float, light: float
+        self,
+        poses: list[np.ndarray],
+        supersample: int,
+        samples: int,
+        absorption: RGB,
+        scattering: RGB,
+        anisotropy: float,
+        surface: float,
+        light: float,
     ) -> list[np.ndarray]:
         """The scene in a homogeneous medium up to the height `surface`: linear light (H,W,3) per pose.
 
@@ -950,13 +1108,15 @@ class Renderer:
         for k, node in enumerate((absorb, scatter)):
             tree.links.new(node.outputs[0], both.inputs[k])
         tree.links.new(both.outputs[0], output.inputs["Volume"])
-        self.model.materials["water"] = water
         bottom = -6.0
-        box = board([-60, 0, (surface + bottom) / 2], [60, 0, (surface + bottom) / 2], 120, surface - bottom)
-        item = self.model.place(self.model.mesh("water", box, "water", smooth=False), Matrix(), self.model.still)
+        bpy.ops.mesh.primitive_cube_add(
+            size=1, location=(0, 0, (surface + bottom) / 2), scale=(120, 120, surface - bottom)
+        )
+        box = bpy.context.object
+        box.data.materials.append(water)
         self.model.still.hide_render, self.model.moving.hide_render = False, True
         images = [self._shot(pose)["Image"][..., :3].clip(0) for pose in poses]
-        bpy.data.objects.remove(item)
+        bpy.data.objects.remove(box)
         return images
 
 

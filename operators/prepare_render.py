@@ -1,0 +1,31 @@
+"""Set the scene up so that a Cycles render shows the splats fully and in their own colours."""
+
+import bpy
+from bpy.props import BoolProperty
+
+from ..swag_blender import scene_import
+from ..swag_blender.nodes import splat_preview
+
+
+class SWAG_OT_prepare_render(bpy.types.Operator):
+    """Set up Cycles for splats: enough transparent layers, true colours, the trained background, the picture's size"""
+
+    bl_idname = "swag.prepare_render"
+    bl_label = "Set Up Render"
+    bl_options = {"REGISTER", "UNDO"}
+
+    display_values: BoolProperty(
+        name="As Trained",
+        description="Blend display values under the view transform Raw: the engine's own picture, for comparing with "
+        "photographs; other objects in the picture look wrong. Off: blend light, right beside other objects",
+    )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        scene = context.scene
+        splat_preview.prepare_cycles(scene, self.display_values)
+        if scene.camera and scene_import.SIZE_KEY in scene.camera:
+            scene_import.look_through(scene, scene.camera)
+        return {"FINISHED"}
+
+
+CLASSES = (SWAG_OT_prepare_render,)
