@@ -35,7 +35,10 @@ class SWAG_OT_import_scene(Job, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         # A call from a script returns when the scene is there; the user's window stays free.
         follow = self.options.is_invoke and not bpy.app.background
-        return self.run_modal(context) if follow else self.run_waiting(context)
+        if not follow:
+            return self.run_waiting(context)
+        scene_import.show_colors(context.screen)
+        return self.run_modal(context)
 
     def start(self, context: bpy.types.Context) -> Engine:
         if not self.directory:

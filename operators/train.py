@@ -9,6 +9,7 @@ from bpy.props import BoolProperty
 from ..swag_blender import scene_import, splats
 from ..swag_blender.engine_process import Engine, EngineError
 from ..swag_blender.job import Job
+from ..swag_blender.nodes import splat_preview
 from ..swag_blender.properties import time_text
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.training.run_folder import RunFolder
@@ -38,7 +39,10 @@ class SWAG_OT_train(Job, bpy.types.Operator):
         return self.run_waiting(context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return self.run_waiting(context) if bpy.app.background else self.run_modal(context)
+        if bpy.app.background:
+            return self.run_waiting(context)
+        scene_import.show_colors(context.screen)
+        return self.run_modal(context)
 
     def start(self, context: bpy.types.Context) -> Engine:
         swag = context.scene.swag
@@ -69,7 +73,8 @@ class SWAG_OT_train(Job, bpy.types.Operator):
         scene = bpy.data.scenes.get(self._scene)
         if not scene:
             raise EngineError(f"The scene {self._scene} is gone; the trained splats are in {event['ply']}.")
-        show_splats(scene, event["ply"], self._run, self._photographs)
+        obj = show_splats(scene, event["ply"], self._run, self._photographs)
+        remember_training(obj, RunFolder(Path(self._run)), event["metrics"])
         scene.swag.show_metrics(event)
         metrics = event["metrics"]
         measured = f", {metrics['test_psnr']:.1f} dB on held-out photographs" if metrics.get("test_psnr") else ""
@@ -84,6 +89,14 @@ def free_run_folder(folder: Path) -> Path:
         number += 1
         folder = folder.with_name(f"{name}-{number}")
     return folder
+
+
+def remember_training(obj: bpy.types.Object, run: RunFolder, metrics: dict[str, Any]) -> None:
+    """Keep with the splats what renders need to look as in training: pixel size and background."""
+    root = scene_import.find_root(obj)
+    _, settings, _ = run.read_config()
+    pixel_size = scene_import.pixel_size(root, settings.width) if root else 0.0
+    splat_preview.remember_training(obj, pixel_size, metrics["background"])
 
 
 def show_splats(scene: bpy.types.Scene, ply: str, run: str, photographs: str) -> bpy.types.Object:

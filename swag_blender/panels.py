@@ -113,6 +113,7 @@ class SWAG_PT_result(SwagPanel, bpy.types.Panel):
                     row = column.split(factor=0.45)
                     row.label(text=label)
                     row.label(text=value)
+        layout.operator("swag.prepare_render", icon="RESTRICT_RENDER_OFF")
         layout.operator("swag.import_splats", text="Open Splat File", icon="FILE_FOLDER")
 
 

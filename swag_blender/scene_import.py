@@ -74,6 +74,13 @@ def look_through(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
     render.pixel_aspect_x, render.pixel_aspect_y = max(pixel_aspect, 1.0), max(1.0 / pixel_aspect, 1.0)
 
 
+def show_colors(screen: bpy.types.Screen) -> None:
+    """Turn solid 3D viewports to Material Preview: solid shading draws point clouds grey."""
+    for area in screen.areas:
+        if area.type == "VIEW_3D" and area.spaces.active.shading.type == "SOLID":
+            area.spaces.active.shading.type = "MATERIAL"
+
+
 def find_root(obj: bpy.types.Object | None) -> bpy.types.Object | None:
     """The scene root that `obj` is or hangs from, or None."""
     while obj is not None and ROOT_KEY not in obj:

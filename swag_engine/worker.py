@@ -117,7 +117,7 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
             "world_to_camera": view.camera.world_to_camera.tolist(),
             "image": str(picture),
         }
-        for view, picture in zip(scene.views, pinhole_pictures(scene, arrays / "pictures"), strict=True)
+        for view, picture in zip(scene.views, pinhole_pictures(scene), strict=True)
     ]
     summary = inspect_scene(scene)
     return {
@@ -134,14 +134,15 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
     }
 
 
-def pinhole_pictures(scene: "Scene", folder: Path) -> list[Path]:
+def pinhole_pictures(scene: "Scene") -> list[Path]:
     """A picture for each view to show behind its pinhole camera: the photograph itself where its lens is one, else an
-    undistorted copy in `folder`, small because it is only looked at."""
+    undistorted copy in the user's cache, small because it is only looked at."""
     import cv2
 
     from .files import atomic_path
-    from .scene.images import load_images
+    from .scene.images import cache_folder, load_images
 
+    folder = cache_folder(scene, "pictures")
     distorted = [view for view in scene.views if not view.lens.is_pinhole]
     pictures = {view.camera.name: view.path for view in scene.views}
     for image in load_images(scene, distorted, PICTURE_WIDTH):

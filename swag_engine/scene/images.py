@@ -45,7 +45,7 @@ def load_images(
     is called with how many are done and how many there are. A mask (masks/NAME.png, black is masked) and an
     alpha of 0 make pixels invalid. Raises InputError naming the picture that cannot be used.
     """
-    cache = _cache_folder(scene)
+    cache = cache_folder(scene, "images")
     images: list[TrainingImage] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         jobs = [pool.submit(_load_image, scene, view, width, cache) for view in views]
@@ -160,9 +160,10 @@ def _undistorted(view: View, mask_path: Path | None, width: int | None) -> tuple
     return pixels, valid
 
 
-def _cache_folder(scene: Scene) -> Path:
+def cache_folder(scene: Scene, kind: str) -> Path:
+    """The folder of the user's cache (or of SWAG_CACHE_DIR) for what is made of one scene's photographs."""
     root = os.environ.get("SWAG_CACHE_DIR") or platformdirs.user_cache_dir("swag_splatting", appauthor=False)
-    return Path(root) / "images" / hashlib.sha256(str(scene.folder).encode()).hexdigest()[:16]
+    return Path(root) / kind / hashlib.sha256(str(scene.folder).encode()).hexdigest()[:16]
 
 
 def _read_cached(path: Path) -> tuple[np.ndarray, np.ndarray] | None:

@@ -104,7 +104,7 @@ assert bpy.ops.swag.export_splats(filepath=str(folder / f"both.{suffix}")) == {"
 
 
 def test_transforms_are_applied_rightly(blender, tmp_path):
-    """Moved, turned and scaled in Blender, parented to a turned root: what a camera saw it sees from the moved place."""
+    """Moved, turned and scaled in Blender under a turned root: what a camera saw it sees from the moved place."""
     made = some_splats()
     write_ply(tmp_path / "reef.ply", made)
     printed = blender.run(
