@@ -1,6 +1,6 @@
 """Makes an underwater scene whose truth is known: photographs, a COLMAP model, clean images, ranges, coefficients.
 
-    python tests/scenes/make_scene.py --out DIR [--water.beta-d R G B] [--lamp 1] [--exposure 0.15] [--caustics 0.5] ...
+    python tests/scenes/make_scene.py --out DIR [--water.beta-D R G B] [--lamp 1] [--exposure 0.15] [--caustics 0.5] ...
 
 A reef and a wreck (reef_model.py) are rendered without water; the water is applied to every rendered sample by the
 image formation model I = J exp(-beta_D z) + B (1 - exp(-beta_B z)), z the Euclidean range in metres; then the image is
@@ -37,9 +37,9 @@ RGB = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Water:
-    beta_D: RGB = (0.19, 0.07, 0.045)
+    beta_D: RGB = (0.17, 0.062, 0.042)
     """Attenuation of the direct signal, per metre, red green blue."""
-    beta_B: RGB = (0.15, 0.09, 0.075)
+    beta_B: RGB = (0.13, 0.08, 0.068)
     """Build-up of backscatter, per metre."""
     B_inf: RGB = (0.03, 0.175, 0.255)
     """Colour of open water, in the values that `light` names."""
@@ -87,7 +87,7 @@ VOLUME = {  # per metre; beam attenuation is absorption + scattering
 }
 
 HELD_OUT = 8  # every eighth image of sorted names, from index 0
-JPEG = [cv2.IMWRITE_JPEG_QUALITY, 92, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
+JPEG = [cv2.IMWRITE_JPEG_QUALITY, 91, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
 PNG = [cv2.IMWRITE_PNG_COMPRESSION, 9]
 PIXEL_NOISE = 0.3  # standard deviation of an observation, pixels
 

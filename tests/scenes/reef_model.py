@@ -623,6 +623,7 @@ class Model:
         self.scene = bpy.context.scene
         self.rng = np.random.default_rng(seed)
         self.path = np.array([np.linalg.inv(pose)[:3, 3] for pose in camera_path(96)])
+        self.living: set[str] = set()
         self.materials = _materials()
         self.still = bpy.data.collections.new("still")
         self.moving = bpy.data.collections.new("moving")
@@ -663,29 +664,31 @@ class Model:
         self.scene.view_layers[0].lightgroups.add(name="sun")
 
     def _surface(self, x: float, y: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """What lies under (x, y): point and upward normal."""
-        hit, point, normal, *_ = self.scene.ray_cast(self.depsgraph, (x, y, 12), (0, 0, -1))
+        """What lies under (x, y), unless something lives there already: point and upward normal."""
+        hit, point, normal, _, item, _ = self.scene.ray_cast(self.depsgraph, (x, y, 12), (0, 0, -1))
         normal = np.array(normal)
-        return (np.array(point), normal if normal[2] > 0 else -normal) if hit else None
+        return (np.array(point), normal if normal[2] > 0 else -normal) if hit and item.name not in self.living else None
 
     def _clear(self, point: np.ndarray, size: float) -> bool:
         """Whether something of this size at this point would leave the cameras their view."""
-        return np.linalg.norm(self.path - point - [0, 0, 0.3 * size], axis=1).min() > 0.95 + 0.5 * size
+        away = np.linalg.norm(self.path[:, :2] - point[:2], axis=1)
+        over = self.path[:, 2] - point[2] - 0.6 * size
+        return bool(np.all((away > 1.4 + 0.5 * size) | ((away > 0.7 + 0.5 * size) & (over > 0.1)) | (over > 1.0)))
 
     def _stand(self, mesh: bpy.types.Mesh, x: float, y: float, size: float, lean: float) -> None:
         """Stand a mesh on whatever is at (x, y), leaning with the surface."""
+        spin, height = self.rng.uniform(0, 2 * np.pi), self.rng.uniform(0.85, 1.15)
         surface = self._surface(x, y)
         if surface is None or surface[1][2] < 0.35 or not self._clear(surface[0], size):
             return
         point, normal = surface
         up = Vector((1 - lean) * np.array([0, 0, 1]) + lean * normal)
-        turn = up.to_track_quat("Z", "Y").to_matrix().to_4x4() @ Matrix.Rotation(self.rng.uniform(0, 2 * np.pi), 4, "Z")
-        self.place(
+        turn = up.to_track_quat("Z", "Y").to_matrix().to_4x4() @ Matrix.Rotation(spin, 4, "Z")
+        item = self.place(
             mesh,
-            Matrix.Translation(point - normal * 0.03)
-            @ turn
-            @ Matrix.Diagonal((size, size, size * self.rng.uniform(0.85, 1.15), 1)),
+            Matrix.Translation(point - normal * 0.03) @ turn @ Matrix.Diagonal((size, size, size * height, 1)),
         )
+        self.living.add(item.name)
 
     def _model(self) -> None:
         rng = self.rng
@@ -702,17 +705,17 @@ class Model:
 
         def boulder(x: float, y: float, size: float) -> None:
             turn = Matrix.Rotation(rng.uniform(0, 6.28), 4, "Z") @ Matrix.Rotation(rng.normal(0, 0.25), 4, "X")
-            if not self._clear(np.array([x, y, ground(x, y)]), size):
-                return
             stretch = Matrix.Diagonal(
                 (size * rng.uniform(0.8, 1.3), size * rng.uniform(0.8, 1.3), size * rng.uniform(0.7, 1.2), 1)
             )
             at = Matrix.Translation((x, y, ground(x, y) + 0.05 * size))
-            self.place(rocks[rng.integers(5)], at @ turn @ stretch)
+            kind = rocks[rng.integers(5)]
+            if self._clear(np.array([x, y, ground(x, y)]), size):
+                self.place(kind, at @ turn @ stretch)
 
         for _ in range(70):  # the reef wall behind
             x = rng.uniform(-11, 11)
-            boulder(x, 6.2 + 1.2 * np.sin(x * 0.35) + rng.normal(0, 1.4), rng.lognormal(-0.05, 0.4))
+            boulder(x, 6.2 + 1.2 * np.sin(x * 0.35) + rng.normal(0, 1.4), rng.lognormal(0.2, 0.4))
         for cx, cy, spread, count, size in GARDENS:
             for _ in range(count):
                 boulder(cx + rng.normal(0, spread), cy + rng.normal(0, spread * 0.6), size * rng.lognormal(0, 0.3))
@@ -789,11 +792,11 @@ class Model:
 
         hard = ["staghorn", "table", "brain", "sponge", "fan", "fingers", "cups", "anemone", "urchin"]
         weights = [5, 2.5, 3, 3, 2, 4, 3, 1.5, 0.6]
-        for _ in range(230):
+        for _ in range(420):
             x = rng.uniform(-10, 10)
             stand(hard, weights, x, 5.2 + 1.2 * np.sin(x * 0.35) + rng.normal(0, 1.3), rng.lognormal(0.1, 0.25))
         for cx, cy, spread, count, _ in GARDENS:
-            for _ in range(count * 5):
+            for _ in range(count * 9):
                 stand(
                     hard,
                     weights,
@@ -803,8 +806,8 @@ class Model:
                 )
         for _ in range(55):
             stand(
-                ["grass", "starfish", "urchin", "brain", "fingers"],
-                [5, 2, 1, 1, 1],
+                ["grass", "starfish", "urchin", "fingers", "anemone"],
+                [5, 2, 1, 1.5, 1],
                 rng.uniform(-7, 7),
                 rng.uniform(-5.5, -1.4),
                 rng.lognormal(-0.45, 0.25),
@@ -819,6 +822,10 @@ class Model:
                 at.y,
                 rng.lognormal(-0.75, 0.25),
             )
+        for _ in range(14):  # close to the lower cameras
+            angle, radius = rng.uniform(-0.7, 0.7), rng.uniform(4.4, 5.0)
+            x, y = radius * np.sin(angle), -radius * np.cos(angle)
+            stand(["staghorn", "sponge", "grass"], [2, 1, 1.5], x, y, rng.uniform(0.65, 0.95))
 
 
 GARDENS = (  # coral heads: x, y, spread, rocks, size
@@ -937,7 +944,7 @@ def camera_path(views: int) -> list[np.ndarray]:
     for k in range(views):
         phase = k / views + 0.25 / 24
         swing = 4 * abs(phase - 0.5) - 1  # 1 .. -1 .. 1: to one side and back
-        angle = np.radians(44) * np.sin(swing * np.pi / 2 * 0.8) / np.sin(np.pi / 2 * 0.8)
+        angle = np.radians(36) * np.sin(swing * np.pi / 2 * 0.8) / np.sin(np.pi / 2 * 0.8)
         lower = np.sin(phase * 2 * np.pi)
         radius = 6.5 - 0.45 * lower + 0.4 * np.cos(phase * 6 * np.pi)
         centre = np.array([radius * np.sin(angle), -radius * np.cos(angle) * 0.98, 0])
