@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import BoolProperty
 
-from ..swag_blender import scene_import
+from ..swag_blender import scene_import, splats
 from ..swag_blender.nodes import splat_preview
 
 
@@ -19,6 +19,11 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
         description="Blend display values under the view transform Raw: the engine's own picture, for comparing with "
         "photographs; other objects in the picture look wrong. Off: blend light, right beside other objects",
     )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        cls.poll_message_set("There are no splats in the scene")
+        return any(splats.is_splats(obj) for obj in context.scene.objects)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene = context.scene

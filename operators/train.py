@@ -75,6 +75,12 @@ class SWAG_OT_train(Job, bpy.types.Operator):
             raise EngineError(f"The scene {self._scene} is gone; the trained splats are in {event['ply']}.")
         obj = show_splats(scene, event["ply"], self._run, self._photographs)
         remember_training(obj, RunFolder(Path(self._run)), event["metrics"])
+        if context.mode == "OBJECT" and context.view_layer.objects.get(obj.name):
+            # What the user exports, moves or isolates next.
+            for other in context.selected_objects:
+                other.select_set(False)
+            obj.select_set(True)
+            context.view_layer.objects.active = obj
         scene.swag.show_metrics(event)
         metrics = event["metrics"]
         measured = f", {metrics['test_psnr']:.1f} dB on held-out photographs" if metrics.get("test_psnr") else ""

@@ -42,7 +42,7 @@ def train(request):
         send(event="error", kind="input", message=f"{scene} holds no COLMAP model: look for the folder with sparse/0.")
         return
     run.mkdir(parents=True, exist_ok=True)
-    (run / "config.json").write_text(json.dumps(request))
+    (run / "config.json").write_text(json.dumps(request | {"up": [0, 0, 1]}))
     for photograph in range(1, 4):
         send(event="progress", stage="load", iteration=photograph, iterations=3, seconds=0.1, seconds_left=1.0)
     print("a library that prints to stdout")
@@ -75,6 +75,7 @@ def train(request):
         "gaussians": count,
         "seconds": 61.0,
         "interrupted": cancelled.is_set(),
+        "background": [0.1, 0.2, 0.3],
     }
     (run / "metrics.json").write_text(json.dumps(metrics))
     send(

@@ -24,6 +24,8 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def shared_python():
     """This Python as the real Blender's folder sees it."""
+    # Hard links: cheap to make again, and packages installed since the last time come along.
+    shutil.rmtree(f"{REAL}{Path(sys.prefix).resolve()}", ignore_errors=True)
     subprocess.run(["bash", str(TOOLS / "share-venv"), str(REAL), sys.prefix], check=True)
     return str(Path(sys.prefix).resolve() / "bin" / "python")
 
