@@ -2,7 +2,7 @@
 PYTHON ?= python3.11
 VENV := .venv/bin/python
 
-.PHONY: demo test lint extension clean
+.PHONY: demo test lint extension release clean
 
 demo: .venv/ready
 	$(VENV) demo/run.py
@@ -15,7 +15,11 @@ lint: .venv/ready
 	$(VENV) -m ruff format --check .
 	$(VENV) -m mypy
 
+# The extension's zip, with the kernels of this machine or of every platform.
 extension: .venv/ready
+	$(VENV) .ci/build_extension.py
+
+release: .venv/ready
 	$(VENV) -m swag_engine.rasterize.kernels.build --all
 	$(VENV) .ci/build_extension.py
 

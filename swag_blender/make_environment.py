@@ -13,7 +13,10 @@ import sys
 import threading
 from pathlib import Path
 
-CHECK = "import cv2, numpy, pycolmap, safetensors, sys, torch; print(sys.version.split()[0], torch.__version__)"
+CHECK = (
+    "import cv2, numpy, platformdirs, pycolmap, rich, safetensors, scipy, sys, torch, tyro;"
+    " print(sys.version.split()[0], torch.__version__)"
+)
 
 
 class Cancelled(Exception):

@@ -13,6 +13,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -88,16 +89,18 @@ def build(targets: list[Target]) -> list[Path]:
     for library in LIBRARIES.glob("swag-*"):
         if library.stem.rpartition("-")[2] != source_hash():
             library.unlink()
-    for target in targets:
-        if target.path.exists():
-            continue
-        command = [sys.executable, "-m", "ziglang", "c++", "-target", target.triple, f"-mcpu={target.cpu}"]
-        command += [f"-DVW={target.vector_width}", *FLAGS, *([] if target.system == "windows" else ["-fPIC"])]
-        with tempfile.TemporaryDirectory(dir=LIBRARIES) as folder:  # linkers leave other files beside the library
-            made = Path(folder) / target.path.name
-            subprocess.run([*command, *SOURCES, "-o", str(made)], cwd=FOLDER, check=True)
-            os.replace(made, target.path)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(_compile, (target for target in targets if not target.path.exists())))
     return [target.path for target in targets]
+
+
+def _compile(target: Target) -> None:
+    command = [sys.executable, "-m", "ziglang", "c++", "-target", target.triple, f"-mcpu={target.cpu}"]
+    command += [f"-DVW={target.vector_width}", *FLAGS, *([] if target.system == "windows" else ["-fPIC"])]
+    with tempfile.TemporaryDirectory(dir=LIBRARIES) as folder:  # linkers leave other files beside the library
+        made = Path(folder) / target.path.name
+        subprocess.run([*command, *SOURCES, "-o", str(made)], cwd=FOLDER, check=True)
+        os.replace(made, target.path)
 
 
 def main() -> None:
