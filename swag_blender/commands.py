@@ -17,7 +17,9 @@ def run(arguments: list[str]) -> int:
     """Run `python -m swag_engine` with the arguments; returns its exit code. Output goes where Blender's goes."""
     try:
         command = [engine_process.engine_python(), "-m", "swag_engine", *arguments]
-        child = subprocess.Popen(command, env=engine_process.clean_environment())
+        # A batch log is one stream in the order of events; with --json stdout carries the document alone.
+        errors = None if "--json" in arguments else subprocess.STDOUT
+        child = subprocess.Popen(command, env=engine_process.clean_environment(), stderr=errors)
     except (engine_process.EngineError, OSError) as error:
         print(error, file=sys.stderr)
         return BAD_USAGE

@@ -53,10 +53,10 @@ class Sfm:
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
-        from .progress import fraction_bar
+        from .progress import stage_progress
         from .scene.sfm import reconstruct
 
-        with fraction_bar() as progress:
+        with stage_progress() as progress:
             summary = reconstruct(self.photos, self.out, progress)
         text = (
             f"{summary['registered']} of {summary['images']} photographs registered, {summary['points']} points, "
@@ -81,7 +81,7 @@ class Train:
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
-        from .progress import training_bar
+        from .progress import training_progress
         from .training.loop import train
 
         stop = threading.Event()
@@ -93,7 +93,7 @@ class Train:
             print("Stopping after this iteration; press Ctrl-C again to stop at once.", file=sys.stderr)
 
         signal.signal(signal.SIGINT, interrupt)
-        with training_bar() as on_event:
+        with training_progress() as on_event:
             result = train(self.scene, self.out, self.settings, self.resume, on_event, stop.is_set)
         metrics = result["metrics"]
         text = (

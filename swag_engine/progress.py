@@ -1,6 +1,7 @@
-"""Progress bars of the command line, on stderr."""
+"""Progress of the command line, on stderr: a bar in a terminal, a line now and then in a log."""
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -8,52 +9,75 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-
-@contextmanager
-def fraction_bar() -> Iterator[Callable[[str, float], None]]:
-    """Yield a function of (stage, fraction 0..1) that draws a bar."""
-    with make_progress("{task.description}") as progress:
-        task = progress.add_task("Starting", total=1.0)
-
-        def update(stage: str, fraction: float) -> None:
-            progress.update(task, description=stage, completed=fraction)
-
-        yield update
+LOG_SECONDS = 5.0
 
 
 @contextmanager
-def training_bar() -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Yield a function that takes the events of a training run and draws a bar of its `progress` events.
+def progress_display() -> Iterator[Callable[[str, float, bool], None]]:
+    """Yield a function of (text, fraction 0..1, urgent) that shows how far the work is.
 
-    Nothing is drawn before the first of them, so that an unusable scene leaves its sentence alone on the screen.
+    Nothing is drawn before its first call, so that unusable input leaves its sentence alone on the screen. In a log
+    a text that is not urgent is left out when another was written less than LOG_SECONDS ago.
     """
-    progress = make_progress("{task.description}")
-    task = progress.add_task("", total=None)
+    if not sys.stderr.isatty():
+        written = -LOG_SECONDS
 
-    def update(event: dict[str, Any]) -> None:
-        if event["event"] == "progress":
-            progress.start()
-            line = progress_line(event)
-            progress.update(task, description=line, completed=event["iteration"], total=event["iterations"])
+        def write(text: str, fraction: float, urgent: bool) -> None:
+            nonlocal written
+            if urgent or time.monotonic() - written >= LOG_SECONDS:
+                written = time.monotonic()
+                print(f"{100 * fraction:3.0f} %  {text}", file=sys.stderr, flush=True)
+
+        yield write
+        return
+    columns = TextColumn("{task.description}"), BarColumn(bar_width=24), TaskProgressColumn()
+    bar = Progress(*columns, console=Console(stderr=True))
+    task = bar.add_task("", total=1.0)
+
+    def draw(text: str, fraction: float, urgent: bool) -> None:
+        bar.start()
+        bar.update(task, description=text, completed=fraction)
 
     try:
-        yield update
+        yield draw
     finally:
-        progress.stop()
+        bar.stop()
 
 
-def make_progress(text: str) -> Progress:
-    console = Console(stderr=True, soft_wrap=not sys.stderr.isatty())
-    return Progress(TextColumn(text), BarColumn(bar_width=24), TaskProgressColumn(), console=console)
+@contextmanager
+def stage_progress() -> Iterator[Callable[[str, float], None]]:
+    """Yield a function of (stage, fraction 0..1 of it)."""
+    with progress_display() as show:
+        shown = ""
+
+        def update(stage: str, fraction: float) -> None:
+            nonlocal shown
+            show(stage, fraction, stage != shown)
+            shown = stage
+
+        yield update
+
+
+@contextmanager
+def training_progress() -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Yield a function that takes the events of a training run and shows its `progress` events."""
+    with progress_display() as show:
+
+        def update(event: dict[str, Any]) -> None:
+            if event["event"] == "progress":
+                done = event["iteration"] == event["iterations"]
+                show(progress_line(event), event["iteration"] / event["iterations"], done)
+
+        yield update
 
 
 def progress_line(event: dict[str, Any]) -> str:
     """One `progress` event in words."""
     if event["stage"] == "load":
         return f"Photograph {event['iteration']} of {event['iterations']}"
-    psnr = f"{event['psnr']:.2f} dB" if event["psnr"] is not None else "..."
+    psnr = f"{event['psnr']:.2f} dB" if event["psnr"] is not None else "not yet"
     minutes, seconds = divmod(round(event["seconds_left"]), 60)
     return (
-        f"loss {event['loss']:.4f}  validation {psnr}  {event['gaussians']} Gaussians  "
-        f"{event['iterations_per_second']:.1f} it/s  {minutes}:{seconds:02d} left"
+        f"loss {event['loss']:.4f}  validation PSNR {psnr}  {event['gaussians']} Gaussians  "
+        f"{event['iterations_per_second']:.1f} iterations/s  {minutes}:{seconds:02d} left"
     )

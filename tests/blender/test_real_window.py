@@ -99,4 +99,11 @@ def test_command_line_of_the_real_blender(place, shared_python):
     assert found.returncode == 0, found.stdout + found.stderr
     assert json.loads(found.stdout[found.stdout.index("{") : found.stdout.rindex("}") + 1])["registered"] == 10
     wrong = blender("--command", "swag", "inspect", "/gui/no/such/folder")
-    assert wrong.returncode == 2 and "/gui/no/such/folder" in wrong.stderr and "Traceback" not in wrong.stderr
+    assert wrong.returncode == 2 and "/gui/no/such/folder" in wrong.stdout and "Traceback" not in wrong.stdout
+    trained = blender(
+        *("--command", "swag", "train", "/gui/test/scene", "--out", "/gui/test/run", "--iterations", "80"),
+        *("--width", "64", "--sh-degree", "0"),
+    )
+    assert trained.returncode == 0, trained.stdout + trained.stderr
+    assert "iterations/s" in trained.stdout and "Held-out views: PSNR" in trained.stdout
+    assert (REAL / "gui/test/run/result.ply").exists()
