@@ -21,7 +21,7 @@ SCENES = {
     "japanese_gardens (rendered by a NeRF)": SHARED / "japanese_gardens",
 }
 SETTINGS = ["--width", "480", "--max-gaussians", "60000"]
-ITERATIONS = (500, 1000, 2000, 4000)
+ITERATIONS = (500, 1500, 4500)
 
 
 def main() -> None:

@@ -16,7 +16,8 @@ from typing import Annotated, Any
 import tyro
 
 from .errors import InputError
-from .protocol import ExportFormat, to_json
+from .protocol import ExportFormat
+from .strict_json import to_json
 from .threads import wait_politely
 from .training.config import TrainSettings
 
@@ -96,11 +97,15 @@ class Train:
         with training_progress() as on_event:
             result = train(self.scene, self.out, self.settings, self.resume, on_event, stop.is_set)
         metrics = result["metrics"]
+        quality = (
+            f"Held-out views: PSNR {metrics['test_psnr']:.2f} dB, SSIM {metrics['test_ssim']:.3f} "
+            f"(median training image: {metrics['control_psnr']:.2f} dB)."
+        )
         text = (
             f"{'Interrupted' if result['interrupted'] else 'Done'} after {metrics['iteration']} iterations, "
             f"{metrics['seconds'] / 60:.1f} minutes, {metrics['gaussians']} Gaussians.\n"
-            f"Held-out views: PSNR {metrics['test_psnr']:.2f} dB, SSIM {metrics['test_ssim']:.3f} "
-            f"(median training image: {metrics['control_psnr']:.2f} dB).\nResult: {result['ply']}"
+            f"{quality if metrics['views'] else 'Too few photographs to hold any out for a figure.'}\n"
+            f"Result: {result['ply']}"
         )
         show(result, self.json, text)
         return INTERRUPTED if result["interrupted"] else 0

@@ -1,7 +1,6 @@
 """The messages between the worker and whoever started it: one JSON object a line."""
 
 import json
-import math
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -93,18 +92,3 @@ def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
 def describe(kind: Any) -> str:
     words: dict[Any, str] = {Path: "path", bool: "true or false", TrainSettings: "object of settings"}
     return words.get(kind) or f"one of {', '.join(get_args(kind))}"
-
-
-def to_json(message: dict[str, Any], indent: int | None = None) -> str:
-    """Strict JSON: figures that are not finite become null."""
-    return json.dumps(strict(message), indent=indent, allow_nan=False)
-
-
-def strict(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: strict(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [strict(entry) for entry in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from .errors import InputError
-from .protocol import CancelRequest, ExportRequest, InspectRequest, Request, TrainRequest, parse_request, to_json
+from .protocol import CancelRequest, ExportRequest, InspectRequest, Request, TrainRequest, parse_request
+from .strict_json import to_json
 from .threads import wait_politely
 
 if TYPE_CHECKING:

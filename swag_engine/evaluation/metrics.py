@@ -49,7 +49,12 @@ def score_picture(image: TrainingImage, color: Tensor) -> ViewScore:
 
 
 def median_control(training: Sequence[TrainingImage], test: Sequence[TrainingImage]) -> float:
-    """Mean test PSNR in dB of the pixel-wise median of the training images: what knows nothing of geometry reaches."""
+    """Mean test PSNR in dB of the pixel-wise median of the training images: what knows nothing of geometry reaches.
+
+    Not a number where there are no test images, or no training image of the size of the first.
+    """
+    if not test:
+        return float("nan")
     shape = test[0].pixels.shape
     same = [image.pixels for image in training if image.pixels.shape == shape]
     if not same:
@@ -60,5 +65,7 @@ def median_control(training: Sequence[TrainingImage], test: Sequence[TrainingIma
 
 
 def mean_score(scores: Sequence[ViewScore]) -> tuple[float, float]:
-    """Mean PSNR and mean SSIM over views."""
+    """Mean PSNR and mean SSIM over views; not a number without any."""
+    if not scores:
+        return float("nan"), float("nan")
     return float(np.nanmean([s.psnr for s in scores])), float(np.nanmean([s.ssim for s in scores]))

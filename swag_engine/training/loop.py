@@ -77,13 +77,14 @@ def train(
     elif run.config.exists():
         raise InputError(f"{out} holds a training run already; continue it with --resume or choose another folder.")
     scene = load_scene(scene_folder)
-    if len(scene.points.positions) == 0:
-        raise InputError(f"The COLMAP model in {scene.model_folder} has no 3D points; run COLMAP's mapper again.")
-    if len(scene.views) < 2:
-        raise InputError(f"{scene.folder} has {len(scene.views)} usable photograph; training needs at least 2.")
-    trainer = Trainer(scene, run, settings, on_event)
-    if not resume or not run.config.exists():
+    if not resume:
         run.write_config(scene.folder, settings, scene.up.tolist())
+    try:
+        trainer = Trainer(scene, run, settings, on_event)
+    except InputError:
+        if not resume:
+            run.discard()
+        raise
     if resume:
         trainer.resume()
     return trainer.run_to_end(should_stop, preview)

@@ -1,12 +1,14 @@
 """What a run leaves in its folder, and how it is found again."""
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
 from ..files import atomic_path
+from ..strict_json import to_json
 from .config import TrainSettings
 
 
@@ -53,6 +55,12 @@ class RunFolder:
         except (KeyError, TypeError) as error:
             raise InputError(f"{self.config} is not a training run's configuration: {error}.") from error
 
+    def discard(self) -> None:
+        """Take back a run that never began."""
+        self.config.unlink(missing_ok=True)
+        with suppress(OSError):  # the folder may have been the user's, with other things in it
+            self.path.rmdir()
+
     def write_metrics(self, metrics: dict[str, Any]) -> None:
         write_json(self.metrics, metrics)
 
@@ -79,14 +87,14 @@ class RunFolder:
         """Append one line to metrics.jsonl."""
         try:
             with open(self.metrics_log, "a", encoding="utf-8") as log:
-                log.write(json.dumps(entry) + "\n")
+                log.write(to_json(entry) + "\n")
         except OSError as error:
             raise InputError(f"Cannot write {self.metrics_log}: {error.strerror or error}.") from error
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+        temporary.write_text(to_json(document, indent=2) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path, missing: str) -> dict[str, Any]:

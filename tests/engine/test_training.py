@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tiny import make_tiny_scene
 
 from swag_engine.errors import InputError
 from swag_engine.formats.ply import read_ply
@@ -124,6 +125,41 @@ def test_test_views_never_reach_a_decision(tiny_scene, tmp_path):
     clean, _ = load_checkpoint(tmp_path / "a")
     other, _ = load_checkpoint(tmp_path / "b")
     assert all(torch.equal(clean[name], other[name]) for name in clean)
+
+
+def test_two_photographs_train_without_any_held_out(tmp_path):
+    scene = make_tiny_scene(tmp_path / "two", views=2)
+    result = train(scene, tmp_path / "run", replace(SETTINGS, iterations=30))
+    assert result["metrics"]["views"] == {}
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["test_psnr"] is None
+
+
+def test_a_scene_with_no_points_is_one_sentence(tmp_path):
+    scene = make_tiny_scene(tmp_path / "empty", points=0)
+    with pytest.raises(InputError, match="has no points"):
+        train(scene, tmp_path / "run", SETTINGS)
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_unreadable_photograph_leaves_no_run_behind(tiny_scene, tmp_path):
+    scene = shutil.copytree(tiny_scene, tmp_path / "scene")
+    (scene / "images" / "view_04.png").write_bytes(b"no picture")
+    with pytest.raises(InputError, match="view_04.png"):
+        train(scene, tmp_path / "run", SETTINGS)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_killed_while_it_loads_can_be_resumed(tiny_scene, tmp_path):
+    class Killed(BaseException):
+        pass
+
+    def kill(event):
+        raise Killed
+
+    short = replace(SETTINGS, iterations=10)
+    with pytest.raises(Killed):
+        train(tiny_scene, tmp_path / "run", short, on_event=kill)
+    assert train(tiny_scene, tmp_path / "run", short, resume=True)["metrics"]["iteration"] == 10
 
 
 def test_a_full_disk_is_one_sentence_and_nothing_half_written(tiny_scene, tmp_path, monkeypatch):

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from swag_engine.errors import InputError
-from swag_engine.protocol import TrainRequest, parse_request, to_json
+from swag_engine.protocol import TrainRequest, parse_request
+from swag_engine.strict_json import to_json
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -1,0 +1,20 @@
+"""JSON that every reader takes."""
+
+import json
+import math
+from typing import Any
+
+
+def to_json(message: dict[str, Any], indent: int | None = None) -> str:
+    """Strict JSON: figures that are not finite become null."""
+    return json.dumps(strict(message), indent=indent, allow_nan=False)
+
+
+def strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: strict(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [strict(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
