@@ -1,0 +1,1 @@
+"""What networks trained on other pictures know about these."""
