@@ -1,0 +1,208 @@
+"""Water: the formula, its gradients, the interval form it equals, kernels, extremes, and finding it in a scene."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.images import load_images
+from swag_engine.water.identify import Observations, fit_water, observe
+from swag_engine.water.medium import Medium, open_water, through_water, to_display, to_light
+
+CAMERA = torch.eye(4, dtype=torch.float64), torch.tensor([[20.0, 0, 11], [0, 21, 8], [0, 0, 1]], dtype=torch.float64)
+
+
+def make(n=40, light="linear", seed=0, dtype=torch.float64):
+    """Colours (n, 3), offsets (n, 3) and a medium whose veil changes with direction."""
+    generator = torch.Generator().manual_seed(seed)
+    colors = torch.rand(n, 3, generator=generator, dtype=torch.float64)
+    offsets = torch.randn(n, 3, generator=generator, dtype=torch.float64) * 2
+    medium = Medium(*(torch.randn(size, generator=generator).double() for size in ((3,), (3,), (9, 3))), 2.5, light)
+    medium.veil *= 0.5
+    return colors.to(dtype), offsets.to(dtype), Medium(*(t.to(dtype) for t in medium.parameters().values()), 2.5, light)
+
+
+def test_srgb_curves_are_inverse_and_known():
+    values = torch.linspace(0, 1.2, 500, dtype=torch.float64)
+    torch.testing.assert_close(to_light(to_display(values)), values)
+    assert to_light(torch.tensor(0.5).double()).item() == pytest.approx(0.214041, abs=1e-6)
+
+
+def test_a_medium_starts_from_its_coefficients():
+    beta_D, B = torch.tensor([0.3, 0.1, 0.06]), torch.tensor([0.03, 0.16, 0.22])
+    medium = Medium.starting(4.0, beta_D=beta_D, beta_B=beta_D, B=B)
+    torch.testing.assert_close(medium.beta_D, beta_D)
+    torch.testing.assert_close(medium.beta_B, beta_D)
+    for degree in (0, 2):
+        water = open_water(medium, *(t.float() for t in CAMERA), 22, 16, degree)
+        torch.testing.assert_close(to_light(water), B.expand(16, 22, 3), atol=1e-5, rtol=0)
+    default = Medium.starting(4.0)
+    torch.testing.assert_close(default.beta_D * 4, torch.tensor([0.5, 0.25, 0.2]))
+
+
+@pytest.mark.parametrize("light", ["linear", "srgb"])
+def test_no_water_changes_nothing_and_far_things_become_water(light):
+    colors, offsets, medium = make(light=light)
+    torch.testing.assert_close(through_water(colors, offsets, medium, amount=0.0), colors)
+    viewmat, K = CAMERA
+    middle = torch.tensor([[0.0, 0.0, 1e4]], dtype=torch.float64)
+    K = torch.tensor([[20.0, 0, 0.5], [0, 20, 0.5], [0, 0, 1]], dtype=torch.float64)
+    far = through_water(colors[:1], middle, medium)
+    torch.testing.assert_close(far, open_water(medium, viewmat, K, 1, 1)[0])
+    half = through_water(colors[:1], middle, medium, amount=0.5)
+    expected = 0.5 * (to_light(far) if light == "linear" else far)
+    torch.testing.assert_close(to_light(half) if light == "linear" else half, expected)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_it_equals_the_water_between_the_gaussians(seed):
+    """WaterSplatting's form: between two Gaussians the water adds T B (exp(-beta_B s) - exp(-beta_B s'))."""
+    generator = torch.Generator().manual_seed(seed)
+    n, medium = 12, make(seed=seed, light="srgb")[2]
+    s = torch.rand(n, generator=generator, dtype=torch.float64).cumsum(0)
+    alpha = torch.rand(n, generator=generator, dtype=torch.float64) * 0.6
+    colors = torch.rand(n, 3, generator=generator, dtype=torch.float64)
+    axis = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    T = torch.cat([torch.ones(1), torch.cumprod(1 - alpha, 0)]).double()
+    K = torch.tensor([[20.0, 0, 0.5], [0, 20, 0.5], [0, 0, 1]], dtype=torch.float64)
+    B = open_water(medium, CAMERA[0], K, 1, 1)[0, 0]
+    ours = ((T[:-1] * alpha)[:, None] * through_water(colors, s[:, None] * axis, medium)).sum(0) + T[-1] * B
+    ends = torch.cat([torch.zeros(1), s, torch.full((1,), math.inf)]).double()
+    remains = torch.exp(-medium.beta_B * ends[:, None])
+    objects = ((T[:-1] * alpha)[:, None] * colors * torch.exp(-medium.beta_D * s[:, None])).sum(0)
+    between = (T[:, None] * B * (remains[:-1] - remains[1:])).sum(0)
+    torch.testing.assert_close(ours, objects + between)
+
+
+@pytest.mark.parametrize("light", ["linear", "srgb"])
+@pytest.mark.parametrize("degree", [0, 1, 2])
+@pytest.mark.parametrize("through_range", [True, False])
+def test_gradients_by_finite_differences(light, degree, through_range):
+    colors, offsets, medium = make(5, light)
+    directions = torch.nn.functional.normalize(offsets, dim=1)
+    ranges = offsets.norm(dim=1, keepdim=True)
+
+    def function(colors, ranges, *parameters):
+        places = directions * (ranges if through_range else ranges.detach())
+        water = Medium(*parameters, medium.unit_range, light)
+        seen = through_water(colors, places, water, degree)
+        return torch.cat([seen.reshape(-1), open_water(water, *CAMERA, 3, 2, degree).reshape(-1)])
+
+    inputs = [t.clone().requires_grad_() for t in (colors, ranges, *medium.parameters().values())]
+    if through_range:
+        assert torch.autograd.gradcheck(function, inputs, eps=1e-7, atol=1e-6)
+    else:
+        gradient = torch.autograd.grad(function(*inputs).sum(), inputs[1], allow_unused=True)[0]
+        assert gradient is None or (gradient == 0).all()
+        stopped = [inputs[0], inputs[1].detach(), *inputs[2:]]
+        assert torch.autograd.gradcheck(function, stopped, eps=1e-7, atol=1e-6)
+
+
+@pytest.mark.parametrize("light", ["linear", "srgb"])
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_kernels_agree(light, degree):
+    results = []
+    for dtype, backend in ((torch.float64, "torch"), (torch.float32, "cpu")):
+        colors, offsets, medium = make(500, light, dtype=dtype)
+        parameters = list(medium.parameters().values())
+        leaves = [t.requires_grad_() for t in (colors, offsets, *parameters)]
+        seen = through_water(colors, offsets, medium, degree, backend=backend)
+        water = open_water(medium, *(t.to(dtype) for t in CAMERA), 22, 16, degree, backend=backend)
+        weights = [torch.randn(t.shape, generator=torch.Generator().manual_seed(3)).to(dtype) for t in (seen, water)]
+        gradients = torch.autograd.grad((seen * weights[0]).sum() + (water * weights[1]).sum(), leaves)
+        results.append([t.detach().double() for t in (seen, water, *gradients)])
+    for truth, value in zip(*results, strict=True):
+        assert (value - truth).abs().max() <= 1e-5 * truth.abs().max()
+
+
+def test_the_same_bits_for_any_number_of_threads():
+    before, results = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 5):
+            torch.set_num_threads(threads)
+            colors, offsets, medium = make(3000, dtype=torch.float32)
+            parameters = [t.requires_grad_() for t in medium.parameters().values()]
+            seen = through_water(colors, offsets, medium, backend="cpu")
+            results.append([seen, *torch.autograd.grad(seen.sum(), parameters)])
+    finally:
+        torch.set_num_threads(before)
+    for result in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(result, results[0], strict=True))
+
+
+@pytest.mark.parametrize("backend", ["cpu", "torch"])
+@pytest.mark.parametrize("light", ["linear", "srgb"])
+@pytest.mark.parametrize("raw", [-200.0, 0.0, 1e4])
+@pytest.mark.parametrize("range_", [0.0, 1e-20, 1.0, 1e6])
+def test_extremes_stay_finite(raw, range_, light, backend):
+    colors = torch.tensor([[0.0, 0.5, 1.3]], requires_grad=True)
+    offsets = torch.tensor([[0.0, 0.0, range_]], requires_grad=True)
+    parameters = [torch.full((3,), raw), torch.full((3,), raw), torch.zeros(9, 3)]
+    parameters[2][0] = torch.tensor([-300.0, 0.0, 300.0])  # B = 0 and B = 1 among them
+    parameters = [t.requires_grad_() for t in parameters]
+    seen = through_water(colors, offsets, Medium(*parameters, 1.0, light), backend=backend)
+    assert seen.isfinite().all()
+    for gradient in torch.autograd.grad(seen.sum(), [colors, offsets, *parameters]):
+        assert gradient.isfinite().all()
+
+
+# -- identification ----------------------------------------------------------------------------------------------------
+
+SHIPPED = Path(__file__).parents[1] / "scenes" / "reef_wreck"
+
+
+def sightings(beta_D, beta_B, B, count=400, noise=0.0, spread=3.0, seed=0):
+    """Points of random colours seen from four random ranges each through known water."""
+    r = np.random.default_rng(seed)
+    ranges = 2 * spread ** r.uniform(0, 1, (count, 4))
+    J = r.uniform(0.05, 0.9, (count, 1, 3))
+    light = J * np.exp(-beta_D * ranges[..., None]) + B * (1 - np.exp(-beta_B * ranges[..., None]))
+    light = light * (1 + noise * r.standard_normal(light.shape))
+    return Observations(np.repeat(np.arange(count), 4), ranges.ravel(), light.reshape(-1, 3))
+
+
+def test_exact_sightings_give_the_water_exactly():
+    beta_D, beta_B, B = np.array([0.3, 0.1, 0.06]), np.array([0.25, 0.12, 0.1]), np.array([0.03, 0.16, 0.22])
+    fit = fit_water(sightings(beta_D, beta_B, B))
+    assert fit.found
+    np.testing.assert_allclose(fit.beta_D, beta_D, rtol=0.01)
+    np.testing.assert_allclose(fit.beta_B, beta_B, rtol=0.01)
+    np.testing.assert_allclose(fit.B, B, rtol=0.01)
+
+
+def test_wrong_matches_do_not_bend_the_water():
+    beta_D, beta_B, B = np.array([0.3, 0.1, 0.06]), np.array([0.25, 0.12, 0.1]), np.array([0.03, 0.16, 0.22])
+    seen = sightings(beta_D, beta_B, B, count=1500, noise=0.02)
+    wrong = np.random.default_rng(1).choice(len(seen.track), len(seen.track) // 50, replace=False)
+    seen.light[wrong] = np.random.default_rng(2).uniform(0, 0.8, (len(wrong), 3))
+    np.testing.assert_allclose(fit_water(seen).beta_D, beta_D, rtol=0.15)
+
+
+@pytest.mark.parametrize(
+    "seen, reason",
+    [
+        (sightings(np.full(3, 0.2), np.full(3, 0.2), np.full(3, 0.2), count=10), "only 40 sightings"),
+        (sightings(np.full(3, 0.2), np.full(3, 0.2), np.full(3, 0.2), spread=1.05), "ranges of ratio 1.0"),
+        (sightings(np.zeros(3), np.ones(3), np.zeros(3), noise=0.05), "No water is modelled"),  # air
+        (sightings(np.full(3, 0.3), np.ones(3), np.zeros(3), noise=0.05), "No water is modelled"),  # light falls off
+    ],
+)
+def test_no_water_where_there_is_none_or_it_cannot_be_told(seen, reason):
+    fit = fit_water(seen)
+    assert not fit.found and reason in fit.reason
+
+
+def test_the_demo_scene_gives_its_true_water():
+    scene = load_scene(SHIPPED)
+    views = [view for view in scene.views if view.camera.name not in ("reef_000.jpg", "reef_008.jpg", "reef_016.jpg")]
+    images = load_images(scene, views, 640)
+    fit = fit_water(observe(images, [view.point_indices for view in views], scene.points))
+    truth = json.loads((SHIPPED / "truth.json").read_text())["water"]
+    assert fit.found
+    np.testing.assert_allclose(fit.beta_D, truth["beta_D"], rtol=0.1)
+    np.testing.assert_allclose(fit.B, truth["B_inf"], rtol=0.1)
+    np.testing.assert_allclose(fit.beta_B, truth["beta_B"], rtol=0.2)
