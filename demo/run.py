@@ -15,6 +15,9 @@ import tempfile
 import time
 from pathlib import Path
 
+import cv2
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "demo" / "output"
 EXTENSION = "bl_ext.user_default.swag_splatting"
@@ -57,7 +60,8 @@ def main() -> None:
     scene.render.filepath = str(OUTPUT / "render.png")
     bpy.ops.render.render(write_still=True)
     photograph = Path(bpy.path.abspath(camera.data.background_images[0].image.filepath))
-    psnr = side_by_side(photograph, OUTPUT / "render.png", OUTPUT / "compare.png")
+    print(f"   {metrics['water']}")
+    compared = compare(photograph, OUTPUT / "render.png", scene_folder, (OUTPUT / "run" / "water.json").exists())
 
     print("4. Save: .blend, PLY, GLB", flush=True)
     # In a window photographs and other objects stand beside the splats, all in the usual light.
@@ -69,10 +73,9 @@ def main() -> None:
         bpy.ops.swag.export_splats(filepath=str(OUTPUT / f"splats.{suffix}"))
 
     print(f"""
-Done in {time.monotonic() - started:.0f} s: {len(trained.data.points)} Gaussians; the render of {camera.name} has \
-{psnr:.1f} dB against its photograph.
+Done in {time.monotonic() - started:.0f} s: {len(trained.data.points)} Gaussians{compared}.
   {OUTPUT / "compare.png"}
-      the photograph and the Cycles render side by side, in any picture viewer
+      a photograph and the Cycles render from the same place side by side, in any picture viewer
   {OUTPUT / "scene.blend"}
       cameras, photographs, points and splats: open it in Blender 4.5 or later, press 0 on the number pad for the
       camera and F12 to render
@@ -98,22 +101,33 @@ def blender_with_extension(user: Path):
     return bpy
 
 
-def side_by_side(photograph: Path, render: Path, out: Path) -> float:
-    """Write both pictures beside each other with labels; returns the PSNR between them in dB."""
-    import cv2
-    import numpy as np
+def compare(photograph: Path, render: Path, scene_folder: Path, without_water: bool) -> str:
+    """Write compare.png: photograph, render and, where the scene ships it, the truth without water; says how near."""
+    clean = scene_folder / "clean" / f"{photograph.stem}.png"
+    pictures = {photograph: "Photograph (never trained on)", render: "Splats in Cycles"}
+    truth, name = (clean, "the truth without water") if without_water else (photograph, "the photograph")
+    if without_water:
+        pictures[render] += ", water taken away"
+        if clean.exists():
+            pictures[clean] = "Truth, without water"
+    side_by_side(pictures, OUTPUT / "compare.png")
+    if not truth.exists():
+        return ""
+    drawn, true = (cv2.imread(str(path), cv2.IMREAD_COLOR) for path in (render, truth))
+    return f"; the render of {photograph.name} has {cv2.PSNR(drawn, true):.1f} dB against {name}"
 
-    truth, drawn = (cv2.imread(str(path), cv2.IMREAD_COLOR) for path in (photograph, render))
-    psnr = float(cv2.PSNR(truth, drawn))
+
+def side_by_side(pictures: dict[Path, str], out: Path) -> None:
+    """Write pictures of one size beside each other, each under its label."""
     labelled = []
-    for picture, text in ((truth, "Photograph (never trained on)"), (drawn, f"Splats in Cycles, {psnr:.1f} dB")):
+    for path, text in pictures.items():
+        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
         scale = picture.shape[1] / 640
         bar = np.zeros((round(28 * scale), picture.shape[1], 3), np.uint8)
         at = (round(8 * scale), round(19 * scale))
         cv2.putText(bar, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, (255, 255, 255), 1, cv2.LINE_AA)
         labelled.append(np.concatenate([bar, picture]))
     cv2.imwrite(str(out), np.concatenate(labelled, axis=1))
-    return psnr
 
 
 if __name__ == "__main__":

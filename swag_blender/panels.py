@@ -52,7 +52,7 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in ("iterations", "width", "max_gaussians"):
+        for name in ("recipe", "iterations", "width", "max_gaussians"):
             column.prop(swag, name)
         try:
             engine_process.engine_python()
@@ -113,6 +113,8 @@ class SWAG_PT_result(SwagPanel, bpy.types.Panel):
                     row = column.split(factor=0.45)
                     row.label(text=label)
                     row.label(text=value)
+            if swag.result_water:
+                draw_wrapped(layout, swag.result_water, context.region.width, icon="MOD_OCEAN")
         layout.operator("swag.prepare_render", icon="RESTRICT_RENDER_OFF")
         layout.operator("swag.import_splats", text="Open Splat File", icon="FILE_FOLDER")
 

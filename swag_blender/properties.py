@@ -41,6 +41,7 @@ class SwagScene(PropertyGroup):
     )
     found: StringProperty(description="What the folder of photographs holds, in words")
 
+    recipe: _mirrored("recipe", "Method", "swag takes the water away, 3dgs shows the place as photographed")
     iterations: _mirrored("iterations", "Iterations", "Number of optimisation steps; each looks at one photograph")
     width: _mirrored("width", "Width", "Width in pixels that the photographs are trained at")
     max_gaussians: _mirrored("max_gaussians", "Max Gaussians", "Most Gaussians that the scene may grow to")
@@ -53,6 +54,7 @@ class SwagScene(PropertyGroup):
     result_psnr: FloatProperty(name="PSNR", description="PSNR on photographs that the training never saw, in dB")
     result_ssim: FloatProperty(name="SSIM", description="SSIM on photographs that the training never saw")
     result_seconds: FloatProperty(name="Seconds", description="How long the last run took")
+    result_water: StringProperty(name="Water", description="What the last run found of the water")
     result_interrupted: BoolProperty(name="Interrupted", description="The last run was stopped before its end")
 
     @property
@@ -88,6 +90,7 @@ class SwagScene(PropertyGroup):
         self.result_psnr = metrics.get("test_psnr") or 0.0
         self.result_ssim = metrics.get("test_ssim") or 0.0
         self.result_seconds = metrics["seconds"]
+        self.result_water = metrics["water"]
         self.result_interrupted = event["interrupted"]
 
 

@@ -105,6 +105,7 @@ class Train:
             f"{'Interrupted' if result['interrupted'] else 'Done'} after {metrics['iteration']} iterations, "
             f"{metrics['seconds'] / 60:.1f} minutes, {metrics['gaussians']} Gaussians.\n"
             f"{quality if metrics['views'] else 'Too few photographs to hold any out for a figure.'}\n"
+            f"{metrics['water'] or 'The water is left in the colours.'}\n"
             f"Result: {result['ply']}"
         )
         show(result, self.json, text)
@@ -113,22 +114,20 @@ class Train:
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Score the result of a run on its held-out views."""
+    """Score the result of a run on its held-out views; writes evaluation.json and evaluation.html to the run."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
+    weights_dir: Path | None = None
+    """Folder of lpips-alex.safetensors and lpips-vgg.safetensors; the user's cache folder without it."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
-        from .evaluation.run import evaluate_run
+        from .evaluation.run import describe, evaluate_run
 
-        scores = evaluate_run(self.run_folder)
-        lines = [
-            f"{name}: PSNR {view['psnr']:.2f} dB, SSIM {view['ssim']:.3f}" for name, view in scores["views"].items()
-        ]
-        lines.append(f"mean: PSNR {scores['test_psnr']:.2f} dB, SSIM {scores['test_ssim']:.3f}")
-        show(scores, self.json, "\n".join(lines))
+        evaluation = evaluate_run(self.run_folder, self.weights_dir)
+        show(evaluation, self.json, describe(evaluation))
         return 0
 
 
@@ -142,13 +141,15 @@ class Render:
     """Folder for the pictures."""
     camera: str | None = None
     """Name of one photograph; all held-out views without it."""
+    water: float = 1.0
+    """How much water to show, from 0 (taken away) to 1 (as photographed)."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
         from .evaluation.run import render_run
 
-        files = [str(path) for path in render_run(self.run_folder, self.out, self.camera)]
+        files = [str(path) for path in render_run(self.run_folder, self.out, self.camera, self.water)]
         show({"files": files}, self.json, "\n".join(files))
         return 0
 
@@ -179,7 +180,22 @@ def show(document: dict[str, Any], as_json: bool, text: str) -> None:
     print(to_json(document, indent=2) if as_json else text)
 
 
-COMMANDS = (Inspect, Sfm, Train, Evaluate, Render, Export)
+@dataclass(frozen=True)
+class Doctor:
+    """Say what this machine has, which backend a run would take, and why not another."""
+
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .doctor import describe, examine
+
+        found = examine()
+        show(found, self.json, describe(found))
+        return 0
+
+
+COMMANDS = (Inspect, Sfm, Train, Evaluate, Render, Export, Doctor)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -194,6 +210,11 @@ def main(arguments: list[str] | None = None) -> int:
         if "--json" in arguments:
             print(to_json({"error": str(error)}))
         print(error, file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        if not error.name or error.name.partition(".")[0] == __package__.partition(".")[0]:
+            raise
+        print(f"{sys.executable} lacks the package {error.name}; see requirements.txt.", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("Interrupted.", file=sys.stderr)

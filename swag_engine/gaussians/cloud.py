@@ -35,6 +35,10 @@ class GaussianCloud:
         """Name -> tensor, in the order of the fields."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
+    def to(self, device: torch.device) -> "GaussianCloud":
+        """The cloud with its tensors on a device."""
+        return GaussianCloud(**{name: tensor.to(device) for name, tensor in self.parameters().items()})
+
     @property
     def scales(self) -> Tensor:
         """(N, 3) standard deviations in scene units."""
@@ -45,15 +49,14 @@ class GaussianCloud:
         """(N,) in 0..1."""
         return self.opacity_logits.sigmoid()
 
-    def colors(self, camera_centre: Tensor, degree: int) -> Tensor:
+    def colors(self, camera_centre: Tensor, degree: int, backend: str = "auto") -> Tensor:
         """(N, 3) display colours seen from `camera_centre` (3,), with SH up to `degree`.
 
         No gradient flows from colour to position through the direction: it is small, and would cost a pass.
         """
         directions = torch.nn.functional.normalize(self.means.detach() - camera_centre, dim=-1)
         degree = min(degree, isqrt(1 + self.shN.shape[1]) - 1)
-        sh = torch.cat([self.sh0, self.shN[:, : (degree + 1) ** 2 - 1]], dim=1)
-        return evaluate_sh(sh, directions, degree)
+        return evaluate_sh(self.sh0, self.shN, directions, degree, backend)
 
     def to_splats(self, sh_degree: int | None = None) -> Splats:
         """The Gaussians as numpy arrays for files and Blender; SH up to `sh_degree` (all by default)."""

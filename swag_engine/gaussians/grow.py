@@ -19,8 +19,8 @@ class GrowthStatistics:
     views: Tensor
 
     @classmethod
-    def zeros(cls, n: int) -> "GrowthStatistics":
-        return cls(torch.zeros(n), torch.zeros(n))
+    def zeros(cls, n: int, device: torch.device) -> "GrowthStatistics":
+        return cls(torch.zeros(n, device=device), torch.zeros(n, device=device))
 
     def add(self, means2d_gradient: Tensor, radii: Tensor, width: int) -> None:
         """Add one view: means2d_gradient (N, 2) per pixel, radii (N,) in pixels with 0 for what was not seen."""
@@ -53,7 +53,7 @@ class Growth:
         finite = torch.isfinite(cloud.means).all(dim=-1) & torch.isfinite(cloud.log_scales).all(dim=-1)
         keep = (cloud.opacities > self.min_opacity) & (scales.amax(dim=-1) < self.max_scale * median_range) & finite
         if not keep.any():
-            return cloud, torch.arange(len(cloud))
+            return cloud, torch.arange(len(cloud), device=keep.device)
         score = torch.where(keep, statistics.score(), torch.zeros_like(statistics.gradient))
         room = max(0, budget - int(keep.sum()))
         wanted = score > self.min_score
@@ -69,7 +69,7 @@ class Growth:
         grown = GaussianCloud(
             **{name: torch.cat([piece[name] for piece in pieces]) for name in PER_GAUSSIAN}, background=cloud.background
         )
-        source = torch.cat([stay, torch.full((2 * len(parents),), -1)])
+        source = torch.cat([stay, torch.full((2 * len(parents),), -1, device=stay.device)])
         return grown, source
 
 
@@ -78,7 +78,7 @@ def split_along_longest_axis(cloud: GaussianCloud, index: Tensor, sign: float) -
     child = {name: getattr(cloud, name)[index].clone() for name in PER_GAUSSIAN}
     scales = cloud.scales[index]
     longest = scales.argmax(dim=-1)
-    rows = torch.arange(len(index))
+    rows = torch.arange(len(index), device=index.device)
     axis = rotation_matrices(cloud.quats[index])[rows, :, longest]
     child["means"] += sign * 0.6 * scales[rows, longest, None] * axis
     child["log_scales"][rows, longest] += float(torch.log(torch.tensor(0.8)))

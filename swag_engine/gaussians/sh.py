@@ -1,11 +1,9 @@
 """Colour by direction: real spherical harmonics up to degree 3."""
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
-from ..rasterize import cpu
+from ..rasterize.backends import kernels_for
 
 # Constants of the real spherical harmonics (Condon-Shortley phase included), in the order l, m = -l .. l, as 3DGS files
 # have them. E.g. Y_00 = sqrt(1 / 4 pi).
@@ -37,36 +35,19 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
     return torch.stack(basis, -1)
 
 
-def evaluate_sh(sh: Tensor, directions: Tensor, degree: int) -> Tensor:
-    """Colours (N, 3) = max(0, 1/2 + sum_k sh_k Y_k(direction)), differentiable in both.
+def evaluate_sh(sh0: Tensor, shN: Tensor, directions: Tensor, degree: int, backend: str = "auto") -> Tensor:
+    """Colours (N, 3) = max(0, 1/2 + sum_k sh_k Y_k(direction)), differentiable in all three.
 
-    sh: (N, K, 3) raw coefficients, the constant one first; directions: (N, 3) unit, from the camera to the Gaussian;
-    degree: 0 to 3, may be less than what `sh` holds. Signs and order are those of 3DGS files.
+    sh0 (N, 1, 3), shN (N, K - 1, 3): raw coefficients, the constant one apart; directions: (N, 3) unit, from the camera
+    to the Gaussian; degree: 0 to 3, may be less than what shN holds. Signs and order are those of 3DGS files.
     """
-    if not 0 <= degree <= 3 or sh.shape[1] < (degree + 1) ** 2:
-        raise ValueError(f"degree {degree} of 0 to 3 needs {(degree + 1) ** 2} coefficients, sh has {sh.shape[1]}")
-    # The kernel has no gradient by direction: training takes none.
-    if cpu.can_run(sh, directions) and not directions.requires_grad:
-        return _Colors.apply(sh, directions, degree)
+    count = sh0.shape[1] + shN.shape[1]
+    if not 0 <= degree <= 3 or count < (degree + 1) ** 2:
+        raise ValueError(f"degree {degree} of 0 to 3 needs {(degree + 1) ** 2} coefficients, there are {count}")
+    kernels = kernels_for(backend, sh0)
+    # The kernels have no gradient by direction: training takes none.
+    if kernels and not directions.requires_grad:
+        return kernels.sh_colors(sh0, shN, directions, degree)
     basis = sh_basis(directions, degree)
-    return (0.5 + (basis[:, :, None] * sh[:, : basis.shape[1]]).sum(1)).clamp(min=0)
-
-
-class _Colors(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, sh: Tensor, directions: Tensor, degree: int) -> Tensor:
-        sh, directions = sh.contiguous(), directions.contiguous()
-        colors = torch.empty_like(directions)
-        ctx.coefficients, ctx.degree = sh.shape[1], degree
-        cpu.run("sh_forward", len(sh), ctx.coefficients, degree, sh, directions, colors)
-        ctx.save_for_backward(directions, colors)
-        return colors
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, color_gradients: Tensor) -> tuple[Tensor, None, None]:
-        directions, colors = ctx.saved_tensors
-        gradients = directions.new_empty(len(directions), ctx.coefficients, 3)
-        inputs = directions, colors, color_gradients.contiguous()
-        cpu.run("sh_backward", len(directions), ctx.coefficients, ctx.degree, *inputs, gradients)
-        return gradients, None, None
+    sh = torch.cat([sh0, shN[:, : basis.shape[1] - 1]], 1)
+    return (0.5 + (basis[:, :, None] * sh).sum(1)).clamp(min=0)

@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
-from ..errors import InputError
-from . import cpu, projection, reference
+from . import projection, reference
+from .backends import kernels_for
 
-BACKENDS = ("auto", "cpu", "torch")
+MAX_SCORED = 8
+"""Channels that contributions() takes at most."""
 
 
 @dataclass
@@ -44,9 +46,94 @@ def rasterize(
     All tensors share one floating dtype and device; gradients reach the five per-Gaussian inputs and the background.
     Gaussians with NaN or infinite parameters are not drawn and get zero gradients.
 
-    backend: "cpu" (compiled kernels, float32), "torch" (any dtype and device, slow), or "auto": cpu where it can.
-    Raises ValueError for wrong shapes, dtypes or devices, InputError when "cpu" is asked for and cannot run.
+    backend: as in backends.kernels_for. The torch backend takes any floating dtype.
+    Raises ValueError for wrong shapes, dtypes or devices, InputError when the backend asked for cannot run.
     """
+    _check(means, quats, scales, opacities, channels, viewmat, K, width, height, background)
+    kernels = kernels_for(backend, means)
+    # The kernels have no gradient by the camera.
+    project = kernels.project if kernels and not (viewmat.requires_grad or K.requires_grad) else projection.project
+    projected = project(means, quats, scales, opacities, channels, viewmat, K, width, height)
+    if projected.means2d.requires_grad:
+        projected.means2d.retain_grad()
+    blend = kernels.blend if kernels else reference.blend
+    blended, alpha = blend(
+        projected.means2d, projected.conics, opacities, channels, background, projected.depths, projected.radii,
+        width, height,
+    )  # fmt: skip
+    return Rendering(blended, alpha, projected.means2d, projected.radii)
+
+
+@dataclass
+class Contributions:
+    """What each of N Gaussians does to one picture; no gradients.
+
+    With g = exp(-s) the value of the projected Gaussian at a pixel (alpha = opacity g), dC/dg is the picture's change
+    by it, opacity T (channel - what is seen behind), 0 where alpha is clamped. Sums over all pixels:
+    weighted (N, R): T alpha times each weight image;
+    importance (N,): |dC/dg|^2, and error (N,): (image_gradient . dC/dg)^2, as in SWAGSplatting's reallocation.
+    """
+
+    weighted: Tensor
+    importance: Tensor
+    error: Tensor
+
+
+@torch.no_grad()
+def contributions(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    channels: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    background: Tensor,
+    weights: Tensor | None = None,
+    image_gradient: Tensor | None = None,
+    backend: str = "auto",
+) -> Contributions:
+    """What each Gaussian does to the picture that rasterize() makes of the same arguments, in one pass over it.
+
+    weights (H, W, R): images that the sums of T alpha are weighted with; image_gradient (H, W, C): the loss by the
+    channels. Without them `weighted` has no columns and `error` is 0. At most MAX_SCORED channels.
+    Raises as rasterize() does.
+    """
+    _check(means, quats, scales, opacities, channels, viewmat, K, width, height, background)
+    channel_count = channels.shape[1]
+    if channel_count > MAX_SCORED:
+        raise ValueError(f"contributions are taken over at most {MAX_SCORED} channels, not {channel_count}")
+    weights = means.new_zeros(height, width, 0) if weights is None else weights
+    image_gradient = means.new_zeros(height, width, channel_count) if image_gradient is None else image_gradient
+    pictures: dict[str, tuple[Tensor, tuple[int, ...]]] = {
+        "weights": (weights, (height, width, weights.shape[-1])),
+        "image_gradient": (image_gradient, (height, width, channel_count)),
+    }
+    _check_tensors(pictures, means)
+    kernels = kernels_for(backend, means)
+    projected = (kernels or projection).project(means, quats, scales, opacities, channels, viewmat, K, width, height)
+    return Contributions(
+        *(kernels or reference).contributions(
+            projected.means2d, projected.conics, opacities, channels, background, projected.depths, projected.radii,
+            width, height, weights, image_gradient,
+        )
+    )  # fmt: skip
+
+
+def _check(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    channels: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    background: Tensor,
+) -> None:
     n, channel_count = len(means), channels.shape[-1]
     expected = {
         "means": (means, (n, 3)),
@@ -58,27 +145,14 @@ def rasterize(
         "K": (K, (3, 3)),
         "background": (background, (channel_count,)),
     }
+    _check_tensors(expected, means)
+    if width < 1 or height < 1 or channel_count < 1:
+        raise ValueError(f"cannot render {channel_count} channels of {width} x {height} pixels")
+
+
+def _check_tensors(expected: dict[str, tuple[Tensor, tuple[int, ...]]], means: Tensor) -> None:
     for name, (tensor, shape) in expected.items():
         if tensor.shape != shape:
             raise ValueError(f"{name} has shape {tuple(tensor.shape)}, expected {shape}")
         if tensor.dtype != means.dtype or tensor.device != means.device or not tensor.is_floating_point():
             raise ValueError(f"{name} is {tensor.dtype} on {tensor.device}, means are {means.dtype} on {means.device}")
-    if width < 1 or height < 1 or channel_count < 1:
-        raise ValueError(f"cannot render {channel_count} channels of {width} x {height} pixels")
-    if backend not in BACKENDS:
-        raise ValueError(f"backend {backend!r} is none of {', '.join(BACKENDS)}")
-
-    kernels = backend != "torch" and cpu.can_run(means)
-    if backend == "cpu" and not kernels:
-        raise InputError("The cpu backend cannot run here: it needs its compiled kernels and float32 on the CPU.")
-    blend = cpu.blend if kernels else reference.blend
-
-    project = cpu.project if kernels and not (viewmat.requires_grad or K.requires_grad) else projection.project
-    projected = project(means, quats, scales, opacities, channels, viewmat, K, width, height)
-    if projected.means2d.requires_grad:
-        projected.means2d.retain_grad()
-    blended, alpha = blend(
-        projected.means2d, projected.conics, opacities, channels, background, projected.depths, projected.radii,
-        width, height,
-    )  # fmt: skip
-    return Rendering(blended, alpha, projected.means2d, projected.radii)

@@ -1,98 +1,31 @@
-"""Blending on the CPU by the compiled kernels, loaded through ctypes and run on Python threads (ctypes frees the GIL).
+"""The backend of compiled kernels, for float32 tensors on the CPU.
 
 Every result is the same to the bit for any number of threads (torch.get_num_threads() are used).
 """
 
-import ctypes
-import warnings
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+import math
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from .kernels.build import host_targets
-from .projection import Projection
+from .cpu_library import constant, library, run, run_parts
+from .projection import Projection, check_pairs
 
 RANK_CHUNKS = 8  # parts of the depth order that are binned independently
-TASKS_PER_THREAD = 8
-
-
-@cache
-def library() -> ctypes.CDLL | None:
-    """The kernels for this processor, or None after one warning that says why there are none."""
-    level = {"AVX512": 4, "AVX2": 3}.get(torch.backends.cpu.get_cpu_capability(), 2)
-    reason = "none are built for this platform"
-    for target in host_targets():
-        if target.level > level:
-            continue
-        try:
-            return ctypes.CDLL(str(target.path))
-        except OSError as error:
-            reason = str(error)
-    warnings.warn(
-        f"CPU kernels not loaded ({reason}); using torch, which is many times slower. "
-        "To build them: python -m swag_engine.rasterize.kernels.build",
-        stacklevel=2,
-    )
-    return None
+WATER_PARTS = 32  # ranges whose sums are added in their order
 
 
 def can_run(*tensors: Tensor) -> bool:
-    """Whether the kernels take these tensors: float32 on the CPU, and the kernels could be loaded."""
+    """Whether the kernels take these tensors: float32 on the CPU, and the library could be loaded."""
     fits = all(tensor.device.type == "cpu" and tensor.dtype == torch.float32 for tensor in tensors)
     return fits and library() is not None
 
 
-@cache
-def _threads(count: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(count, thread_name_prefix="swag-kernels")
-
-
-Argument = Tensor | int | float
-
-
-def constant(kernel: str, *arguments: Argument) -> int:
-    """Call a kernel once, on this thread; returns its integer."""
-    function = getattr(library(), kernel)
-    function.restype = ctypes.c_int64
-    return int(function(*map(_converted, arguments)))
-
-
-def run(kernel: str, count: int, *arguments: Argument) -> None:
-    """Call `kernel(begin, end, *arguments)` over ranges that cover [0, count), on all threads."""
-    function = getattr(library(), kernel)
-    values = [_converted(argument) for argument in arguments]
-    threads = torch.get_num_threads()
-    tasks = min(count, TASKS_PER_THREAD * threads if threads > 1 else 1)
-    _spread(lambda task: function(*_range(count, task, tasks), *values), tasks)
-
-
-def run_parts(kernel: str, count: int, arguments: list[Argument], per_part: Tensor) -> None:
-    """As `run`, but in as many ranges as `per_part` has rows whatever the threads; each range gets its row, last."""
-    function = getattr(library(), kernel)
-    values = [_converted(argument) for argument in arguments]
-    parts = len(per_part)
-    _spread(lambda part: function(*_range(count, part, parts), *values, _converted(per_part[part])), parts)
-
-
-def _range(count: int, part: int, parts: int) -> tuple[ctypes.c_int64, ctypes.c_int64]:
-    return ctypes.c_int64(count * part // parts), ctypes.c_int64(count * (part + 1) // parts)
-
-
-def _spread(task: Callable[[int], None], tasks: int) -> None:
-    threads = torch.get_num_threads()
-    list((_threads(threads).map if threads > 1 and tasks > 1 else map)(task, range(tasks)))
-
-
-def _converted(argument: Argument) -> ctypes.c_void_p | ctypes.c_int64 | ctypes.c_float:
-    """A tensor as the pointer to its data."""
-    if isinstance(argument, Tensor):
-        assert argument.is_contiguous() and argument.device.type == "cpu"
-        return ctypes.c_void_p(argument.data_ptr())
-    return ctypes.c_int64(argument) if isinstance(argument, int) else ctypes.c_float(argument)
+def reason() -> str | None:
+    """Why the kernels cannot run on this machine, None where they can."""
+    return None if library() is not None else "its compiled kernels could not be loaded (see the warning)."
 
 
 class _Project(torch.autograd.Function):
@@ -145,6 +78,47 @@ def project(
     return Projection(*_Project.apply(means, quats, scales, opacities, channels, viewmat, K, width, height))
 
 
+@dataclass
+class _Blended:
+    """A blended picture, and what going through its tiles once more needs."""
+
+    out: Tensor
+    transmittance: Tensor
+    endings: Tensor
+    splats: Tensor
+    order: Tensor
+    rank_starts: Tensor
+    ids: Tensor
+    slots: Tensor
+    tile_starts: Tensor
+
+
+def _blend(
+    means2d: Tensor,
+    conics: Tensor,
+    opacities: Tensor,
+    channels: Tensor,
+    background: Tensor,
+    depths: Tensor,
+    radii: Tensor,
+    width: int,
+    height: int,
+) -> _Blended:
+    """Blend; channels (N, C) and background (C,) are contiguous."""
+    n, channel_count = channels.shape
+    splats = torch.empty(n, constant("splat_bytes"), dtype=torch.uint8)
+    keys = torch.empty(n, dtype=torch.int32)
+    geometry = [tensor.contiguous() for tensor in (means2d, conics, opacities, depths, radii)]
+    run("pack", n, *geometry, width, height, splats, keys)
+    order, rank_starts, tile_starts, ids, slots = _bin(splats, keys, width, height)
+    out = channels.new_empty(height, width, channel_count)
+    transmittance = channels.new_empty(height, width)
+    endings = torch.empty(height, width, dtype=torch.int32)
+    inputs = width, height, channel_count, splats, channels, ids, tile_starts, background
+    run("blend_forward", len(tile_starts) - 1, *inputs, out, transmittance, endings)
+    return _Blended(out, transmittance, endings, splats, order, rank_starts, ids, slots, tile_starts)
+
+
 class _Blend(torch.autograd.Function):
     @staticmethod
     def forward(
@@ -160,22 +134,12 @@ class _Blend(torch.autograd.Function):
         height: int,
     ) -> tuple[Tensor, Tensor]:
         channels, background = channels.contiguous(), background.contiguous()
-        n, channel_count = channels.shape
-        splats = torch.empty(n, constant("splat_bytes"), dtype=torch.uint8)
-        keys = torch.empty(n, dtype=torch.int32)
-        geometry = [tensor.contiguous() for tensor in (means2d, conics, opacities, depths, radii)]
-        run("pack", n, *geometry, width, height, splats, keys)
-        order, rank_starts, tile_starts, ids, slots = _bin(splats, keys, width, height)
-
-        out = channels.new_empty(height, width, channel_count)
-        transmittance = channels.new_empty(height, width)
-        endings = torch.empty(height, width, dtype=torch.int32)
-        inputs = width, height, channel_count, splats, channels, ids, tile_starts, background
-        run("blend_forward", len(tile_starts) - 1, *inputs, out, transmittance, endings)
+        b = _blend(means2d, conics, opacities, channels, background, depths, radii, width, height)
         ctx.save_for_backward(
-            splats, channels, order, rank_starts, ids, slots, tile_starts, background, transmittance, endings
-        )
-        return out, 1 - transmittance
+            b.splats, channels, b.order, b.rank_starts, b.ids, b.slots, b.tile_starts, background, b.transmittance,
+            b.endings,
+        )  # fmt: skip
+        return b.out, 1 - b.transmittance
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -218,8 +182,7 @@ def _bin(splats: Tensor, keys: Tensor, width: int, height: int) -> tuple[Tensor,
     run_parts("count_tiles", drawable, [splats, order, width, height, rank_starts[1:]], counts)
     torch.cumsum(rank_starts, 0, out=rank_starts)
     pairs = int(rank_starts[-1])
-    if pairs >= 2**31:
-        raise RuntimeError(f"{drawable} Gaussians meet {pairs} tiles, more than can be blended: they are too large.")
+    check_pairs(pairs)
     ends = counts.T.reshape(-1).cumsum(0).reshape(tiles, RANK_CHUNKS)  # by tile, then by part: depth order in a tile
     tile_starts = torch.cat([ends.new_zeros(1), ends[:, -1]])
     ids = torch.empty(pairs, dtype=torch.int32)
@@ -242,3 +205,156 @@ def blend(
 ) -> tuple[Tensor, Tensor]:
     """As reference.blend, for float32 tensors on the CPU. The gradient is not differentiable again."""
     return _Blend.apply(means2d, conics, opacities, channels, background, depths, radii, width, height)
+
+
+def contributions(
+    means2d: Tensor,
+    conics: Tensor,
+    opacities: Tensor,
+    channels: Tensor,
+    background: Tensor,
+    depths: Tensor,
+    radii: Tensor,
+    width: int,
+    height: int,
+    weights: Tensor,
+    gradient: Tensor,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """As reference.contributions, for float32 tensors on the CPU."""
+    channels, background, weights, gradient = (t.contiguous() for t in (channels, background, weights, gradient))
+    b = _blend(means2d, conics, opacities, channels, background, depths, radii, width, height)
+    n, channel_count = channels.shape
+    size = 2 + weights.shape[2]
+    results = channels.new_empty(len(b.ids), size)
+    tiles = len(b.tile_starts) - 1
+    sizes = width, height, channel_count, weights.shape[2]
+    lists = b.splats, channels, b.ids, b.slots, b.tile_starts, background, b.transmittance, b.endings
+    run("contributions", tiles, *sizes, *lists, weights, gradient, results)
+    sums = channels.new_zeros(n, size)
+    run("gather_sums", len(b.rank_starts) - 1, size, b.order, b.rank_starts, results, sums)
+    return sums[:, 2:], sums[:, 0], sums[:, 1]
+
+
+class _Colors(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
+        sh0, shN, directions = sh0.contiguous(), shN.contiguous(), directions.contiguous()
+        colors = torch.empty_like(directions)
+        run("sh_forward", len(sh0), shN.shape[1], degree, sh0, shN, directions, colors)
+        ctx.save_for_backward(directions, colors)
+        ctx.sizes = shN.shape[1], degree
+        return colors
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, by_colors: Tensor) -> tuple[Tensor | None, ...]:
+        directions, colors = ctx.saved_tensors
+        n, (higher, degree) = len(directions), ctx.sizes
+        by_sh0, by_shN = directions.new_empty(n, 1, 3), directions.new_empty(n, higher, 3)
+        run("sh_backward", n, higher, degree, directions, colors, by_colors.contiguous(), by_sh0, by_shN)
+        return by_sh0, by_shN, None, None
+
+
+def sh_colors(sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
+    """As gaussians.sh.evaluate_sh, for float32 tensors on the CPU; no gradient by directions."""
+    return _Colors.apply(sh0, shN, directions, degree)
+
+
+class _L1Ssim(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+        image, target = image.contiguous(), target.contiguous()
+        height, width, _ = image.shape
+        sums = torch.empty(height, 2, dtype=torch.float64)
+        derivatives = image.new_empty(3, *image.shape)
+        run("l1_ssim_forward", height, height, width, image, target, sums, derivatives)
+        ctx.save_for_backward(image, target, derivatives)
+        l1, similarity = (sums.sum(0) / image.numel()).float()
+        return l1, similarity
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, by_l1: Tensor, by_ssim: Tensor) -> tuple[Tensor, None]:
+        image, target, derivatives = ctx.saved_tensors
+        height, width, _ = image.shape
+        gradient = torch.empty_like(image)
+        factors = float(by_l1) / image.numel(), float(by_ssim) / image.numel()
+        run("l1_ssim_backward", height, height, width, image, target, derivatives, *factors, gradient)
+        return gradient, None
+
+
+def l1_ssim(image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean absolute difference and mean SSIM of (H, W, 3) float32 images on the CPU; differentiable in image."""
+    return _L1Ssim.apply(image, target)
+
+
+def adam_step(
+    parameter: Tensor,
+    gradient: Tensor,
+    exp_avg: Tensor,
+    exp_avg_sq: Tensor,
+    lr: float,
+    beta1: float,
+    beta2: float,
+    eps: float,
+    step: int,
+) -> None:
+    """As training.optimizer.adam_step, for contiguous float32 tensors on the CPU."""
+    corrected = lr / (1 - beta1**step), 1 / math.sqrt(1 - beta2**step)
+    weights = beta1, 1 - beta1, beta2, 1 - beta2
+    tensors = parameter, gradient.contiguous(), exp_avg, exp_avg_sq
+    run("adam_step", parameter.numel(), *tensors, *corrected, *weights, eps)
+
+
+class _Water(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, colors: Tensor, offsets: Tensor, values: Tensor, degree: int, linear: bool) -> Tensor:
+        colors, offsets, values = colors.contiguous(), offsets.contiguous(), values.contiguous()
+        shown = torch.empty_like(colors)
+        run("water_forward", len(colors), degree, int(linear), values, colors, offsets, shown)
+        ctx.save_for_backward(colors, offsets, values)
+        ctx.mode = degree, int(linear)
+        return shown
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
+        colors, offsets, values = ctx.saved_tensors
+        by_colors, by_offsets = torch.empty_like(colors), torch.empty_like(offsets)
+        sums = torch.empty(WATER_PARTS, values.numel(), dtype=torch.float64)
+        arguments = [*ctx.mode, values, colors, offsets, by_shown.contiguous(), by_colors, by_offsets]
+        run_parts("water_backward", len(colors), arguments, sums)
+        return by_colors, by_offsets, sums.sum(0).float(), None, None
+
+
+def through_water(colors: Tensor, offsets: Tensor, values: Tensor, degree: int, linear: bool) -> Tensor:
+    """As water.medium.through_water, for float32 tensors on the CPU; values (33,): beta_D, beta_B, veil (9, 3)."""
+    return _Water.apply(colors, offsets, values, degree, linear)
+
+
+class _OpenWater(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, values: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int, degree: int, linear: bool
+    ) -> Tensor:
+        values, viewmat, K = values.contiguous(), viewmat.contiguous(), K.contiguous()
+        shown = values.new_empty(height, width, 3)
+        run("open_water_forward", height, width, degree, int(linear), values, viewmat, K, shown)
+        ctx.save_for_backward(values, viewmat, K)
+        ctx.mode = width, degree, int(linear)
+        return shown
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
+        values, viewmat, K = ctx.saved_tensors
+        sums = torch.empty(WATER_PARTS, values.numel(), dtype=torch.float64)
+        run_parts("open_water_backward", len(by_shown), [*ctx.mode, values, viewmat, K, by_shown.contiguous()], sums)
+        return sums.sum(0).float(), None, None, None, None, None, None
+
+
+def open_water(
+    values: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int, degree: int, linear: bool
+) -> Tensor:
+    """As water.medium.open_water, for float32 tensors on the CPU."""
+    return _OpenWater.apply(values, viewmat, K, width, height, degree, linear)

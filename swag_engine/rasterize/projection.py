@@ -5,12 +5,26 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..errors import InputError
+
 NEAR = 0.01  # scene units; nearer centres are not drawn
 BLUR = 0.3  # px^2 added to the variances: a low-pass filter, and it keeps covariances regular
 GUARD = 0.3  # part of the field of view beyond the image's edges where the linearised projection stops changing
 MAX_SIGMA = 1e4  # px; larger Gaussians are flat over any image
 MIN_ALPHA = 1 / 255
 MAX_EXTENT = 128  # squared, in sigmas; an opacity that reaches farther is no number to draw with
+
+
+MAX_PAIRS = 2**27  # of a Gaussian and a tile it meets; about 6 GB
+
+
+def check_pairs(pairs: int) -> None:
+    """Raises InputError where blending would take more memory than a machine has to spare."""
+    if pairs > MAX_PAIRS:
+        raise InputError(
+            f"The Gaussians meet {pairs} tiles of the picture, more than the {MAX_PAIRS} that can be blended: "
+            "they are too many or too large. Use fewer Gaussians or a smaller width."
+        )
 
 
 @dataclass

@@ -4,12 +4,17 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 from ..errors import InputError
+from .recipes import RECIPE_NAMES
+
+BACKENDS = ("auto", "cpu", "cuda", "torch")
 
 
 @dataclass(frozen=True)
 class TrainSettings:
     """What a user chooses about a run. Raises InputError for a value that cannot be trained with."""
 
+    recipe: Literal["swag", "3dgs"] = "swag"
+    """The method: swag models the water and takes it away, 3dgs shows the place as photographed."""
     iterations: int = 3000
     """Number of optimisation steps; each looks at one photograph."""
     width: int = 640
@@ -20,8 +25,8 @@ class TrainSettings:
     """Degree of the spherical harmonics that let colour change with direction, 0 to 3."""
     seed: int = 0
     """Seed of everything random: the same seed on the same machine gives the same result."""
-    backend: Literal["auto", "cpu", "torch"] = "auto"
-    """What rasterises: the native CPU kernels, or plain torch."""
+    backend: Literal["auto", "cpu", "cuda", "torch"] = "auto"
+    """What computes: the native CPU kernels, the CUDA kernels, plain torch (slow), or the fastest that runs here."""
 
     def __post_init__(self) -> None:
         limits = {
@@ -36,8 +41,10 @@ class TrainSettings:
             if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
                 title = name.replace("_", " ")
                 raise InputError(f"The setting {title} must be a whole number from {least} to {most}, not {value!r}.")
-        if self.backend not in ("auto", "cpu", "torch"):
-            raise InputError(f"The setting backend must be auto, cpu or torch, not {self.backend!r}.")
+        for name, choices in (("recipe", RECIPE_NAMES), ("backend", BACKENDS)):
+            value = getattr(self, name)
+            if value not in choices:
+                raise InputError(f"The setting {name} must be one of {', '.join(choices)}, not {value!r}.")
 
     def to_json(self) -> dict[str, Any]:
         """A plain dict that `from_json` reads back."""

@@ -1,8 +1,9 @@
 """The optimisation: from a COLMAP scene to a run folder."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +19,20 @@ from ..formats.ply import write_ply
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.grow import Growth, GrowthStatistics
 from ..gaussians.init import gaussians_from_points
+from ..rasterize.backends import device_for
 from ..rasterize.render import render
 from ..scene.cameras import Camera
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
+from ..water.identify import FIT_WIDTH, fit_water, observe
+from ..water.medium import MAX_DEGREE, SETTINGS, Medium
 from .checkpoint import load_checkpoint, save_checkpoint
 from .config import LearningRates, Schedule, TrainSettings
 from .losses import l1_ssim
-from .optimizer import CloudOptimizer
-from .run_folder import RunFolder
+from .optimizer import Optimizer
+from .recipes import RECIPES
+from .run_folder import RunFolder, write_json
 
 Event = dict[str, Any]
 
@@ -41,16 +46,15 @@ class Target:
     valid: Tensor
 
     @classmethod
-    def shrunk(cls, image: TrainingImage, factor: int) -> "Target":
+    def shrunk(cls, image: TrainingImage, factor: int, device: torch.device) -> "Target":
         """The photograph at 1/factor of its size; a pixel is valid where all that it averages is."""
-        height, width = image.valid.shape
-        if factor == 1 or min(height, width) < 32 * factor:
-            return cls(image.camera, torch.from_numpy(image.pixels), torch.from_numpy(image.valid))
-        camera = image.camera.resized(width // factor)
-        size = (camera.width, camera.height)
-        pixels = cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA)
-        valid = cv2.resize(image.valid.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
-        return cls(camera, torch.from_numpy(pixels), torch.from_numpy(valid))
+        camera, pixels, valid = image.camera, image.pixels, image.valid
+        if factor > 1 and min(valid.shape) >= 32 * factor:
+            camera = camera.resized(camera.width // factor)
+            size = (camera.width, camera.height)
+            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+            valid = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
+        return cls(camera, torch.from_numpy(pixels).to(device), torch.from_numpy(valid).to(device))
 
 
 def train(
@@ -111,6 +115,7 @@ class Trainer:
     ) -> None:
         self.run, self.settings, self.on_event, self.scene = run, settings, on_event, scene
         self.rates, self.schedule, self.growth = LearningRates(), Schedule(), Growth()
+        self.device = device_for(settings.backend)
         self.iteration, self.seconds_before = 0, 0.0
         self.psnr: float | None = None
         self.ssim: float | None = None
@@ -128,12 +133,30 @@ class Trainer:
             scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, background
         )
         self.start_count = len(cloud)
-        self.optimizer = CloudOptimizer(cloud, self.rates, self.median_range)
-        self.statistics = GrowthStatistics.zeros(len(cloud))
+        self.recipe = RECIPES[settings.recipe]
+        self.water_note, medium = self.find_water() if self.recipe.water else ("", None)
+        self.optimizer = Optimizer(cloud.to(self.device), medium, settings.backend)
+        self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
 
     @property
     def cloud(self) -> GaussianCloud:
         return self.optimizer.cloud
+
+    @property
+    def medium(self) -> Medium | None:
+        return self.optimizer.medium
+
+    def find_water(self) -> tuple[str, Medium | None]:
+        """What the sparse points say of the water, in one sentence, and the medium that training starts from."""
+        width = max(self.settings.width, FIT_WIDTH)
+        views = {view.camera.name: view for view in self.scene.views}
+        seen = [views[image.camera.name] for image in self.training]
+        images = load_images(self.scene, seen, width) if width > self.settings.width else self.training
+        fit = fit_water(observe(images, [view.point_indices for view in seen], self.scene.points))
+        if not fit.found:
+            return fit.reason, None
+        start = (torch.from_numpy(values).float() for values in (fit.beta_D, fit.beta_B, fit.B))
+        return fit.reason, Medium.starting(self.median_range, "linear", *start).to(self.device)
 
     def load_photographs(self) -> dict[str, TrainingImage]:
         def progress(done: int, total: int) -> None:
@@ -149,22 +172,37 @@ class Trainer:
         fraction = self.iteration / self.settings.iterations
         target = self.next_target(fraction)
         degree = min(self.settings.sh_degree, sum(fraction >= start for start in self.schedule.sh_degrees))
-        picture = render(self.cloud, target.camera, degree, backend=self.settings.backend)
-        loss = l1_ssim(picture.color, target.pixels.float() / 255, target.valid)
+        picture = render(
+            self.cloud, target.camera, degree, self.medium, self.water_degree, backend=self.settings.backend
+        )
+        loss = l1_ssim(picture.color, target.pixels.float() / 255, target.valid, backend=self.settings.backend)
         loss.backward()
         gradient = picture.rendering.means2d.grad
         if gradient is not None:
             self.statistics.add(gradient, picture.rendering.radii, target.camera.width)
-        self.optimizer.step(fraction)
+        self.optimizer.step(self.learning_rates(fraction))
         self.iteration += 1
         self.grow()
         return float(loss.detach())
+
+    @property
+    def water_degree(self) -> int:
+        """SH degree of the water's colour at this iteration."""
+        return MAX_DEGREE if self.iteration >= self.recipe.veil_degrees_from * self.settings.iterations else 0
+
+    def learning_rates(self, fraction: float) -> dict[str, float]:
+        """Step size by name, `fraction` (0..1) of the way through the run."""
+        rates = asdict(self.rates)
+        end = rates.pop("means_end")
+        rates["means"] *= (end / self.rates.means) ** fraction * self.median_range
+        water = self.recipe.water_rate * 0.5 * (1 + math.cos(math.pi * fraction))
+        return rates | {f"medium.{name}": water for name in ("attenuation", "backscatter", "veil")}
 
     def next_target(self, fraction: float) -> Target:
         """The photograph of this iteration: every epoch in its own order, which depends on the seed alone."""
         factor = next((factor for until, factor in self.schedule.coarse if fraction < until), 1)
         if factor not in self.levels:
-            self.levels = {factor: [Target.shrunk(image, factor) for image in self.training]}
+            self.levels = {factor: [Target.shrunk(image, factor, self.device) for image in self.training]}
         epoch, position = divmod(self.iteration, len(self.training))
         order = np.random.default_rng((self.settings.seed, epoch)).permutation(len(self.training))
         return self.levels[factor][order[position]]
@@ -180,7 +218,7 @@ class Trainer:
         with torch.no_grad():
             cloud, source = self.growth.event(self.cloud, self.statistics, budget, self.median_range)
         self.optimizer.replace(cloud, source)
-        self.statistics = GrowthStatistics.zeros(len(cloud))
+        self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
 
     # -- the run ------------------------------------------------------------------------------------------------------
 
@@ -236,7 +274,7 @@ class Trainer:
 
     def validate(self, loss: float, seconds: float) -> None:
         """Score the validation views and log it. Test views are never looked at here."""
-        scores = score_views(self.cloud, self.validation, self.settings.sh_degree, self.settings.backend)
+        scores = score_views(self.cloud, self.validation, self.settings.sh_degree, self.settings.backend, self.medium)
         self.psnr, self.ssim = mean_score(scores)
         self.run.log(
             {
@@ -257,7 +295,7 @@ class Trainer:
         splats = self.cloud.to_splats()
         write_ply(self.run.ply, splats)
         write_glb(self.run.glb, splats, self.scene.up)
-        scores = score_views(self.cloud, self.test, self.settings.sh_degree, self.settings.backend)
+        scores = score_views(self.cloud, self.test, self.settings.sh_degree, self.settings.backend, self.medium)
         test_psnr, test_ssim = mean_score(scores)
         metrics: Event = {
             "test_psnr": test_psnr,
@@ -270,7 +308,8 @@ class Trainer:
             "gaussians": len(self.cloud),
             "seconds": round(seconds, 2),
             "interrupted": interrupted,
-            "background": [round(value, 6) for value in self.cloud.background.detach().sigmoid().tolist()],
+            "background": self.background(),
+            "water": self.water_note,
             "views": {score.name: {"psnr": score.psnr, "ssim": score.ssim} for score in scores},
         }
         self.run.log(
@@ -280,6 +319,8 @@ class Trainer:
                 **{k: metrics[k] for k in ("test_psnr", "test_ssim")},
             }
         )
+        if self.medium:
+            write_json(self.run.water, self.medium.to_json())
         self.run.write_metrics(metrics)
         self.run.preview.unlink(missing_ok=True)
         return {
@@ -291,10 +332,17 @@ class Trainer:
             "interrupted": interrupted,
         }
 
+    def background(self) -> list[float]:
+        """Display colour (3,) behind the Gaussians: black where the water that was there has been taken away."""
+        color = torch.zeros(3) if self.medium else self.cloud.background.detach().sigmoid()
+        return [round(value, 6) for value in color.tolist()]
+
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
     def save(self, seconds: float) -> None:
         tensors = {f"cloud.{name}": tensor.detach() for name, tensor in self.cloud.parameters().items()}
+        if self.medium:
+            tensors |= {f"medium.{name}": tensor.detach() for name, tensor in self.medium.parameters().items()}
         tensors |= self.optimizer.state_tensors()
         tensors |= {"growth.gradient": self.statistics.gradient, "growth.views": self.statistics.views}
         state = {
@@ -303,6 +351,7 @@ class Trainer:
             "start_count": self.start_count,
             "psnr": self.psnr,
             "ssim": self.ssim,
+            "medium": self.medium and {name: getattr(self.medium, name) for name in SETTINGS},
         }
         path = save_checkpoint(self.run.path, self.iteration, tensors, state)
         self.on_event({"event": "checkpoint", "path": str(path)})
@@ -314,9 +363,11 @@ class Trainer:
             self.run.log_until(0)
             return
         tensors, state = loaded
-        self.optimizer = CloudOptimizer(cloud_from_tensors(tensors), self.rates, self.median_range)
+        cloud, medium = cloud_from_tensors(tensors), medium_from_tensors(tensors, state)
+        self.optimizer = Optimizer(cloud.to(self.device), medium and medium.to(self.device), self.settings.backend)
         self.optimizer.load_state(tensors)
-        self.statistics = GrowthStatistics(tensors["growth.gradient"].clone(), tensors["growth.views"].clone())
+        sums = (tensors[name].to(self.device, copy=True) for name in ("growth.gradient", "growth.views"))
+        self.statistics = GrowthStatistics(*sums)
         self.iteration, self.seconds_before = state["iteration"], state["seconds"]
         self.start_count, self.psnr, self.ssim = state["start_count"], state["psnr"], state["ssim"]
         self.run.log_until(self.iteration)
@@ -326,6 +377,16 @@ def cloud_from_tensors(tensors: dict[str, Tensor]) -> GaussianCloud:
     """The cloud of a checkpoint's tensors."""
     prefix = "cloud."
     return GaussianCloud(**{name[len(prefix) :]: t.clone() for name, t in tensors.items() if name.startswith(prefix)})
+
+
+def medium_from_tensors(tensors: dict[str, Tensor], state: dict[str, Any]) -> Medium | None:
+    """The water of a checkpoint, None where it has none."""
+    prefix = "medium."
+    found = {name[len(prefix) :]: t.clone() for name, t in tensors.items() if name.startswith(prefix)}
+    if not found:
+        return None
+    settings = state["medium"]
+    return Medium(found["attenuation"], found["backscatter"], found["veil"], settings["unit_range"], settings["light"])
 
 
 def median_range(scene: Scene, images: Sequence[TrainingImage]) -> float:

@@ -1,65 +1,43 @@
 """Image losses: L1 and SSIM."""
 
 from functools import lru_cache
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..rasterize import cpu
+from ..rasterize.backends import kernels_for
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
 
-def ssim(image: Tensor, target: Tensor) -> Tensor:
+def ssim(image: Tensor, target: Tensor, backend: str = "auto") -> Tensor:
     """Mean structural similarity (Wang et al. 2004) of `image` and `target` (H, W, 3) in 0..1; differentiable in image.
 
     11 x 11 Gaussian window of sigma 1.5, zero padding, so that every pixel counts.
     """
-    return _l1_and_ssim(image, target)[1]
+    return _l1_and_ssim(image, target, backend)[1]
 
 
-def l1_ssim(image: Tensor, target: Tensor, valid: Tensor | None, ssim_weight: float = 0.2) -> Tensor:
+def l1_ssim(
+    image: Tensor, target: Tensor, valid: Tensor | None, ssim_weight: float = 0.2, backend: str = "auto"
+) -> Tensor:
     """(1 - ssim_weight) mean |image - target| + ssim_weight (1 - SSIM) of (H, W, 3) images; differentiable in image.
 
     valid: (H, W) bool or None. Invalid pixels take the target's value first: they add nothing and get no gradient.
     """
     if valid is not None:
         image = torch.where(valid[..., None], image, target)
-    l1, similarity = _l1_and_ssim(image, target)
+    l1, similarity = _l1_and_ssim(image, target, backend)
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - similarity)
 
 
-def _l1_and_ssim(image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+def _l1_and_ssim(image: Tensor, target: Tensor, backend: str) -> tuple[Tensor, Tensor]:
     if image.shape != target.shape or image.dim() != 3 or image.shape[2] != 3:
         raise ValueError(f"images must both be (H, W, 3), got {tuple(image.shape)} and {tuple(target.shape)}")
-    if cpu.can_run(image, target):
-        return _Fused.apply(image, target)
+    if kernels := kernels_for(backend, image, target):
+        return kernels.l1_ssim(image, target)
     return (image - target).abs().mean(), _ssim_map(image, target).mean()
-
-
-class _Fused(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
-        image, target = image.contiguous(), target.contiguous()
-        height, width, _ = image.shape
-        sums = torch.empty(height, 2, dtype=torch.float64)
-        derivatives = image.new_empty(3, *image.shape)
-        cpu.run("l1_ssim_forward", height, height, width, image, target, sums, derivatives)
-        ctx.save_for_backward(image, target, derivatives)
-        l1, similarity = (sums.sum(0) / image.numel()).float()
-        return l1, similarity
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, l1_gradient: Tensor, ssim_gradient: Tensor) -> tuple[Tensor, None]:
-        image, target, derivatives = ctx.saved_tensors
-        height, width, _ = image.shape
-        gradient = torch.empty_like(image)
-        weights = float(l1_gradient) / image.numel(), float(ssim_gradient) / image.numel()
-        cpu.run("l1_ssim_backward", height, height, width, image, target, derivatives, *weights, gradient)
-        return gradient, None
 
 
 def _ssim_map(image: Tensor, target: Tensor) -> Tensor:

@@ -39,6 +39,10 @@ class RunFolder:
         return self.path / "result.glb"
 
     @property
+    def water(self) -> Path:
+        return self.path / "water.json"
+
+    @property
     def preview(self) -> Path:
         return self.path / "preview.ply"
 

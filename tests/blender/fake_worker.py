@@ -76,6 +76,7 @@ def train(request):
         "seconds": 61.0,
         "interrupted": cancelled.is_set(),
         "background": [0.1, 0.2, 0.3],
+        "water": "No water is modelled: it adds too little.",
     }
     (run / "metrics.json").write_text(json.dumps(metrics))
     send(

@@ -18,7 +18,7 @@ import bpy
 bpy.context.preferences.view.show_splash = False
 OUT = Path(os.environ["SWAG_OUT"])
 # Where the buttons are on a screen of 1280 x 800, from its top left corner.
-TRAIN, CANCEL, CONTINUE = (900, 368), (900, 370), (960, 368)
+TRAIN, CANCEL, CONTINUE = (900, 389), (900, 370), (960, 389)
 report = {"version": bpy.app.version_string}
 
 

@@ -159,7 +159,7 @@ def drawn_by_the_engine(held, width, height, focal):
 
     t = {name: torch.tensor(array, dtype=torch.float64) for name, array in held.items()}
     directions = torch.nn.functional.normalize(t["positions"], dim=1)
-    colors = evaluate_sh(t["sh"], directions, 3)
+    colors = evaluate_sh(t["sh"][:, :1], t["sh"][:, 1:], directions, 3)
     K = torch.tensor([[focal, 0, width / 2 - 3], [0, focal, height / 2 + 2], [0, 0, 1]], dtype=torch.float64)
     drawn = rasterize(
         t["positions"], t["rotations"], t["scales"], t["opacities"], colors, torch.eye(4, dtype=torch.float64), K,

@@ -10,8 +10,7 @@ from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.rasterize.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import Points
-from swag_engine.training.config import LearningRates
-from swag_engine.training.optimizer import CloudOptimizer
+from swag_engine.training.optimizer import Optimizer
 
 
 def make_cloud(n, seed=0, dtype=torch.float64):
@@ -104,14 +103,14 @@ def test_growth_splits_what_the_loss_pulls_and_drops_what_is_transparent():
 def test_growth_of_a_wholly_transparent_cloud_changes_nothing():
     cloud = make_cloud(4)
     cloud.opacity_logits[:] = -20.0
-    grown, source = Growth().event(cloud, GrowthStatistics.zeros(4), 100, 5.0)
+    grown, source = Growth().event(cloud, GrowthStatistics.zeros(4, cloud.means.device), 100, 5.0)
     assert len(grown) == 4 and torch.equal(source, torch.arange(4))
 
 
 def test_moments_follow_their_gaussians_and_start_at_zero_for_new_ones():
-    optimizer = CloudOptimizer(make_cloud(6, dtype=torch.float32), LearningRates(), 5.0)
+    optimizer = Optimizer(make_cloud(6, dtype=torch.float32), None)
     optimizer.cloud.means.sum().backward()
-    optimizer.step(0.0)
+    optimizer.step({"means": 1e-3})
     moments = optimizer.state_tensors()["adam.means.exp_avg"]
     moments += torch.arange(6)[:, None]  # tell them apart
     source = torch.tensor([4, 0, -1])

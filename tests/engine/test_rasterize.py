@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from swag_engine.errors import InputError
-from swag_engine.rasterize import cpu
-from swag_engine.rasterize.api import rasterize
+from swag_engine.rasterize import cpu_library, projection
+from swag_engine.rasterize.api import contributions, rasterize
 from swag_engine.rasterize.kernels import build
 from swag_engine.rasterize.projection import project
 
@@ -64,21 +64,21 @@ def blend_by_the_book(scene):
     arguments = [
         scene[k] for k in ("means", "quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")
     ]
-    projection = project(*arguments)
+    projected = project(*arguments)
     height, width = scene["height"], scene["width"]
     rows, columns = (torch.arange(size, dtype=torch.float64) + 0.5 for size in (height, width))
     y, x = torch.meshgrid(rows, columns, indexing="ij")
     out = torch.zeros(height, width, scene["channels"].shape[1], dtype=torch.float64)
     transmittance = torch.ones(height, width, dtype=torch.float64)
     going = torch.ones(height, width, dtype=torch.bool)
-    order = torch.argsort(projection.depths, stable=True).tolist()
-    gaps = projection.depths[order].diff()
+    order = torch.argsort(projected.depths, stable=True).tolist()
+    gaps = projected.depths[order].diff()
     margin = gaps.min().item() if len(gaps) else 1.0
     for i in order:
-        if projection.depths[i] <= 0 or projection.radii[i] == 0:
+        if projected.depths[i] <= 0 or projected.radii[i] == 0:
             continue
-        a, b, c = projection.conics[i]
-        dx, dy = x - projection.means2d[i, 0], y - projection.means2d[i, 1]
+        a, b, c = projected.conics[i]
+        dx, dy = x - projected.means2d[i, 0], y - projected.means2d[i, 1]
         unclamped = scene["opacities"][i] * torch.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
         alpha = unclamped.clamp(max=0.99)
         seen = (alpha >= 1 / 255) & going
@@ -126,11 +126,11 @@ def test_projection_is_the_linearised_camera():
     arguments = [
         scene[k] for k in ("means", "quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")
     ]
-    projection = project(*arguments)
+    projected = project(*arguments)
     checked = 0
     for i in range(30):
         camera = scene["viewmat"][:3, :3] @ scene["means"][i] + scene["viewmat"][:3, 3]
-        if projection.radii[i] == 0 or (camera[:2] / camera[2]).abs().max() > 0.6:
+        if projected.radii[i] == 0 or (camera[:2] / camera[2]).abs().max() > 0.6:
             continue
 
         def pixel(point):
@@ -140,14 +140,14 @@ def test_projection_is_the_linearised_camera():
         jacobian = torch.autograd.functional.jacobian(pixel, scene["means"][i])
         axes = rotation_matrix(scene["quats"][i]) * scene["scales"][i]
         covariance = jacobian @ axes @ axes.T @ jacobian.T + 0.3 * torch.eye(2, dtype=torch.float64)
-        a, b, c = projection.conics[i]
+        a, b, c = projected.conics[i]
         conic = torch.stack([torch.stack([a, b]), torch.stack([b, c])])
         torch.testing.assert_close(conic @ covariance, torch.eye(2, dtype=torch.float64), atol=1e-10, rtol=0)
-        torch.testing.assert_close(projection.means2d[i], pixel(scene["means"][i]))
+        torch.testing.assert_close(projected.means2d[i], pixel(scene["means"][i]))
         largest = torch.linalg.eigvalsh(covariance)[1]
         radius = (2 * math.log(255 * scene["opacities"][i]) * largest).sqrt()
-        torch.testing.assert_close(projection.radii[i], radius)
-        torch.testing.assert_close(projection.depths[i], camera[2])
+        torch.testing.assert_close(projected.radii[i], radius)
+        torch.testing.assert_close(projected.depths[i], camera[2])
         checked += 1
     assert checked > 15
 
@@ -217,6 +217,15 @@ def test_kernels_agree_with_the_reference(channels):
     assert max(worst.values()) < 1e-5, worst
 
 
+def test_kernels_agree_on_two_thousand_scenes():
+    for number in range(2000):
+        scene = make_scene(8, channels=2, width=13, height=10, seed=number, size=0.4)
+        truth, _ = run(scene, "torch", torch.float64)
+        result, _ = run(scene, "cpu")
+        errors = {key: relative_error(result[key], truth[key]) for key in truth}
+        assert max(errors.values()) < 1e-5, (number, errors)
+
+
 def test_kernels_agree_where_pixels_end_early():
     for scene in clear_scenes(3, n=120, width=33, height=35, size=0.5):
         truth, rendering = run(scene, "torch", torch.float64)
@@ -246,7 +255,7 @@ def test_every_instruction_set_agrees(target, monkeypatch):
     if target.level > supported:
         pytest.skip(f"this processor has no x86-64-v{target.level}")
     kernels = ctypes.CDLL(str(target.path))
-    monkeypatch.setattr(cpu, "library", lambda: kernels)
+    monkeypatch.setattr(cpu_library, "library", lambda: kernels)
     for scene in clear_scenes(3, n=40, channels=5):
         truth, _ = run(scene, "torch", torch.float64)
         result, _ = run(scene, "cpu")
@@ -274,6 +283,72 @@ def test_torch_fallback_in_float32_is_close_and_auto_takes_the_kernels():
     slow, fast, auto = (run(scene, backend)[0] for backend in ("torch", "cpu", "auto"))
     assert max(relative_error(slow[key], fast[key]) for key in fast) < 1e-4
     assert all(torch.equal(auto[key], fast[key]) for key in fast)
+
+
+# -- contributions -----------------------------------------------------------------------------------------------------
+
+
+def contributions_of(scene, backend, dtype, images=3, seed=5):
+    generator = torch.Generator().manual_seed(seed)
+    size = scene["height"], scene["width"]
+    pictures = {
+        "weights": torch.rand(*size, images, generator=generator, dtype=torch.float64),
+        "image_gradient": torch.randn(*size, scene["channels"].shape[1], generator=generator, dtype=torch.float64),
+    }
+    tensors = {k: v.to(dtype) for k, v in (scene | pictures).items() if isinstance(v, torch.Tensor)}
+    return contributions(**{**scene, **tensors}, backend=backend), pictures
+
+
+def test_contributions_are_what_autograd_says():
+    scene = make_scene(30, channels=2, width=20, height=13, size=0.5)
+    scene["opacities"][0] = 1.0  # clamped at its centre
+    result, pictures = contributions_of(scene, "torch", torch.float64)
+
+    def picture(opacities):  # by the opacity: dC/dg = o dC/dalpha and dC/do = g dC/dalpha
+        return rasterize(**{**scene, "opacities": opacities}, backend="torch").channels
+
+    jacobian = torch.autograd.functional.jacobian(picture, scene["opacities"])  # (H, W, C, N)
+    arguments = [
+        scene[k] for k in ("means", "quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")
+    ]
+    seen = project(*arguments)
+    rows, columns = (torch.arange(size, dtype=torch.float64) + 0.5 for size in (scene["height"], scene["width"]))
+    y, x = torch.meshgrid(rows, columns, indexing="ij")
+    a, b, c = seen.conics.unbind(1)
+    dx, dy = x[..., None] - seen.means2d[:, 0], y[..., None] - seen.means2d[:, 1]
+    value = torch.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)  # g (H, W, N)
+    change = jacobian * (scene["opacities"] / value)[:, :, None]
+    change = torch.where(jacobian == 0, 0, change)
+    torch.testing.assert_close(result.importance, change.square().sum((0, 1, 2)))
+    along = (change * pictures["image_gradient"][..., None]).sum(2)
+    torch.testing.assert_close(result.error, along.square().sum((0, 1)))
+
+    channels = scene["channels"].new_zeros(30, 3).requires_grad_()
+    image = rasterize(
+        **{**scene, "channels": channels, "background": torch.zeros(3).double()}, backend="torch"
+    ).channels
+    (weighted,) = torch.autograd.grad((image * pictures["weights"]).sum(), channels)
+    torch.testing.assert_close(result.weighted, weighted)
+
+
+@pytest.mark.parametrize("channels, images", [(1, 1), (3, 0), (3, 9), (8, 17)])
+def test_kernels_agree_on_contributions(channels, images):
+    for scene in clear_scenes(3, n=60, channels=channels, width=45, height=35, size=0.4):
+        truth, _ = contributions_of(scene, "torch", torch.float64, images)
+        result, _ = contributions_of(scene, "cpu", torch.float32, images)
+        assert result.weighted.shape == (60, images)
+        for name in ("importance", "error") + (("weighted",) if images else ()):
+            assert relative_error(getattr(result, name).double(), getattr(truth, name)) < 1e-5, name
+
+
+def test_contributions_without_images_and_of_too_many_channels():
+    scene = changed()
+    result = contributions(**scene)
+    assert result.weighted.shape == (5, 0) and (result.error == 0).all() and (result.importance > 0).any()
+    with pytest.raises(ValueError, match="at most 8 channels"):
+        contributions(**changed(channels=torch.zeros(5, 9).double(), background=torch.zeros(9).double()))
+    with pytest.raises(ValueError, match=r"weights has shape \(3, 40, 1\)"):
+        contributions(**scene, weights=torch.zeros(3, 40, 1).double())
 
 
 # -- hard cases --------------------------------------------------------------------------------------------------------
@@ -356,6 +431,15 @@ def test_hard_cases_give_finite_pictures_and_gradients(case, backend):
         assert torch.equal(run(without, backend)[0]["channels_out"], results["channels_out"])
 
 
+@pytest.mark.parametrize("backend", ["cpu", "torch"])
+@pytest.mark.parametrize("case", HARD)
+def test_hard_cases_give_finite_contributions(case, backend):
+    result, _ = contributions_of(HARD[case], backend, torch.float32)
+    for value in (result.weighted, result.importance, result.error):
+        assert value.isfinite().all() and (value >= 0).all()
+        assert " in " not in case or (value[1] == 0).all()
+
+
 @pytest.mark.parametrize("case", ["no Gaussian", "all behind the camera", "all off screen", "opacity 0"])
 @pytest.mark.parametrize("backend", ["cpu", "torch"])
 def test_nothing_visible_shows_the_background(case, backend):
@@ -375,6 +459,13 @@ def test_needles_and_huge_gaussians_match_the_reference():
         assert relative_error(result["alpha"], truth["alpha"]) < 1e-4, case
 
 
+def test_too_many_pairs_are_refused_before_memory_is_taken(monkeypatch):
+    monkeypatch.setattr(projection, "MAX_PAIRS", 1000)
+    run(changed(n=400), "cpu")
+    with pytest.raises(InputError, match="too many or too large"):
+        run(changed(n=600, scales=lambda s: s + 10), "cpu")
+
+
 # -- doors -------------------------------------------------------------------------------------------------------------
 
 
@@ -387,7 +478,7 @@ def test_needles_and_huge_gaussians_match_the_reference():
         ("channels", torch.zeros(5, 3, dtype=torch.float64), "channels is torch.float64"),
         ("K", torch.eye(3, dtype=torch.int64), "K is torch.int64"),
         ("width", 0, "cannot render"),
-        ("backend", "gpu", "none of auto, cpu, torch"),
+        ("backend", "gpu", "none of auto, cpu, cuda, torch"),
     ],
 )
 def test_wrong_arguments_are_named(name, value, message):
@@ -405,11 +496,16 @@ def test_non_contiguous_tensors_are_fine():
     assert all(torch.equal(expected[key], result[key]) for key in expected)
 
 
+def clear_library():
+    cpu_library.target.cache_clear()
+    cpu_library.library.cache_clear()
+
+
 def test_without_kernels_torch_takes_over_with_one_warning(monkeypatch):
     scene = changed()
     expected, _ = run(scene, "torch")
-    monkeypatch.setattr(cpu, "host_targets", lambda: [])
-    cpu.library.cache_clear()
+    monkeypatch.setattr(cpu_library, "host_targets", lambda: [])
+    clear_library()
     try:
         with pytest.warns(UserWarning, match="CPU kernels not loaded") as caught:
             result, _ = run(scene, "auto")
@@ -420,7 +516,7 @@ def test_without_kernels_torch_takes_over_with_one_warning(monkeypatch):
         with pytest.raises(InputError, match="cpu backend"):
             run(scene, "cpu")
     finally:
-        cpu.library.cache_clear()
+        clear_library()
 
 
 def test_build_compiles_once_and_clears_what_is_stale(monkeypatch, tmp_path):

@@ -1,12 +1,15 @@
-"""Compile the kernels into shared libraries with the clang of the `ziglang` package.
+"""Compile the kernels: C++ into shared libraries with the clang of the `ziglang` package, CUDA into PTX with NVRTC.
 
     python -m swag_engine.rasterize.kernels.build          for this machine
     python -m swag_engine.rasterize.kernels.build --all    for every platform a release carries
 
-A library's name holds a hash of the sources and flags it was made from: one that exists is up to date.
+A file's name holds a hash of the sources and flags it was made from: one that exists is up to date. PTX is the same on
+every platform; the driver turns it into code for its card. NVRTC is the oldest of CUDA 12, from the package
+nvidia-cuda-nvrtc-cu12, so that every driver for CUDA 12 or later takes its PTX.
 """
 
 import argparse
+import ctypes
 import hashlib
 import os
 import platform
@@ -16,16 +19,21 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
 LIBRARIES = FOLDER / "lib"
-SOURCES = ("project.cpp", "raster.cpp", "sh.cpp", "ssim.cpp")
+SOURCES = ("adam.cpp", "project.cpp", "raster.cpp", "sh.cpp", "ssim.cpp", "water.cpp")
 FLAGS = (
     *("-std=c++17", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
     *("-fno-exceptions", "-fno-rtti", "-nostdlib++", "-fvisibility=hidden", "-shared", "-s"),
     *("-Wall", "-Wextra"),
 )
+CUDA_SOURCES = ("adam.cu", "blend.cu", "project.cu", "sh.cu", "ssim.cu", "tiles.cu", "water.cu")
+CUDA_HEADERS = ("common.cuh", "splat.cuh")
+CUDA_FLAGS = ("--std=c++17", "--gpu-architecture=compute_75", "--ftz=true")
+NVRTC = "nvidia-cuda-nvrtc-cu12"
 
 
 @dataclass(frozen=True)
@@ -63,9 +71,17 @@ TARGETS = (
 @cache
 def source_hash() -> str:
     digest = hashlib.sha256(" ".join(FLAGS).encode())
-    for name in ("simd.h", *SOURCES):
+    for name in ("sh.h", "simd.h", *SOURCES):
         digest.update((FOLDER / name).read_bytes())
     return digest.hexdigest()[:12]
+
+
+def ptx_path() -> Path:
+    """Where the CUDA kernels' PTX is, once it is built."""
+    digest = hashlib.sha256(" ".join(CUDA_FLAGS).encode())
+    for name in (*CUDA_HEADERS, *CUDA_SOURCES):
+        digest.update((FOLDER / name).read_bytes())
+    return LIBRARIES / f"swag-cuda-{digest.hexdigest()[:12]}.ptx"
 
 
 def host() -> tuple[str, str]:
@@ -85,13 +101,17 @@ def build(targets: list[Target]) -> list[Path]:
 
     Raises subprocess.CalledProcessError, after the compiler's own words on stderr, when a source does not compile.
     """
-    LIBRARIES.mkdir(parents=True, exist_ok=True)
-    for library in LIBRARIES.glob("swag-*"):
-        if library.stem.rpartition("-")[2] != source_hash():
-            library.unlink()
+    _remove_stale()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(_compile, (target for target in targets if not target.path.exists())))
     return [target.path for target in targets]
+
+
+def _remove_stale() -> None:
+    LIBRARIES.mkdir(parents=True, exist_ok=True)
+    for library in LIBRARIES.glob("swag-*"):
+        if library.stem.rpartition("-")[2] != source_hash() and library != ptx_path():
+            library.unlink()
 
 
 def _compile(target: Target) -> None:
@@ -103,12 +123,69 @@ def _compile(target: Target) -> None:
         os.replace(made, target.path)
 
 
+def build_ptx() -> Path:
+    """Compile the CUDA kernels if they are not there yet; returns the path of their PTX.
+
+    Raises importlib.metadata.PackageNotFoundError without NVRTC, RuntimeError with its log when a source is wrong.
+    """
+    path = ptx_path()
+    if not path.exists():
+        ptx = _compile_ptx(_nvrtc())
+        _remove_stale()
+        with tempfile.TemporaryDirectory(dir=LIBRARIES) as folder:
+            made = Path(folder) / path.name
+            made.write_bytes(ptx)
+            os.replace(made, path)
+    return path
+
+
+def _nvrtc() -> ctypes.CDLL:
+    paths = [str(file.locate()) for file in metadata.files(NVRTC) or [] if ".so." in file.name or file.suffix == ".dll"]
+    paths.sort(key=lambda path: "builtins" not in path)  # NVRTC looks for its builtins by name: they go first
+    return [ctypes.CDLL(path) for path in paths][-1]
+
+
+def _compile_ptx(nvrtc: ctypes.CDLL) -> bytes:
+    """All sources as one program, the files given to NVRTC by name."""
+    names = [*CUDA_HEADERS, *CUDA_SOURCES]
+    program = ctypes.c_void_p()
+    main = "".join(f'#include "{name}"\n' for name in CUDA_SOURCES).encode()
+    texts = _strings([(FOLDER / name).read_bytes() for name in names])
+    includes = _strings([name.encode() for name in names])
+    flags = _strings([flag.encode() for flag in CUDA_FLAGS])
+    if nvrtc.nvrtcCreateProgram(ctypes.byref(program), main, b"swag.cu", len(names), texts, includes):
+        raise RuntimeError("NVRTC could not start.")
+    try:
+        failed = nvrtc.nvrtcCompileProgram(program, len(flags), flags)
+        if failed:
+            raise RuntimeError(f"The CUDA kernels do not compile:\n{_text(nvrtc, program, 'ProgramLog').decode()}")
+        return _text(nvrtc, program, "PTX")
+    finally:
+        nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
+
+
+def _strings(values: list[bytes]) -> ctypes.Array[ctypes.c_char_p]:
+    return (ctypes.c_char_p * len(values))(*values)
+
+
+def _text(nvrtc: ctypes.CDLL, program: ctypes.c_void_p, what: str) -> bytes:
+    size = ctypes.c_size_t()
+    getattr(nvrtc, f"nvrtcGet{what}Size")(program, ctypes.byref(size))
+    text = ctypes.create_string_buffer(size.value)
+    getattr(nvrtc, f"nvrtcGet{what}")(program, text)
+    return text.value
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--all", action="store_true", help="every platform, not only this machine's")
     every = parser.parse_args().all
     for path in build(list(TARGETS) if every else host_targets()):
         print(path)
+    try:
+        print(build_ptx())
+    except metadata.PackageNotFoundError:
+        print(f"The CUDA kernels are left out: {NVRTC} is not installed (pip has it for Linux and Windows on x64).")
 
 
 if __name__ == "__main__":

@@ -196,100 +196,194 @@ void forward_tile(const Tile &tile, int image_width, const Splat *splats, const 
     });
 }
 
-// Back to front, from the final transmittance: T_i = T_(i+1) / (1 - alpha_i), and `behind` sums what the gradient meets
-// behind the current Gaussian, (g . channel) T alpha of later ones and the background's part. Nothing cancels. Then
-// dL/dalpha = T (g . channel) - behind / (1 - alpha), and v = alpha dL/dalpha = -dL/ds.
+// The buffers of a tile that is gone through once more: its list [begin, end) of Gaussians `ids` with the places `slots`
+// of their results, and how each pixel ended.
+struct Replay {
+    const Splat *splats;
+    const int32_t *ids, *slots;
+    int64_t begin, end;
+    const float *transmittance;
+    const int32_t *endings;
+};
+
+// Back to front. Job says what is kept per pixel (Job::Pixels, with T, the transmittance behind the current Gaussian, and
+// the rank at which the pixel ended) and what is done with a Gaussian over each strip that it meets.
+// `fill(pixels, lane, pixel)` sets a pixel's lane; `finish(job, slot)` takes the result.
+template <class Job, class Fill, class Finish>
+void replay_tile(const Tile &tile, int image_width, const Replay &replay, const float *channels, int stride, Fill fill,
+                 Finish finish) {
+    typename Job::Pixels pixels[STRIPS * STRIP_VECTORS];
+    memset(pixels, 0, sizeof pixels);  // ended = 0: outside of the image
+    int32_t strip_ended[STRIPS] = {}, tile_ended = 0;
+    for_pixels(tile, image_width, [&](int vector, int lane, int64_t pixel) {
+        pixels[vector].T[lane] = replay.transmittance[pixel];
+        pixels[vector].ended[lane] = replay.endings[pixel];
+        fill(pixels[vector], lane, pixel);
+        int32_t &last = strip_ended[vector / STRIP_VECTORS];
+        last = larger(last, replay.endings[pixel]);
+        tile_ended = larger(tile_ended, replay.endings[pixel]);
+    });
+    for (int32_t rank = tile_ended - 1; rank >= 0; rank--) {
+        int32_t id = replay.ids[replay.begin + rank];
+        const Splat &g = replay.splats[id];
+        Job job(g, channels + (int64_t)id * stride);
+        StripI first, last;
+        strip_spans(g, tile, first, last);
+        for (int s = 0; s < tile.strips; s++)
+            if (first[s] <= last[s] && rank < strip_ended[s])
+                job.strip(Exponent(g, tile, s), pixels + s * STRIP_VECTORS, first[s], last[s], rank);
+        finish(job, replay.slots[replay.begin + rank]);
+    }
+}
+
+// A Gaussian at the pixels of one vector. Takes their T to before it: T_i = T_(i+1) / (1 - alpha_i).
+struct Sample {
+    Vec u, unclamped, inverse, T, weight;  // inverse: 1 / (1 - alpha); weight: T alpha
+    Mask drawn;
+
+    template <class Pixels>
+    Sample(const Exponent &exponent, Vec opacity, int vector, int32_t rank, Pixels &pixels) {
+        u = exponent.u(vector);
+        Vec e = exponent(u);
+        drawn = (e >= exponent.limit) & (pixels.ended > rank);
+        unclamped = opacity_at(e, opacity);
+        Vec alpha = smaller(unclamped, splat(MAX_ALPHA));
+        inverse = 1.f / (1.f - alpha);
+        pixels.T = T = select(drawn, pixels.T * inverse, pixels.T);
+        weight = masked(drawn, alpha * T);
+    }
+    Mask varies() const { return drawn & (unclamped < MAX_ALPHA); }  // not where alpha is clamped
+};
+
+// `behind` sums what the image's gradient meets behind the current Gaussian: (gradient . channel) T alpha of later ones and
+// the background's part. Nothing cancels. Then dL/dalpha = T (gradient . channel) - behind / (1 - alpha), and
+// v = alpha dL/dalpha = -dL/ds.
 template <int C>
-void backward_tile(const Tile &tile, int image_width, const Splat *splats, const float *channels, int stride,
-                   const int32_t *ids, const int32_t *slots, int64_t begin, int64_t end, const float *background,
-                   const float *transmittance, const int32_t *endings, const float *out_gradient,
-                   const float *alpha_gradient, int first_channel, float *gradients, float *background_gradient) {
+struct Gradients {
     struct Pixels {
         Vec T, behind;
         Mask ended;
         Vec gradient[C];
-    } pixels[STRIPS * STRIP_VECTORS];
-    memset(pixels, 0, sizeof pixels);  // ended = 0: outside of the image
+    };
+    Vec value[C], by_value[C], opacity, moment[MOMENTS] = {};
+
+    Gradients(const Splat &g, const float *channel) : opacity(splat(g.opacity)) {
+        for (int c = 0; c < C; c++) value[c] = splat(channel[c]), by_value[c] = Vec{};
+    }
+
+    void strip(const Exponent &exponent, Pixels *pixels, int first, int last, int32_t rank) {
+        Vec sum_v = {}, sum_vu = {}, sum_vuu = {};
+        for (int v = first; v <= last; v++) {
+            Sample at(exponent, opacity, v, rank, pixels[v]);
+            Vec along = {}, behind = pixels[v].behind;  // along: gradient . channel
+            for (int c = 0; c < C; c++) {
+                Vec gradient = pixels[v].gradient[c];
+                along += gradient * value[c];
+                by_value[c] += at.weight * gradient;
+            }
+            pixels[v].behind = behind + at.weight * along;
+            Vec gradient = masked(at.varies(), (at.T * along - behind * at.inverse) * at.unclamped);
+            Vec gradient_u = gradient * at.u;
+            sum_v += gradient;
+            sum_vu += gradient_u;
+            sum_vuu += gradient_u * at.u;
+        }
+        Vec sum_vx = sum_v * exponent.dx;
+        moment[0] += sum_v;
+        moment[1] += sum_vx;
+        moment[2] += sum_vu;
+        moment[3] += sum_vx * exponent.dx;
+        moment[4] += sum_vu * exponent.dx;
+        moment[5] += sum_vuu;
+    }
+};
+
+template <int C>
+void backward_tile(const Tile &tile, int image_width, const Replay &replay, const float *channels, int stride,
+                   const float *background, const float *out_gradient, const float *alpha_gradient, int first_channel,
+                   float *gradients, float *background_gradient) {
     double background_sum[C] = {};
-    int32_t strip_ended[STRIPS] = {}, tile_ended = 0;
-    for_pixels(tile, image_width, [&](int vector, int lane, int64_t pixel) {
-        Pixels &p = pixels[vector];
-        float T = transmittance[pixel], behind = first_channel == 0 ? -alpha_gradient[pixel] * T : 0.f;
+    auto fill = [&](typename Gradients<C>::Pixels &p, int lane, int64_t pixel) {
+        float T = replay.transmittance[pixel], behind = first_channel == 0 ? -alpha_gradient[pixel] * T : 0.f;
         for (int c = 0; c < C; c++) {
             float g = out_gradient[pixel * stride + c];
             p.gradient[c][lane] = g;
             behind += T * g * background[c];
             background_sum[c] += T * g;
         }
-        p.T[lane] = T;
         p.behind[lane] = behind;
-        p.ended[lane] = endings[pixel];
-        int32_t &last = strip_ended[vector / STRIP_VECTORS];
-        last = larger(last, endings[pixel]);
-        tile_ended = larger(tile_ended, endings[pixel]);
+    };
+    replay_tile<Gradients<C>>(tile, image_width, replay, channels, stride, fill, [&](Gradients<C> &job, int64_t slot) {
+        float *to = gradients + slot * (MOMENTS + stride);
+        for (int m = 0; m < MOMENTS; m++) to[m] += sum(job.moment[m]);
+        for (int c = 0; c < C; c++) to[MOMENTS + first_channel + c] = sum(job.by_value[c]);
     });
     for (int c = 0; c < C; c++) background_gradient[c] = (float)background_sum[c];
+}
 
-    int64_t slot_size = MOMENTS + stride;
-    for (int64_t i = begin + tile_ended; i < end; i++) {
-        float *slot = gradients + slots[i] * slot_size;
-        if (first_channel == 0) memset(slot, 0, MOMENTS * sizeof(float));
-        memset(slot + MOMENTS + first_channel, 0, C * sizeof(float));
+// Without gradients: what a Gaussian does to the picture. dC/dg, the picture's change by its value g = exp(-s), is
+// o T (channel - what is seen behind it), 0 where alpha is clamped. `importance` sums |dC/dg|^2, `error` sums
+// (gradient . dC/dg)^2, `weighted` T alpha times each of the weight images.
+template <int C>
+struct Contribution {
+    struct Pixels {
+        Vec T;
+        Mask ended;
+        Vec behind[C], gradient[C], weight[GROUP];  // behind: sum of T alpha channel of later ones, and the background
+    };
+    Vec value[C], opacity, importance = {}, error = {}, weighted[GROUP] = {};
+
+    Contribution(const Splat &g, const float *channel) : opacity(splat(g.opacity)) {
+        for (int c = 0; c < C; c++) value[c] = splat(channel[c]);
     }
-    for (int32_t rank = tile_ended - 1; rank >= 0; rank--) {
-        int32_t id = ids[begin + rank];
-        const Splat &g = splats[id];
-        const float *channel = channels + (int64_t)id * stride;
-        Vec value[C], value_gradient[C], opacity = splat(g.opacity);
-        for (int c = 0; c < C; c++) value[c] = splat(channel[c]), value_gradient[c] = Vec{};
-        Vec moment[MOMENTS] = {};
-        StripI first, last;
-        strip_spans(g, tile, first, last);
-        for (int s = 0; s < tile.strips; s++) {
-            if (first[s] > last[s] || rank >= strip_ended[s]) continue;
-            Exponent exponent(g, tile, s);
-            Pixels *strip = pixels + s * STRIP_VECTORS;
-            Vec sum_v = {}, sum_vu = {}, sum_vuu = {};
-            for (int v = first[s]; v <= last[s]; v++) {
-                Vec u = exponent.u(v), e = exponent(u);
-                Mask drawn = (e >= exponent.limit) & (strip[v].ended > rank);
-                Vec unclamped = opacity_at(e, opacity);
-                Vec alpha = smaller(unclamped, splat(MAX_ALPHA));
-                Vec inverse = 1.f / (1.f - alpha);
-                Vec T = select(drawn, strip[v].T * inverse, strip[v].T), behind = strip[v].behind;
-                Vec weight = masked(drawn, alpha * T);
-                Vec along = {};  // gradient . channel
-                for (int c = 0; c < C; c++) {
-                    Vec gradient = strip[v].gradient[c];
-                    along += gradient * value[c];
-                    value_gradient[c] += weight * gradient;
-                }
-                strip[v].T = T;
-                strip[v].behind = behind + weight * along;
-                Vec gradient = masked(drawn & (unclamped < MAX_ALPHA), (T * along - behind * inverse) * unclamped);
-                Vec gradient_u = gradient * u;
-                sum_v += gradient;
-                sum_vu += gradient_u;
-                sum_vuu += gradient_u * u;
+
+    void strip(const Exponent &exponent, Pixels *pixels, int first, int last, int32_t rank) {
+        for (int v = first; v <= last; v++) {
+            Sample at(exponent, opacity, v, rank, pixels[v]);
+            Vec along = {};
+            for (int c = 0; c < C; c++) {
+                Vec change = masked(at.varies(), opacity * (at.T * value[c] - pixels[v].behind[c] * at.inverse));
+                importance += change * change;
+                along += change * pixels[v].gradient[c];
+                pixels[v].behind[c] += at.weight * value[c];
             }
-            Vec sum_vx = sum_v * exponent.dx;
-            moment[0] += sum_v;
-            moment[1] += sum_vx;
-            moment[2] += sum_vu;
-            moment[3] += sum_vx * exponent.dx;
-            moment[4] += sum_vu * exponent.dx;
-            moment[5] += sum_vuu;
+            error += along * along;
+            for (int r = 0; r < GROUP; r++) weighted[r] += at.weight * pixels[v].weight[r];
         }
-        float *slot = gradients + slots[begin + rank] * slot_size;
-        for (int m = 0; m < MOMENTS; m++) slot[m] = sum(moment[m]) + (first_channel ? slot[m] : 0.f);
-        for (int c = 0; c < C; c++) slot[MOMENTS + first_channel + c] = sum(value_gradient[c]);
     }
+};
+
+// A slot holds importance, error and one sum for each of `weight_count` weight images, of which this pass takes the GROUP
+// from `first_weight` on.
+template <int C>
+void contributions_tile(const Tile &tile, int image_width, const Replay &replay, const float *channels,
+                        const float *background, const float *weights, int weight_count, int first_weight,
+                        const float *out_gradient, float *results) {
+    auto fill = [&](typename Contribution<C>::Pixels &p, int lane, int64_t pixel) {
+        for (int c = 0; c < C; c++) {
+            p.behind[c][lane] = replay.transmittance[pixel] * background[c];
+            p.gradient[c][lane] = out_gradient[pixel * C + c];
+        }
+        for (int r = 0; r < GROUP && first_weight + r < weight_count; r++)
+            p.weight[r][lane] = weights[pixel * weight_count + first_weight + r];
+    };
+    replay_tile<Contribution<C>>(tile, image_width, replay, channels, C, fill, [&](Contribution<C> &job, int64_t slot) {
+        float *to = results + slot * (2 + weight_count);
+        to[0] = sum(job.importance);
+        to[1] = sum(job.error);
+        for (int r = 0; r < GROUP && first_weight + r < weight_count; r++) to[2 + first_weight + r] = sum(job.weighted[r]);
+    });
 }
 
 template <int C>
 struct Constant {
     static constexpr int value = C;
 };
+
+// Gaussians behind every pixel's end get no result.
+void clear_slots(const Replay &replay, float *results, int64_t size) {
+    for (int64_t i = replay.begin; i < replay.end; i++) memset(results + replay.slots[i] * size, 0, size * sizeof(float));
+}
 
 // Calls a kernel template with the group's number of channels as a constant.
 template <int C, class Call>
@@ -413,14 +507,40 @@ API void blend_backward(int64_t begin, int64_t end, int64_t width, int64_t heigh
                         float *background_gradient) {
     for (int64_t t = begin; t < end; t++) {
         Tile tile = tile_at((int)t, (int)width, (int)height);
+        Replay replay = {splats, ids, slots, tile_starts[t], tile_starts[t + 1], transmittance, endings};
+        clear_slots(replay, gradients, MOMENTS + channel_count);
         for (int c = 0; c < channel_count; c += GROUP)
             with_channels<GROUP>(smaller(GROUP, (int)channel_count - c), [&](auto count) {
-                backward_tile<decltype(count)::value>(
-                    tile, width, splats, channels + c, channel_count, ids, slots, tile_starts[t], tile_starts[t + 1],
-                    background + c, transmittance, endings, out_gradient + c, alpha_gradient, c, gradients,
-                    background_gradient + t * channel_count + c);
+                backward_tile<decltype(count)::value>(tile, width, replay, channels + c, channel_count, background + c,
+                                                      out_gradient + c, alpha_gradient, c, gradients,
+                                                      background_gradient + t * channel_count + c);
             });
     }
+}
+
+// Contributions of tiles [begin, end), a slot of 2 + weight_count sums per (Gaussian, tile); at most GROUP channels.
+API void contributions(int64_t begin, int64_t end, int64_t width, int64_t height, int64_t channel_count, int64_t weight_count,
+                       const Splat *splats, const float *channels, const int32_t *ids, const int32_t *slots,
+                       const int64_t *tile_starts, const float *background, const float *transmittance,
+                       const int32_t *endings, const float *weights, const float *out_gradient, float *results) {
+    for (int64_t t = begin; t < end; t++) {
+        Tile tile = tile_at((int)t, (int)width, (int)height);
+        Replay replay = {splats, ids, slots, tile_starts[t], tile_starts[t + 1], transmittance, endings};
+        clear_slots(replay, results, 2 + weight_count);
+        for (int r = 0; r == 0 || r < weight_count; r += GROUP)
+            with_channels<GROUP>((int)channel_count, [&](auto count) {
+                contributions_tile<decltype(count)::value>(tile, width, replay, channels, background, weights, weight_count,
+                                                           r, out_gradient, results);
+            });
+    }
+}
+
+// Sums the slots of ranks [begin, end) in their fixed order: sums (N, size).
+API void gather_sums(int64_t begin, int64_t end, int64_t size, const int32_t *order, const int64_t *rank_starts,
+                     const float *results, float *sums) {
+    for (int64_t rank = begin; rank < end; rank++)
+        for (int64_t slot = rank_starts[rank]; slot < rank_starts[rank + 1]; slot++)
+            for (int64_t k = 0; k < size; k++) sums[order[rank] * size + k] += results[slot * size + k];
 }
 
 // Sums the slots of ranks [begin, end) in their fixed order and turns moments into gradients. With v = -dL/ds summed:

@@ -55,7 +55,7 @@ static inline V square_root(V v) {
 }
 static inline float square_root(float x) { return __builtin_sqrtf(x); }
 
-// 2^x for x in [-126, 0], relative error 2e-7: x = n + f, a degree 5 polynomial on |f| <= 1/2, n added to the exponent bits.
+// 2^x for x in [-126, 126], relative error 2e-7: x = n + f, a degree 5 polynomial on |f| <= 1/2, n added to the exponent bits.
 static inline Vec exp2(Vec x) {
     const Vec magic = splat(12582912.f);  // 1.5 * 2^23: adding it rounds to an integer, found in the low mantissa bits
     Vec shifted = x + magic, f = x - (shifted - magic);
@@ -66,4 +66,18 @@ static inline Vec exp2(Vec x) {
     p = p * f + 6.9314718e-1f;
     p = p * f + 1.f;
     return (Vec)((Mask)p + ((Mask)shifted << 23));
+}
+
+static inline Vec exponential(Vec x) { return exp2(larger(smaller(x * 1.44269504f, splat(126.f)), splat(-126.f))); }
+
+// log2 of positive normal numbers, absolute error 2e-7: x = m 2^e with m in [.7, 1.4], a series in (m - 1) / (m + 1).
+static inline Vec log2(Vec x) {
+    Mask bits = (Mask)x, exponent = (bits - 0x3f3504f3) >> 23;  // that is sqrt(1/2)
+    Vec m = (Vec)(bits - (exponent << 23)), z = (m - 1.f) / (m + 1.f), zz = z * z;
+    Vec p = splat(.3205988979f);
+    p = p * zz + .4121985831f;
+    p = p * zz + .5770780164f;
+    p = p * zz + .9617966939f;
+    p = p * zz + 2.8853900818f;
+    return p * z + __builtin_convertvector(exponent, Vec);
 }

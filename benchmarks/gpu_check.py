@@ -1,0 +1,300 @@
+"""Everything about the CUDA backend that needs an NVIDIA card, in under eight minutes.
+
+    python benchmarks/gpu_check.py
+
+Registers of every kernel by ptxas (needs no card), tests/engine/test_cuda.py on the card, compute-sanitizer where the
+CUDA toolkit is installed, and milliseconds of each stage and of whole training iterations at 1280x720, beside gsplat's
+where that is installed. Writes results/cuda_registers.json and results/gpu_check.json.
+"""
+
+import json
+import os
+import re
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+
+import torch
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from swag_engine.rasterize import cuda  # noqa: E402
+from swag_engine.rasterize.api import contributions, rasterize  # noqa: E402
+from swag_engine.rasterize.kernels import build  # noqa: E402
+
+RESULTS = ROOT / "benchmarks" / "results"
+PTXAS = "nvidia-cuda-nvcc-cu12"
+ARCHITECTURES = ("sm_75", "sm_80", "sm_86", "sm_89", "sm_90", "sm_100", "sm_120")
+GAUSSIANS = (100_000, 1_000_000, 3_000_000)
+SIZE = 1280, 720
+ROUNDS = 10
+SMALL_SCENE = "--small-scene"  # what runs under compute-sanitizer
+
+DEVICE = torch.device("cuda")
+
+Step = Callable[[], object]
+Tensors = dict[str, torch.Tensor]
+
+
+def version(package: str) -> str | None:
+    """Of an installed package, None where it is not installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def find_ptxas() -> Path | None:
+    """CUDA's assembler, None where its package is not installed."""
+    files = (metadata.files(PTXAS) or []) if version(PTXAS) else []
+    return next((Path(str(f.locate())) for f in files if f.stem == "ptxas"), None)
+
+
+def assemble(ptx: Path, architecture: str) -> dict[str, dict[str, int]]:
+    """Of each kernel the registers a thread, and bytes of stack and of spilled registers."""
+    command = [str(find_ptxas()), "-v", f"-arch={architecture}", str(ptx), "-o", os.devnull]
+    report = subprocess.run(command, check=True, capture_output=True, text=True).stderr
+    kernels = re.findall(
+        r"Compiling entry function '(\w+)'.*?(\d+) bytes stack frame, (\d+) bytes spill stores.*?Used (\d+) registers",
+        report,
+        re.DOTALL,
+    )
+    return {name: {"registers": int(r), "stack": int(st), "spills": int(sp)} for name, st, sp, r in kernels}
+
+
+def record_registers() -> None:
+    if not find_ptxas():
+        print(f"{PTXAS} is not installed: registers are not recorded.")
+        return
+    ptx = build.build_ptx()
+    table: dict[str, dict[str, int]] = {}
+    for architecture in ARCHITECTURES:
+        for name, found in assemble(ptx, architecture).items():
+            table.setdefault(name, {})[architecture] = found["registers"]
+    rows = ",\n".join(f"  {json.dumps(name)}: {json.dumps(table[name])}" for name in sorted(table))
+    (RESULTS / "cuda_registers.json").write_text(f"{{\n{rows}\n}}\n")
+
+
+def run_tests() -> dict[str, object]:
+    """test_cuda.py on the card."""
+    command = [sys.executable, "-m", "pytest", "tests/engine/test_cuda.py", "-v"]
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | {"SWAG_TEST_CUDA": "1"}, stdout=subprocess.PIPE, text=True
+    )
+    print(done.stdout)
+    return {"passed": done.returncode == 0, "summary": done.stdout.strip().splitlines()[-1]}
+
+
+def sanitize() -> dict[str, str]:
+    """What compute-sanitizer's tools say about a small scene."""
+    program = shutil.which("compute-sanitizer")
+    if not program:
+        print("compute-sanitizer is not installed: it is left out.")
+        return {}
+    environment = os.environ | {"PYTORCH_NO_CUDA_MEMORY_CACHING": "1"}  # so that each tensor has bounds of its own
+    verdicts = {}
+    for tool in ("memcheck", "racecheck"):
+        command = [program, "--tool", tool, sys.executable, __file__, SMALL_SCENE]
+        done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True)
+        print(done.stdout)
+        verdicts[tool] = done.stdout.strip().splitlines()[-1]
+    return verdicts
+
+
+def make_parameters(n: int, width: int, height: int) -> Tensors:
+    """What training optimises, in front of a camera at the origin: a bumpy surface (80 %) and floaters before it.
+
+    The more Gaussians, the smaller they are, as in trained scenes.
+    """
+    torch.manual_seed(0)
+    u, v = (torch.rand(n) * (size + 16) - 8 for size in (width, height))
+    surface = 4 + 0.7 * torch.sin(u / width * 10.7) + 0.7 * torch.cos(v / height * 8) + 0.35 * torch.rand(n)
+    z = torch.where(torch.arange(n) % 5 == 0, 0.8 + 5.2 * torch.rand(n), surface)
+    pixel = z / (0.8 * width)
+    sigma = 1.9 * (50_000 / n * width * height / (640 * 360)) ** 0.5  # px
+    log_scales = (sigma * pixel).log()[:, None] + 0.55 * torch.randn(n, 3) + torch.tensor([0.0, 0.0, -1.2])
+    values = {
+        "means": torch.stack([(u - width / 2) * pixel, (v - height / 2) * pixel, z], 1),
+        "quats": torch.randn(n, 4),
+        "log_scales": log_scales,
+        "opacity_logits": 2 * torch.randn(n),
+        "sh0": 0.6 * torch.randn(n, 1, 3),
+        "shN": 0.05 * torch.randn(n, 15, 3),
+    }
+    return {name: value.to(DEVICE).requires_grad_() for name, value in values.items()}
+
+
+def make_camera(width: int, height: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """viewmat and K."""
+    focal = 0.8 * width
+    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return torch.eye(4).to(DEVICE), K.to(DEVICE)
+
+
+def activated(p: Tensors) -> tuple[torch.Tensor, ...]:
+    return p["means"], p["quats"], p["log_scales"].exp(), p["opacity_logits"].sigmoid()
+
+
+def loss(picture: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    l1, ssim = cuda.l1_ssim(picture, target)
+    return 0.8 * l1 + 0.2 * (1 - ssim)
+
+
+def iteration(n: int, width: int, height: int) -> Step:
+    """One training iteration: project, blend, L1 + SSIM, backward, Adam."""
+    p = make_parameters(n, width, height)
+    camera, background = make_camera(width, height), torch.rand(3, device=DEVICE)
+    target = torch.rand(height, width, 3, device=DEVICE)
+    moments = {name: (torch.zeros_like(tensor), torch.zeros_like(tensor)) for name, tensor in p.items()}
+
+    def step() -> None:
+        directions = torch.nn.functional.normalize(p["means"].detach(), dim=1)
+        colors = cuda.sh_colors(p["sh0"], p["shN"], directions, 3)
+        drawn = rasterize(*activated(p), colors, *camera, width, height, background, backend="cuda")
+        loss(drawn.channels, target).backward()
+        for name, tensor in p.items():
+            assert tensor.grad is not None
+            cuda.adam_step(tensor.detach(), tensor.grad, *moments[name], 1e-4, 0.9, 0.999, 1e-15, 1)
+            tensor.grad = None
+
+    return step
+
+
+def gsplat_iteration(n: int, width: int, height: int) -> Step:
+    """The same by gsplat, with our loss and torch's fused Adam."""
+    from gsplat import rasterization
+
+    p = make_parameters(n, width, height)
+    viewmat, K = make_camera(width, height)
+    background, target = torch.rand(1, 3, device=DEVICE), torch.rand(height, width, 3, device=DEVICE)
+    adam = torch.optim.Adam(p.values(), lr=1e-4, eps=1e-15, fused=True)
+
+    def step() -> None:
+        sh = torch.cat([p["sh0"], p["shN"]], 1)
+        picture, _, _ = rasterization(
+            *activated(p), sh, viewmat[None], K[None], width, height, sh_degree=3, packed=False, backgrounds=background
+        )
+        loss(picture[0], target).backward()
+        adam.step()
+        adam.zero_grad(set_to_none=True)
+
+    return step
+
+
+def stages(n: int, width: int, height: int) -> dict[str, Step]:
+    """Each part of an iteration on its own."""
+    p = make_parameters(n, width, height)
+    camera, background = make_camera(width, height), torch.rand(3, device=DEVICE)
+    sh, directions = [p["sh0"], p["shN"]], torch.nn.functional.normalize(p["means"].detach(), dim=1)
+    *geometry, opacities = (tensor.detach().requires_grad_() for tensor in activated(p))
+    colors = cuda.sh_colors(*sh, directions, 3)
+    seen = cuda.project(*geometry, opacities, colors.detach(), *camera, width, height)
+    means2d, conics, depths, radii = seen.means2d, seen.conics, seen.depths, seen.radii
+    leaves = [tensor.detach().requires_grad_() for tensor in (means2d, conics, opacities, colors)]
+    flat = means2d.detach(), conics.detach(), opacities.detach(), depths, radii, width, height
+    pairs = cuda._pairs(*flat)
+    picture, _ = cuda.blend(*leaves, background, depths, radii, width, height)
+    image = picture.detach().requires_grad_()
+    target, by_picture = torch.rand(2, height, width, 3, device=DEVICE)
+    moments = [(torch.zeros_like(tensor), torch.zeros_like(tensor)) for tensor in p.values()]
+
+    def adam() -> None:
+        for tensor, pair in zip(p.values(), moments, strict=True):
+            cuda.adam_step(tensor.detach(), tensor.detach(), *pair, 1e-9, 0.9, 0.999, 1e-15, 1)
+
+    def gradient(outputs: list[torch.Tensor], inputs: list[torch.Tensor]) -> Step:
+        incoming = [torch.ones_like(tensor) for tensor in outputs]
+        return lambda: torch.autograd.grad(outputs, inputs, incoming, retain_graph=True)
+
+    seen_through = background, depths, radii, width, height
+    return {
+        "project": lambda: cuda.project(*geometry, opacities, colors.detach(), *camera, width, height),
+        "project, backward": gradient([means2d, conics], geometry),
+        "colours": lambda: cuda.sh_colors(*sh, directions, 3),
+        "colours, backward": gradient([colors], sh),
+        "pairs, sorted": lambda: cuda._pairs(*flat),
+        "blend": lambda: cuda._blend(pairs, leaves[3].detach(), background, width, height),
+        "blend, backward": gradient([picture], leaves),
+        "L1 + SSIM, both ways": lambda: torch.autograd.grad(loss(image, target), image),
+        "Adam": adam,
+        "contributions": lambda: cuda.contributions(*leaves, *seen_through, target, by_picture),
+    }
+
+
+def milliseconds(step: Step) -> float:
+    """Median over rounds, after two that warm up."""
+    times = []
+    for _ in range(ROUNDS + 2):
+        begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+        begin.record()
+        step()
+        end.record()
+        torch.cuda.synchronize()
+        times.append(begin.elapsed_time(end))
+    return round(statistics.median(times[2:]), 3)
+
+
+def timings(n: int) -> dict[str, object]:
+    """Milliseconds and peak memory at n Gaussians."""
+    rows: dict[str, object] = {}
+    try:
+        rows |= {name: milliseconds(step) for name, step in stages(n, *SIZE).items()}
+        for name, make in {"iteration": iteration, "iteration by gsplat": gsplat_iteration}.items():
+            torch.cuda.empty_cache()
+            torch.cuda.reset_peak_memory_stats()
+            rows[name] = milliseconds(make(n, *SIZE))
+            rows[f"{name}, bytes a Gaussian"] = round(torch.cuda.max_memory_allocated() / n)
+    except (ImportError, torch.cuda.OutOfMemoryError) as error:
+        print(f"Timings at {n} Gaussians end early: {error}")
+    return rows
+
+
+def small_scene() -> None:
+    """Every kernel once."""
+    n, width, height = 500, 100, 70
+    iteration(n, width, height)()
+    camera = make_camera(width, height)
+    for channels in range(1, cuda.GROUP + 1):
+        values = torch.rand(n, channels, device=DEVICE).requires_grad_()
+        background = torch.rand(channels, device=DEVICE)
+        inputs = *activated(make_parameters(n, width, height)), values, *camera, width, height, background
+        pictures = (torch.rand(height, width, images, device=DEVICE) for images in (7, channels))
+        rasterize(*inputs, backend="cuda").channels.sum().backward()
+        contributions(*inputs, *pictures, backend="cuda")
+
+
+def main() -> None:
+    if SMALL_SCENE in sys.argv:
+        small_scene()
+        torch.cuda.synchronize()
+        return
+    RESULTS.mkdir(exist_ok=True)
+    record_registers()
+    start = time.perf_counter()
+    if reason := cuda.reason():
+        sys.exit(f"There is no GPU to check here: {reason}")
+    properties = torch.cuda.get_device_properties(torch.cuda.current_device())
+    results: dict[str, object] = {
+        "device": properties.name,
+        "architecture": f"sm_{properties.major}{properties.minor}",
+        "memory_gb": round(properties.total_memory / 1e9, 1),
+        "torch": torch.__version__,
+        "gsplat": version("gsplat"),
+        "seconds to load the kernels": round(time.perf_counter() - start, 2),
+        "tests": run_tests(),
+        "compute-sanitizer": sanitize(),
+    }
+    for n in GAUSSIANS:
+        results[f"ms, {n} Gaussians at {SIZE[0]}x{SIZE[1]}"] = timings(n)
+    (RESULTS / "gpu_check.json").write_text(json.dumps(results, indent=2) + "\n")
+    print(json.dumps(results, indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,262 @@
+"""Milliseconds of rasterising and of a whole training iteration on this machine's CPU, as ratios within one run.
+
+    python benchmarks/raster.py
+
+Writes results/raster.json and results/raster.png. Compared are the kernels, the torch backend, and, where gsplat is
+installed, the torch implementation inside gsplat (splax and taichi-splatting need a GPU). What gsplat has no CPU code
+for is given to it: the lists of pixels and Gaussians for nothing, the scan along rays in torch.
+"""
+
+import json
+import statistics
+import subprocess
+import sys
+import time
+import types
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from swag_engine.threads import wait_politely  # noqa: E402
+
+wait_politely()
+
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+import torch  # noqa: E402
+from train_scenes import processor  # noqa: E402
+
+from swag_engine.gaussians.cloud import GaussianCloud  # noqa: E402
+from swag_engine.rasterize import cpu, projection, reference  # noqa: E402
+from swag_engine.rasterize.render import render  # noqa: E402
+from swag_engine.scene.cameras import Camera  # noqa: E402
+from swag_engine.training.config import LearningRates  # noqa: E402
+from swag_engine.training.losses import l1_ssim  # noqa: E402
+from swag_engine.training.optimizer import Optimizer  # noqa: E402
+
+RESULTS = ROOT / "benchmarks" / "results"
+MAIN = (50_000, 640, 360)
+ROUNDS = 7
+
+
+def make_cloud(n: int, width: int, height: int) -> tuple[GaussianCloud, Camera]:
+    """A bumpy surface (80 %) and floaters in front of it, as trained scenes look; median sigma 1.9 px at 640 px."""
+    r = np.random.default_rng(0)
+    focal = 0.8 * width
+    u, v = r.uniform(-8, width + 8, n), r.uniform(-8, height + 8, n)
+    z = 4 + 0.7 * np.sin(u / width * 10.7) + 0.7 * np.cos(v / height * 8) + r.exponential(0.35, n)
+    z = np.where(np.arange(n) % 5 == 0, r.uniform(0.8, 6, n), z)
+    long = np.exp(r.normal(np.log(1.9), 0.55, n)).clip(0.3, 40)
+    sigmas = np.stack([long, (long * np.exp(r.normal(0, 0.5, n))).clip(0.3, 40), 0.3 * long], 1) * (z / focal)[:, None]
+    turn = r.uniform(0, np.pi, n)
+    means = np.stack([(u - width / 2) * z / focal, (v - height / 2) * z / focal, z], 1)
+    opacities = r.beta(0.9, 1.4, n).clip(0.006, 0.995)
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(array.astype(np.float32))
+
+    cloud = GaussianCloud(
+        means=tensor(means),
+        quats=tensor(np.stack([np.cos(turn / 2), 0 * turn, 0 * turn, np.sin(turn / 2)], 1)),
+        log_scales=tensor(np.log(sigmas)),
+        opacity_logits=tensor(np.log(opacities / (1 - opacities))),
+        sh0=tensor(r.normal(0, 0.6, (n, 1, 3))),
+        shN=tensor(r.normal(0, 0.05, (n, 15, 3))),
+        background=torch.tensor([-1.0, 0.0, 0.5]),
+    )
+    camera = Camera("benchmark", width, height, focal, focal, width / 2, height / 2, np.eye(4))
+    return cloud, camera
+
+
+def iteration(n: int, width: int, height: int, backend: str) -> Callable[[], None]:
+    """One training iteration: project, blend, L1 + SSIM, backward, Adam."""
+    cloud, camera = make_cloud(n, width, height)
+    optimizer, rates = Optimizer(cloud, None, backend), asdict(LearningRates())
+    target = torch.rand(height, width, 3)
+
+    def step() -> None:
+        picture = render(cloud, camera, 3, backend=backend)
+        l1_ssim(picture.color, target, None, backend=backend).backward()
+        optimizer.step(rates)
+
+    return step
+
+
+def raster(n: int, width: int, height: int, backend: str) -> Callable[[], None]:
+    """Binning, sorting and blending of projected Gaussians, forward and backward."""
+    cloud, camera = make_cloud(n, width, height)
+    viewmat, K = torch.eye(4), torch.from_numpy(camera.K).float()
+    channels = cloud.colors(torch.zeros(3), 3).detach()
+    inputs = cloud.means, cloud.quats, cloud.scales, cloud.opacities, channels
+    projected = projection.project(*inputs, viewmat, K, width, height)
+    leaves = [t.detach().clone() for t in (projected.means2d, projected.conics, cloud.opacities, channels)]
+    leaves = [leaf.requires_grad_() for leaf in leaves]
+    background, gradient = torch.tensor([0.1, 0.2, 0.3]), torch.randn(height, width, 3)
+
+    def step() -> None:
+        blend = cpu.blend if backend == "cpu" else reference.blend
+        picture, _ = blend(*leaves, background, projected.depths, projected.radii, width, height)
+        torch.autograd.grad((picture * gradient).sum(), leaves)
+
+    def gsplat_step() -> None:
+        colors, _ = accumulate(*[leaf[None] for leaf in leaves], *pairs, width, height)
+        torch.autograd.grad((colors[0] * gradient).sum(), leaves)
+
+    if backend != "gsplat":
+        return step
+    sys.modules["nerfacc"] = types.SimpleNamespace(  # type: ignore[assignment]
+        render_weight_from_alpha=weights_along_rays, accumulate_along_rays=sums_along_rays
+    )
+    from gsplat.cuda._torch_impl import accumulate
+
+    pairs = accepted_pairs(leaves, projected, width, height)
+    return gsplat_step
+
+
+def accepted_pairs(
+    leaves: list[torch.Tensor], projected: projection.Projection, width: int, height: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Gaussian, pixel and image of all pairs that are blended, by pixel and depth."""
+    means2d, conics, opacities, _ = (leaf.detach() for leaf in leaves)
+    gaussians, pixels = [], []
+    for _, meets, at in reference._tiles(means2d, projected.depths, projected.radii, width, height):
+        samples = reference._Samples(means2d[meets], conics[meets], opacities[meets], at)
+        pixel, which = (samples.alpha > 0).T.nonzero(as_tuple=True)
+        gaussians.append(meets[which])
+        pixels.append(at[pixel, 1].long() * width + at[pixel, 0].long())
+    pixel, order = torch.sort(torch.cat(pixels), stable=True)
+    return torch.cat(gaussians)[order], pixel, torch.zeros_like(pixel)
+
+
+def weights_along_rays(alphas: torch.Tensor, ray_indices: torch.Tensor, n_rays: int) -> tuple[torch.Tensor, ...]:
+    """T alpha and T of samples sorted by ray and depth, as nerfacc's function of this signature, which needs CUDA."""
+    logs = torch.log1p(-alphas).double()
+    before = logs.cumsum(0) - logs
+    first = torch.searchsorted(ray_indices, torch.arange(n_rays)).clamp(max=len(logs) - 1)
+    transmittance = (before - before[first][ray_indices]).exp().float()
+    return transmittance * alphas, transmittance
+
+
+def sums_along_rays(
+    weights: torch.Tensor, values: torch.Tensor | None, ray_indices: torch.Tensor, n_rays: int
+) -> torch.Tensor:
+    """Sums of weights, or of weighted values, by ray."""
+    terms = weights[:, None] if values is None else weights[:, None] * values
+    return torch.zeros(n_rays, terms.shape[1]).index_add(0, ray_indices, terms)
+
+
+def milliseconds(steps: dict[str, Callable[[], None]], rounds: int = ROUNDS) -> dict[str, float]:
+    """Medians over rounds in which each step runs once, after one that warms up."""
+    times: dict[str, list[float]] = {name: [] for name in steps}
+    for number in range(rounds + 1):
+        for name, step in steps.items():
+            start = time.perf_counter()
+            step()
+            if number:
+                times[name].append(1000 * (time.perf_counter() - start))
+    return {name: round(statistics.median(values), 1) for name, values in times.items()}
+
+
+def with_threads(count: int, step: Callable[[], None]) -> Callable[[], None]:
+    def run() -> None:
+        torch.set_num_threads(count)
+        step()
+
+    return run
+
+
+def peak_bytes(n: int, width: int, height: int) -> int:
+    """What training N Gaussians adds to the largest resident size of a process of its own."""
+    code = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import raster; "
+        f"print(raster.peak_of_three_iterations({n}, {width}, {height}))"
+    )
+    return int(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout)
+
+
+def peak_of_three_iterations(n: int, width: int, height: int) -> int:
+    iteration(1000, 64, 48, "cpu")()
+    before = peak_resident()
+    step = iteration(n, width, height, "cpu")
+    for _ in range(3):
+        step()
+    return peak_resident() - before
+
+
+def peak_resident() -> int:
+    """Bytes; Linux. getrusage would count the process that started this one."""
+    status = Path("/proc/self/status").read_text()
+    return 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")))
+
+
+def main() -> None:
+    threads = torch.get_num_threads()
+    counts = [1 << k for k in range(threads.bit_length()) if 1 << k <= threads]
+    rivals = {"kernels": raster(*MAIN, "cpu"), "torch": raster(*MAIN, "torch")}
+    try:
+        rivals["gsplat, torch implementation"] = raster(*MAIN, "gsplat")
+    except ImportError:
+        print("gsplat is not installed: it is left out.")
+    results: dict[str, object] = {"machine": f"{processor()}, {threads} threads", "torch": torch.__version__}
+    results["rasterise 50 000 at 640x360, ms"] = ours = milliseconds(rivals, 3)
+    results["ratio"] = {name: round(value / ours["kernels"], 1) for name, value in ours.items()}
+    results["iteration 50 000 at 640x360, ms"] = milliseconds(
+        {"kernels": iteration(*MAIN, "cpu"), "torch": iteration(*MAIN, "torch")}, 3
+    )
+    large = 500_000, 1280, 720
+    results["500 000 at 1280x720, ms"] = milliseconds(
+        {"rasterise": raster(*large, "cpu"), "iteration": iteration(*large, "cpu")}, 3
+    )
+    few, many = (peak_bytes(n, *large[1:]) for n in (250_000, 1_000_000))
+    results["peak bytes of a further Gaussian at 1280x720"] = round((many - few) / 750_000)
+    results["peak MB at 250 000 and 1 000 000 Gaussians"] = [round(few / 1e6), round(many / 1e6)]
+    gaussians = [12_500, 25_000, 50_000, 100_000, 200_000, 400_000]
+    widths = [320, 640, 960, 1280, 1920]
+    results["ms by Gaussians at 640x360"] = {
+        str(n): milliseconds({"rasterise": raster(n, 640, 360, "cpu"), "iteration": iteration(n, 640, 360, "cpu")}, 5)
+        for n in gaussians
+    }
+    results["ms by width, 100 000 Gaussians"] = {
+        str(w): milliseconds(
+            {
+                "rasterise": raster(100_000, w, w * 9 // 16, "cpu"),
+                "iteration": iteration(100_000, w, w * 9 // 16, "cpu"),
+            },
+            5,
+        )
+        for w in widths
+    }
+    step, whole = raster(*MAIN, "cpu"), iteration(*MAIN, "cpu")
+    results["ms by threads, 50 000 at 640x360"] = {
+        str(count): milliseconds({"rasterise": with_threads(count, step), "iteration": with_threads(count, whole)}, 5)
+        for count in counts
+    }
+    (RESULTS / "raster.json").write_text(json.dumps(results, indent=2) + "\n")
+    plot(results)
+    print(json.dumps(results, indent=2))
+
+
+def plot(results: dict) -> None:
+    figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
+    panels = (
+        ("ms by Gaussians at 640x360", "Gaussians at 640 x 360", 1),
+        ("ms by width, 100 000 Gaussians", "megapixels, 100 000 Gaussians", None),
+        ("ms by threads, 50 000 at 640x360", "threads, 50 000 Gaussians at 640 x 360", 1),
+    )
+    for axis, (key, label, scale) in zip(axes, panels, strict=True):
+        rows = results[key]
+        x = [float(value) * (scale or float(value) * 9 / 16 / 1e6) for value in rows]
+        for name in ("iteration", "rasterise"):
+            axis.plot(x, [row[name] for row in rows.values()], "o-", label=name)
+        axis.set(xlabel=label, ylabel="ms, forward and backward", ylim=(0, None), xlim=(0, None))
+        axis.grid(alpha=0.3)
+    axes[0].legend()
+    figure.suptitle(str(results["machine"]))
+    figure.savefig(RESULTS / "raster.png", dpi=110)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""What this machine has, and which backend a run would take."""
+
+import os
+import platform
+from importlib import metadata
+from typing import Any
+
+import torch
+
+from .rasterize import cpu, cuda
+from .rasterize.backends import device_for
+from .rasterize.cpu_library import target
+
+PACKAGES = ("torch", "numpy", "pycolmap", "opencv-contrib-python-headless", "scipy", "safetensors")
+
+
+def examine() -> dict[str, Any]:
+    """System, packages (None for one that is missing), and for each backend whether it runs or why not."""
+    chosen = target()
+    backends: dict[str, dict[str, Any]] = {
+        "cpu": {"runs": cpu.reason() is None, "reason": cpu.reason(), "threads": torch.get_num_threads()},
+        "cuda": {"runs": cuda.reason() is None, "reason": cuda.reason()},
+        "torch": {"runs": True, "reason": None, "device": str(device_for("torch"))},
+    }
+    backends["cpu"]["kernels"] = chosen.path.name if chosen else None
+    if cuda.reason() is None:
+        properties = torch.cuda.get_device_properties(torch.cuda.current_device())
+        backends["cuda"] |= {
+            "device": properties.name,
+            "memory_gb": round(properties.total_memory / 1e9, 1),
+            "architecture": f"sm_{properties.major}{properties.minor}",
+        }
+    auto = next(name for name in ("cuda", "cpu", "torch") if backends[name]["runs"])
+    return {
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "cores": os.cpu_count(),
+        "packages": {name: _version(name) for name in PACKAGES},
+        "backends": backends,
+        "auto": auto,
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def describe(found: dict[str, Any]) -> str:
+    """The findings in lines for people."""
+    lines = [f"{found['system']}, Python {found['python']}, {found['cores']} cores"]
+    lines += [f"  {name} {version or 'is missing'}" for name, version in found["packages"].items()]
+    cpu_backend, cuda_backend, torch_backend = (found["backends"][name] for name in ("cpu", "cuda", "torch"))
+    details = {
+        "cuda": f"{cuda_backend.get('device')}, {cuda_backend.get('memory_gb')} GB",
+        "cpu": f"{cpu_backend['kernels']}, {cpu_backend['threads']} threads",
+        "torch": f"on {torch_backend['device']}, slow",
+    }
+    for name, detail in details.items():
+        backend = found["backends"][name]
+        lines.append(f"backend {name}: {detail if backend['runs'] else 'does not run here: ' + backend['reason']}")
+    lines.append(f"Training takes {found['auto']}.")
+    return "\n".join(lines)

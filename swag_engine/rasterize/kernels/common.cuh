@@ -1,0 +1,44 @@
+// What the CUDA kernels share. NVRTC compiles them to PTX; they include no header of CUDA or of C.
+#pragma once
+
+typedef long long Index;  // of every integer argument: buffers may hold more than 2^31 numbers
+
+constexpr int THREADS = 256, WARP = 32, WARPS = THREADS / WARP;  // of every block
+constexpr unsigned ALL_LANES = 0xffffffffu;
+
+// `blocks` should share a multiprocessor: that bounds the registers, to where nothing spills.
+#define KERNEL(blocks) extern "C" __global__ void __launch_bounds__(THREADS, blocks)
+
+__device__ inline Index thread_index() { return (Index)blockIdx.x * THREADS + threadIdx.x; }
+
+// Sums each of N values over the lanes of a warp; lane_value says which of the sums a lane then holds. At each step a
+// lane sends one half of its values to its partner and adds what it receives to the other half: 12 shuffles for 9
+// values.
+template <int N, int STEP = WARP / 2>
+__device__ inline float lane_sum(const float (&values)[N], int lane) {
+    if constexpr (STEP == 0) {
+        return values[0];
+    } else {
+        constexpr int HALF = (N + 1) / 2;
+        bool upper = lane & STEP;
+        float kept[HALF];
+#pragma unroll
+        for (int i = 0; i < HALF; i++) {
+            float low = values[i], high = HALF + i < N ? values[(HALF + i) % N] : 0.f;
+            kept[i] = (upper ? high : low) + __shfl_xor_sync(ALL_LANES, upper ? low : high, STEP);
+        }
+        return lane_sum<HALF, STEP / 2>(kept, lane);
+    }
+}
+
+// The number of the value that `lane` holds after lane_sum, N or more for a lane without one.
+template <int N, int STEP = WARP / 2>
+__device__ inline int lane_value(int lane) {
+    if constexpr (STEP == 0) {
+        return 0;
+    } else {
+        constexpr int HALF = (N + 1) / 2;
+        int inner = lane_value<HALF, STEP / 2>(lane);
+        return inner < HALF ? inner + (lane & STEP ? HALF : 0) : N;
+    }
+}

@@ -1,0 +1,175 @@
+// Colours through water, water/medium.py with its formulas: shown = J exp(-beta_D r) + B(d) (1 - exp(-beta_B r)).
+// VW Gaussians, or pixels of a row, at a time.
+#include "sh.h"
+#include "simd.h"
+
+namespace {
+
+constexpr int SUMS = 33;  // beta_D (3), beta_B (3), raw coefficients of B (9, 3)
+
+struct Water {
+    int degree, basis_count;
+    bool linear;  // whether the formula works on linear light: display values go there and back
+    float attenuation[3], backscatter[3], veil[9][3];
+
+    Water(int64_t degree, int64_t linear, const float *values)
+        : degree((int)degree), basis_count((int)((degree + 1) * (degree + 1))), linear(linear) {
+        memcpy(attenuation, values, sizeof attenuation);
+        memcpy(backscatter, values + 3, sizeof backscatter);
+        memcpy(veil, values + 6, sizeof veil);
+    }
+
+    // B of one channel
+    Vec veil_at(const Vec *basis, int channel) const {
+        Vec raw = Vec{};
+        for (int k = 0; k < basis_count; k++) raw += basis[k] * veil[k][channel];
+        return 1.f / (1.f + exponential(-raw));
+    }
+};
+
+// sRGB (IEC 61966-2-1), and its slope.
+inline Vec to_light(Vec display, Vec &slope) {
+    Mask low = display <= .04045f;
+    Vec base = (larger(display, splat(.04045f)) + .055f) * (1 / 1.055f), power = exp2(log2(base) * 1.4f);
+    slope = select(low, splat(1 / 12.92f), power * (2.4f / 1.055f));
+    return select(low, display * (1 / 12.92f), power * base);
+}
+inline Vec to_display(Vec light, Vec &slope) {
+    Mask low = light <= .0031308f;
+    Vec base = larger(light, splat(.0031308f)), power = exp2(log2(base) * (1 / 2.4f));
+    slope = select(low, splat(12.92f), power / base * (1.055f / 2.4f));
+    return select(low, light * 12.92f, power * 1.055f - .055f);
+}
+
+// Lane l of three vectors from row l of (count, 3), zeros beyond, and back.
+inline void load_rows(const float *from, int count, Vec *to) {
+    for (int c = 0; c < 3; c++) to[c] = Vec{};
+    for (int l = 0; l < count; l++)
+        for (int c = 0; c < 3; c++) to[c][l] = from[3 * l + c];
+}
+inline void store_rows(const Vec *from, int count, float *to) {
+    for (int l = 0; l < count; l++)
+        for (int c = 0; c < 3; c++) to[3 * l + c] = from[c][l];
+}
+
+inline void direction_and_range(const Vec *offset, Vec *direction, Vec &range) {
+    // The largest component goes first: squares of what is far away or near must not leave the range of numbers.
+    Vec largest = larger(larger(larger(offset[0], -offset[0]), larger(offset[1], -offset[1])), larger(offset[2], -offset[2]));
+    largest = larger(largest, splat(1e-37f));
+    Vec inverse = 1.f / largest, x = offset[0] * inverse, y = offset[1] * inverse, z = offset[2] * inverse;
+    Vec length = square_root(x * x + y * y + z * z);
+    range = length * largest;
+    Mask some = length > 0.f;
+    Vec unit = masked(some, 1.f / select(some, length, splat(1.f)));
+    direction[0] = x * unit, direction[1] = y * unit, direction[2] = z * unit;
+}
+
+// Directions in the world of the centres of pixels (x + lane, y); K (3, 3), viewmat (4, 4) world to camera.
+inline void pixel_directions(int64_t x, int64_t y, const float *viewmat, const float *K, Vec *direction) {
+    Vec u;
+    for (int l = 0; l < VW; l++) u[l] = (x + l + .5f - K[2]) / K[0];
+    float v = (y + .5f - K[5]) / K[4];
+    Vec inverse = 1.f / square_root(u * u + (v * v + 1.f));
+    for (int i = 0; i < 3; i++) direction[i] = (u * viewmat[i] + (v * viewmat[4 + i] + viewmat[8 + i])) * inverse;
+}
+
+void write_sums(const Vec *total, double *sums) {
+    for (int k = 0; k < SUMS; k++) sums[k] = sum(total[k]);
+}
+
+}  // namespace
+
+// shown (N, 3) of Gaussians [begin, end) with colours J (N, 3) at offsets (N, 3) from the camera.
+API void water_forward(int64_t begin, int64_t end, int64_t degree, int64_t linear, const float *values, const float *colors,
+                       const float *offsets, float *shown) {
+    const Water water(degree, linear, values);
+    for (int64_t i = begin; i < end; i += VW) {
+        int count = (int)smaller<int64_t>(VW, end - i);
+        Vec color[3], offset[3], direction[3], range, basis[MAX_BASIS], slope;
+        load_rows(colors + 3 * i, count, color);
+        load_rows(offsets + 3 * i, count, offset);
+        direction_and_range(offset, direction, range);
+        basis_at(direction, water.degree, basis);
+        for (int c = 0; c < 3; c++) {
+            Vec J = water.linear ? to_light(color[c], slope) : color[c];
+            Vec light = J * exponential(range * -water.attenuation[c]) +
+                        water.veil_at(basis, c) * (1.f - exponential(range * -water.backscatter[c]));
+            color[c] = water.linear ? to_display(light, slope) : light;
+        }
+        store_rows(color, count, shown + 3 * i);
+    }
+}
+
+// Gradients by colours (N, 3), by the range as gradients by offsets (N, 3), and the sums over [begin, end) of those by
+// `values`, in `sums` (33,).
+API void water_backward(int64_t begin, int64_t end, int64_t degree, int64_t linear, const float *values, const float *colors,
+                        const float *offsets, const float *by_shown, float *by_colors, float *by_offsets, double *sums) {
+    const Water water(degree, linear, values);
+    Vec total[SUMS] = {};
+    for (int64_t i = begin; i < end; i += VW) {
+        int count = (int)smaller<int64_t>(VW, end - i);
+        Vec color[3], offset[3], gradient[3], direction[3], range, by_range = {}, basis[MAX_BASIS];
+        load_rows(colors + 3 * i, count, color);
+        load_rows(offsets + 3 * i, count, offset);
+        load_rows(by_shown + 3 * i, count, gradient);  // 0 beyond the end: adds nothing to the sums
+        direction_and_range(offset, direction, range);
+        basis_at(direction, water.degree, basis);
+        for (int c = 0; c < 3; c++) {
+            Vec J = color[c], in_slope = splat(1.f), out_slope = splat(1.f);
+            if (water.linear) J = to_light(J, in_slope);
+            Vec transmission = exponential(range * -water.attenuation[c]), veil = water.veil_at(basis, c);
+            Vec remains = exponential(range * -water.backscatter[c]);
+            if (water.linear) to_display(J * transmission + veil * (1.f - remains), out_slope);
+            Vec by_light = gradient[c] * out_slope;
+            gradient[c] = by_light * transmission * in_slope;
+            Vec by_attenuation = -by_light * J * transmission, by_backscatter = by_light * veil * remains;
+            total[c] += by_attenuation * range;
+            total[3 + c] += by_backscatter * range;
+            by_range += by_attenuation * water.attenuation[c] + by_backscatter * water.backscatter[c];
+            Vec by_raw = by_light * (1.f - remains) * veil * (1.f - veil);
+            for (int k = 0; k < water.basis_count; k++) total[6 + 3 * k + c] += by_raw * basis[k];
+        }
+        store_rows(gradient, count, by_colors + 3 * i);
+        for (int j = 0; j < 3; j++) direction[j] *= by_range;
+        store_rows(direction, count, by_offsets + 3 * i);
+    }
+    write_sums(total, sums);
+}
+
+// Open water in rows [begin, end): B in the direction of each pixel, (height, width, 3).
+API void open_water_forward(int64_t begin, int64_t end, int64_t width, int64_t degree, int64_t linear, const float *values,
+                            const float *viewmat, const float *K, float *shown) {
+    const Water water(degree, linear, values);
+    for (int64_t y = begin; y < end; y++)
+        for (int64_t x = 0; x < width; x += VW) {
+            Vec direction[3], basis[MAX_BASIS], veil[3], slope;
+            pixel_directions(x, y, viewmat, K, direction);
+            basis_at(direction, water.degree, basis);
+            for (int c = 0; c < 3; c++) {
+                veil[c] = water.veil_at(basis, c);
+                if (water.linear) veil[c] = to_display(veil[c], slope);
+            }
+            store_rows(veil, (int)smaller<int64_t>(VW, width - x), shown + (y * width + x) * 3);
+        }
+}
+
+// The sums over rows [begin, end) of the gradients by `values`.
+API void open_water_backward(int64_t begin, int64_t end, int64_t width, int64_t degree, int64_t linear, const float *values,
+                             const float *viewmat, const float *K, const float *by_shown, double *sums) {
+    const Water water(degree, linear, values);
+    Vec total[SUMS] = {};
+    for (int64_t y = begin; y < end; y++)
+        for (int64_t x = 0; x < width; x += VW) {
+            Vec direction[3], basis[MAX_BASIS], gradient[3];
+            pixel_directions(x, y, viewmat, K, direction);
+            basis_at(direction, water.degree, basis);
+            load_rows(by_shown + (y * width + x) * 3, (int)smaller<int64_t>(VW, width - x), gradient);
+            for (int c = 0; c < 3; c++) {
+                Vec veil = water.veil_at(basis, c), slope = splat(1.f);
+                if (water.linear) to_display(veil, slope);
+                Vec by_raw = gradient[c] * slope * veil * (1.f - veil);
+                for (int k = 0; k < water.basis_count; k++) total[6 + 3 * k + c] += by_raw * basis[k];
+            }
+        }
+    write_sums(total, sums);
+}

@@ -1,0 +1,542 @@
+"""The CUDA backend: its kernels on CPU fibres, or, with SWAG_TEST_CUDA=1, on the card that is there."""
+
+import ctypes
+import math
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from benchmarks import gpu_check
+from swag_engine.errors import InputError
+from swag_engine.gaussians.sh import evaluate_sh
+from swag_engine.rasterize import cuda, cuda_driver
+from swag_engine.rasterize.api import contributions, rasterize
+from swag_engine.rasterize.kernels import build
+from swag_engine.rasterize.projection import project
+from swag_engine.training.losses import l1_ssim, ssim
+from swag_engine.training.optimizer import adam_step
+from swag_engine.water.medium import Medium, open_water, through_water
+from tests.engine.cuda_fibres import Fibres
+from tests.engine.test_rasterize import GRADIENTS, HARD, changed, clear_scenes, make_scene, relative_error
+from tests.engine.test_rasterize import run as run_truth
+from tests.engine.test_water import CAMERA as WATER_CAMERA
+from tests.engine.test_water import make as make_water
+
+ON_CARD = bool(os.environ.get("SWAG_TEST_CUDA"))
+DEVICE = "cuda" if ON_CARD else "cpu"
+uncached_driver = cuda.driver.__wrapped__
+on_fibres = pytest.mark.skipif(ON_CARD, reason="about the fibres themselves")
+
+
+@pytest.fixture(scope="module")
+def fibres(request):
+    if sys.platform != "linux":
+        pytest.skip("the fibres are for Linux")
+    return Fibres(request.config.cache.mkdir("cuda_fibres"))
+
+
+@pytest.fixture(autouse=True)
+def launcher(request, monkeypatch):
+    if not ON_CARD:
+        launcher = request.getfixturevalue("fibres")
+        monkeypatch.setattr(cuda, "driver", lambda: launcher)
+    assert cuda.reason() is None
+
+
+def on_device(values):
+    return {k: v.float().to(DEVICE) if isinstance(v, torch.Tensor) else v for k, v in values.items()}
+
+
+def run(scene):
+    """As test_rasterize.run, by the CUDA kernels."""
+    tensors = on_device(scene)
+    for name in GRADIENTS:
+        tensors[name].requires_grad_()
+    rendering = rasterize(**tensors, backend="cuda")
+    generator = torch.Generator().manual_seed(99)
+    loss = 0
+    for output in (rendering.channels, rendering.alpha):
+        weights = 1 + torch.randn(output.shape, generator=generator, dtype=torch.float64)
+        loss = loss + (output * weights.to(output)).sum()
+    loss.backward()
+    results = {"channels_out": rendering.channels, "alpha": rendering.alpha, "means2d": rendering.means2d.grad}
+    results |= {name: tensors[name].grad for name in GRADIENTS}
+    return {key: value.detach().double().cpu() for key, value in results.items()}, rendering
+
+
+def check(scene, picture=1e-5):
+    truth, _ = run_truth(scene, "torch", torch.float64)
+    result, _ = run(scene)
+    errors = {key: relative_error(result[key], truth[key]) for key in truth}
+    assert max(errors["channels_out"], errors["alpha"]) < picture, errors
+    assert max(errors.values()) < 1e-4, errors
+
+
+# -- pictures and gradients --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 5, 8, 11, 35])
+def test_agrees_with_the_reference(channels):
+    for number, scene in enumerate(clear_scenes(3, n=50, channels=channels, width=47, height=35)):
+        scene["width"] = 47 - 11 * number  # partial tiles
+        check(scene)
+
+
+def test_agrees_on_many_small_scenes():
+    for number in range(100):
+        check(make_scene(8, channels=2, width=19, height=18, seed=number, size=0.4))
+
+
+def test_agrees_where_pixels_end_early():
+    for scene in clear_scenes(2, n=120, width=33, height=35, size=0.5):
+        check(scene)
+
+
+def test_agrees_where_a_tile_has_several_batches():
+    scene = make_scene(400, width=16, height=16, size=0.6)
+    scene["opacities"] *= 0.02
+    check(scene)
+
+
+def test_agrees_beyond_the_guard_band_and_for_degenerate_shapes():
+    scene = changed(n=8, means=lambda m: m * torch.tensor([8.0, 5.0, 1.0]), scales=lambda s: s * 4)
+    scene["quats"][:2] *= 1e-8
+    scene["quats"][2] = 0
+    scene["scales"][3:5, 0] = 1e-7
+    check(scene)
+
+
+def test_agrees_for_small_and_far_gaussians():
+    scene = make_scene(50, size=0.01)
+    check(scene)
+    shift = torch.tensor([1000.0, -2000.0, 500.0], dtype=torch.float64)
+    scene["means"] = (scene["means"] + shift).float().double()
+    scene["viewmat"][:3, 3] = (scene["viewmat"][:3, 3] - scene["viewmat"][:3, :3] @ shift).float().double()
+    check(scene)
+
+
+def test_agrees_for_needles_a_hundred_thousand_times_longer_than_wide():
+    for seed in range(4):
+        generator = torch.Generator().manual_seed(seed)
+        quats = torch.randn(5, 4, generator=generator).double()
+        check(changed(quats=quats, scales=lambda s: s * 0 + torch.tensor([100, 1e-3, 1e-3])), picture=1e-4)
+
+
+def test_the_determinant_of_a_needles_conic_keeps_its_digits():
+    generator = torch.Generator().manual_seed(0)
+    along = torch.nn.functional.normalize(torch.randn(100, 2, generator=generator), dim=1)
+    across = torch.stack([-along[:, 1], along[:, 0]], 1)
+    xx, xy, yy = (
+        along[:, i] * along[:, j] / 60**2 + across[:, i] * across[:, j] / 0.6**2 for i, j in ((0, 0), (0, 1), (1, 1))
+    )
+    geometry = torch.full([100, 2], 20.0), torch.stack([xx, xy, yy], 1), torch.full([100], 0.3)
+    rest = torch.ones(100), torch.full([100], 300.0)
+    pairs = cuda._pairs(*(tensor.to(DEVICE) for tensor in (*geometry, *rest)), 40, 30)
+    a, b, c = geometry[1].double().unbind(1)
+    torch.testing.assert_close(pairs.splats[:, 4].double().cpu(), (a - b * b / c) / 2, atol=0, rtol=3e-7)
+
+
+@pytest.mark.parametrize("case", HARD)
+def test_hard_cases_give_finite_pictures_and_gradients(case):
+    results, rendering = run(HARD[case])
+    for key, value in results.items():
+        assert value.isfinite().all(), key
+    assert (rendering.alpha >= 0).all() and (rendering.alpha <= 1).all()
+    found = contributions_of(HARD[case], images=1)
+    assert all(value.isfinite().all() for value in found)
+    if " in " in case:  # the bad one is out, the others are drawn as if it were not there
+        assert rendering.radii[1] == 0 and all((results[name][1] == 0).all() for name in GRADIENTS[:-1])
+        others = [0, 2, 3, 4]
+        without = HARD[case] | {name: HARD[case][name][others] for name in GRADIENTS[:-1]}
+        assert torch.equal(run(without)[0]["channels_out"], results["channels_out"])
+
+
+@pytest.mark.parametrize(
+    "case", ["huge scales", "vanishing scales", "pancakes", "opacity 1", "thousands of equals", "huge quaternions"]
+)
+def test_hard_cases_match_the_reference(case):
+    truth, _ = run_truth(HARD[case], "torch", torch.float64)
+    result, _ = run(HARD[case])
+    for key in ("channels_out", "alpha"):
+        assert relative_error(result[key], truth[key]) < 1e-4, key
+    assert case != "huge scales" or (result["scales"] == 0).all()
+
+
+def test_same_bits_each_time():
+    scene = make_scene(300, channels=4, width=70, height=50, size=0.2)
+    first, second = run(scene)[0], run(scene)[0]
+    assert all(torch.equal(first[key], second[key]) for key in first)
+
+
+@on_fibres
+def test_no_result_depends_on_the_order_of_threads_between_barriers(fibres, monkeypatch):
+    scene = make_scene(300, channels=9, width=40, height=30, size=0.4)
+    a, b = torch.rand(2, 30, 40, 3)
+
+    def everything():
+        image = a.clone().requires_grad_()
+        loss = l1_ssim(image, b, None, backend="cuda")
+        loss.backward()
+        scene3 = scene | {"channels": scene["channels"][:, :3], "background": scene["background"][:3]}
+        return [*run(scene)[0].values(), *contributions_of(scene3, images=2), loss, image.grad]
+
+    fair = everything()
+    for order in (1, 2):
+        monkeypatch.setattr(fibres, "order", order)
+        assert all(torch.equal(x, y) for x, y in zip(fair, everything(), strict=True))
+
+
+def test_large_pictures_have_more_tiles_than_16_bits():
+    size = 16 * 182
+    scene = changed(n=3, width=size, height=size)
+    tensors = [v for v in on_device(scene).values() if isinstance(v, torch.Tensor)]
+    means, quats, scales, opacities, channels, viewmat, K, background = tensors
+    projection = cuda.project(means, quats, scales, opacities, channels, viewmat, K, size, size)
+    geometry = projection.means2d, projection.conics, opacities, projection.depths, projection.radii
+    pairs = cuda._pairs(*geometry, size, size)
+    tile_of = torch.searchsorted(pairs.tile_starts, torch.arange(len(pairs.ids), device=DEVICE), right=True) - 1
+    assert pairs.tile_starts.shape == (182 * 182 + 1,) and pairs.tile_starts[-1] == len(pairs.ids) > 0
+    places = (tile_of % 182 * 16 + 8, tile_of // 182 * 16 + 8)
+    for axis, place in enumerate(places):
+        assert ((place - projection.means2d[pairs.ids.long(), axis]).abs() < projection.radii.max() + 17).all()
+
+
+def test_too_many_pairs_are_refused():
+    scene = on_device(changed(n=1500, width=20_000, height=20_000, scales=lambda s: s * 0 + 1e4))
+    with pytest.raises(InputError, match="meet [0-9]{10} tiles"):
+        rasterize(**scene, backend="cuda")
+
+
+# -- contributions -----------------------------------------------------------------------------------------------------
+
+
+def contributions_of(scene, images):
+    pictures = random_pictures(scene, images)
+    found = contributions(**on_device(scene | pictures), backend="cuda")
+    return [value.double().cpu() for value in (found.weighted, found.importance, found.error)]
+
+
+def random_pictures(scene, images):
+    generator = torch.Generator().manual_seed(5)
+    size = scene["height"], scene["width"]
+    return {
+        "weights": torch.rand(*size, images, generator=generator, dtype=torch.float64),
+        "image_gradient": torch.randn(*size, scene["channels"].shape[1], generator=generator, dtype=torch.float64),
+    }
+
+
+def contributions_by_the_book(scene, images):
+    """One Gaussian after the other, pixel by pixel."""
+    names = ("means", "quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")
+    seen, pictures = project(*(scene[name] for name in names)), random_pictures(scene, images)
+    n = len(scene["means"])
+    sums = torch.zeros(n, images).double(), torch.zeros(n).double(), torch.zeros(n).double()
+    order = [i for i in torch.argsort(seen.depths, stable=True).tolist() if seen.radii[i] > 0]
+    for y in range(scene["height"]):
+        for x in range(scene["width"]):
+            drawn, transmittance = [], 1.0
+            for i in order:
+                (u, v), (a, b, c), opacity = seen.means2d[i].tolist(), seen.conics[i].tolist(), scene["opacities"][i]
+                dx, dy = u - x - 0.5, v - y - 0.5
+                unclamped = opacity.item() * math.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
+                alpha = min(unclamped, 0.99)
+                if alpha < 1 / 255:
+                    continue
+                if transmittance * (1 - alpha) <= 1e-4:
+                    break
+                drawn.append((i, alpha, transmittance, unclamped < 0.99))
+                transmittance *= 1 - alpha
+            behind = scene["background"]
+            for i, alpha, before, varies in reversed(drawn):
+                color = scene["channels"][i]
+                change = scene["opacities"][i] * before * (color - behind) * varies
+                sums[0][i] += before * alpha * pictures["weights"][y, x]
+                sums[1][i] += change.square().sum()
+                sums[2][i] += (pictures["image_gradient"][y, x] * change).sum() ** 2
+                behind = alpha * color + (1 - alpha) * behind
+    return sums
+
+
+@pytest.mark.parametrize("channels, images", [(1, 0), (3, 3), (8, 14)])
+def test_contributions_agree_with_their_definition(channels, images):
+    scene = next(clear_scenes(1, n=25, channels=channels, width=19, height=17, size=0.5))
+    turn, shift = scene["viewmat"][:3, :3], scene["viewmat"][:3, 3]
+    scene["means"][0] = turn.T @ (torch.tensor([0.0, 0.0, 1.2]).double() - shift)
+    scene["opacities"][0], scene["scales"][0] = 1.0, 0.5  # clamped at its centre, in the picture
+    truth, result = contributions_by_the_book(scene, images), contributions_of(scene, images)
+    for value, expected in zip(result, truth, strict=True):
+        assert value.shape == expected.shape
+        assert not expected.numel() or relative_error(value, expected) < 1e-5
+
+
+# -- colours, loss, optimiser ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("degree, stored", [(0, 0), (0, 3), (1, 1), (2, 3), (3, 3)])
+def test_sh_colors_agree_with_torch(degree, stored):
+    generator = torch.Generator().manual_seed(degree)
+    sh0, shN, directions, weights = (
+        torch.randn(300, *shape, generator=generator, dtype=torch.float64)
+        for shape in ((1, 3), ((stored + 1) ** 2 - 1, 3), (3,), (3,))
+    )
+    directions /= directions.norm(dim=1, keepdim=True)
+
+    def colors_and_gradients(backend, dtype, device):
+        inputs = [tensor.to(device, dtype, copy=True).requires_grad_() for tensor in (sh0, shN)]
+        colors = evaluate_sh(*inputs, directions.to(device, dtype), degree, backend)
+        (colors * weights.to(colors)).sum().backward()
+        return [value.detach().double().cpu() for value in (colors, *(tensor.grad for tensor in inputs))]
+
+    truth = colors_and_gradients("torch", torch.float64, "cpu")
+    assert (truth[0] == 0).any() and (truth[0] > 0).any()
+    for value, expected in zip(colors_and_gradients("cuda", torch.float32, DEVICE), truth, strict=True):
+        torch.testing.assert_close(value, expected, atol=2e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("height, width", [(1, 1), (7, 40), (45, 35)])
+def test_l1_ssim_agrees_with_torch(height, width):
+    generator = torch.Generator().manual_seed(height)
+    target = torch.rand(height, width, 3, generator=generator, dtype=torch.float64)
+    image = (target + 0.2 * torch.randn(height, width, 3, generator=generator, dtype=torch.float64)).clamp(0, 1)
+    image[2:3] = target[2:3]  # |image - target| has no slope there
+
+    def losses(backend, dtype, device):
+        a, b = image.to(device, dtype, copy=True).requires_grad_(), target.to(device, dtype)
+        l1_ssim(a, b, None, 0.3, backend).backward()
+        values = l1_ssim(a, b, None, 0.0, backend), ssim(a, b, backend), a.grad
+        return [value.detach().double().cpu() for value in values]
+
+    truth = losses("torch", torch.float64, "cpu")
+    for value, expected in zip(losses("cuda", torch.float32, DEVICE), truth, strict=True):
+        assert relative_error(value, expected) < 1e-5
+
+
+@pytest.mark.parametrize("light", ["linear", "srgb"])
+@pytest.mark.parametrize("degree", [0, 1, 2])
+def test_water_agrees_with_torch(degree, light):
+    def seen_and_gradients(backend, dtype, device):
+        colors, offsets, medium = make_water(400, light, dtype=dtype)
+        medium, leaves = medium.to(device), [t.to(device).requires_grad_() for t in (colors, offsets)]
+        parameters = [t.requires_grad_() for t in medium.parameters().values()]
+        camera = (t.to(device, dtype) for t in WATER_CAMERA)
+        seen = through_water(*leaves, medium, degree, backend=backend)
+        behind = open_water(medium, *camera, 22, 16, degree, backend=backend)
+        weights = (torch.randn(t.shape, generator=torch.Generator().manual_seed(3)).to(t) for t in (seen, behind))
+        total = sum((t * w).sum() for t, w in zip((seen, behind), weights, strict=True))
+        gradients = torch.autograd.grad(total, [*leaves, *parameters])
+        return [t.detach().double().cpu() for t in (seen, behind, *gradients)]
+
+    truth = seen_and_gradients("torch", torch.float64, "cpu")
+    for value, expected in zip(seen_and_gradients("cuda", torch.float32, DEVICE), truth, strict=True):
+        assert relative_error(value, expected) < 2e-5
+
+
+@pytest.mark.parametrize("raw", [-200.0, 1e4])
+@pytest.mark.parametrize("range_", [0.0, 1e-20, 1e6])
+def test_water_stays_finite(raw, range_):
+    colors, offsets = torch.tensor([[0.0, 0.5, 1.3]]), torch.tensor([[0.0, 0.0, range_]])
+    medium = Medium(torch.full((3,), raw), torch.full((3,), raw), torch.zeros(9, 3), 1.0)
+    medium.veil[0] = torch.tensor([-300.0, 0.0, 300.0])
+    medium = medium.to(torch.device(DEVICE))
+    leaves = [t.to(DEVICE).requires_grad_() for t in (colors, offsets)]
+    parameters = [t.requires_grad_() for t in medium.parameters().values()]
+    seen = through_water(*leaves, medium, backend="cuda")
+    assert seen.isfinite().all()
+    assert all(g.isfinite().all() for g in torch.autograd.grad(seen.sum(), [*leaves, *parameters]))
+
+
+def test_adam_agrees_with_torch():
+    def trajectory(backend, dtype, device):
+        generator = torch.Generator().manual_seed(0)
+        parameter = torch.randn(40, 5, 3, generator=generator, dtype=torch.float64).to(device, dtype)
+        moments = torch.zeros_like(parameter), torch.zeros_like(parameter)
+        for step in range(1, 6):
+            gradient = torch.randn(40, 5, 3, generator=generator, dtype=torch.float64).to(device, dtype)
+            adam_step(parameter, gradient, *moments, 0.1, step, backend)
+        return [value.double().cpu() for value in (parameter, *moments)]
+
+    truth = trajectory("torch", torch.float64, "cpu")
+    for value, expected in zip(trajectory("cuda", torch.float32, DEVICE), truth, strict=True):
+        torch.testing.assert_close(value, expected, atol=2e-6, rtol=1e-5)
+
+
+# -- fibres ------------------------------------------------------------------------------------------------------------
+
+STUCK = """
+extern "C" __global__ void stuck(float *values) {
+    if (threadIdx.x == 40) __syncthreads();
+    values[threadIdx.x] = __shfl_xor_sync(0xffffffffu, values[threadIdx.x], 1);
+}
+"""
+
+
+@on_fibres
+def test_a_barrier_that_some_threads_miss_is_reported(tmp_path):
+    source = tmp_path / "stuck.cu"
+    source.write_text(STUCK)
+    fibres = Fibres(tmp_path, [source])
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="stuck, block 0: 32 threads wait"):
+            fibres.launch("stuck", 1, 64, [torch.zeros(64)])
+    values = torch.arange(32.0)
+    fibres.launch("stuck", 1, 32, [values])
+    assert torch.equal(values, torch.arange(32.0) + torch.tensor([1.0, -1.0]).repeat(16))
+
+
+@on_fibres
+def test_wrong_arguments_are_refused(fibres):
+    with pytest.raises(TypeError, match="sh_forward takes iiiFFFF, not iifF"):
+        fibres.launch("sh_forward", 1, 256, [1, 2, 0.5, torch.zeros(3)])
+
+
+@on_fibres
+def test_what_gpu_check_times_runs(monkeypatch):
+    monkeypatch.setattr(gpu_check, "DEVICE", torch.device("cpu"))
+    gpu_check.small_scene()
+    for step in gpu_check.stages(300, 64, 48).values():
+        step()
+
+
+# -- PTX and the driver ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def ptx():
+    try:
+        return build.build_ptx()
+    except build.metadata.PackageNotFoundError:
+        pytest.skip(f"{build.NVRTC} is not installed")
+
+
+def test_ptx_is_built_once(ptx):
+    assert ptx.read_text(encoding="ascii").count(".entry blend_forward_") == cuda.GROUP
+    written = ptx.stat().st_mtime_ns
+    assert build.build_ptx() == ptx == build.ptx_path() and ptx.stat().st_mtime_ns == written
+
+
+@pytest.mark.parametrize("architecture", gpu_check.ARCHITECTURES)
+def test_every_kernel_assembles_without_spills(architecture, ptx):
+    if not gpu_check.find_ptxas():
+        pytest.skip(f"{gpu_check.PTXAS} is not installed")
+    kernels = gpu_check.assemble(ptx, architecture)
+    assert {"adam_step", "blend_backward_8", "contributions_8", "l1_ssim_forward", "pack"} <= kernels.keys()
+    spilling = {name: found for name, found in kernels.items() if found["spills"] or found["stack"]}
+    assert not spilling
+
+
+def test_ptx_that_does_not_compile_says_why(ptx, tmp_path, monkeypatch):
+    (tmp_path / "wrong.cu").write_text("int wrong = nothing;")
+    for name, value in {"FOLDER": tmp_path, "CUDA_SOURCES": ("wrong.cu",), "CUDA_HEADERS": ()}.items():
+        monkeypatch.setattr(build, name, value)
+    with pytest.raises(RuntimeError, match='wrong.cu.*identifier "nothing" is undefined'):
+        build.build_ptx()
+
+
+FAKE_DRIVER = r"""
+#include <stdint.h>
+#include <string.h>
+int version = 12080, load_error = 0, contexts = 0;
+unsigned grid, block;
+void *stream;
+int cuDriverGetVersion(int *to) { return *to = version, 0; }
+int cuDeviceGet(int *to, int ordinal) { return *to = ordinal, 0; }
+int cuDevicePrimaryCtxRetain(void **to, int device) { return *to = (void *)0x123456789abcLL, 0; }
+int cuCtxPushCurrent_v2(void *context) { return contexts++, context == (void *)0x123456789abcLL ? 0 : 201; }
+int cuCtxPopCurrent_v2(void **to) { return contexts--, 0; }
+int cuModuleLoadDataEx(void **to, const char *ptx, unsigned count, int *options, void **values) {
+    if (load_error && count == 2 && options[0] == 5 && options[1] == 6)
+        strncpy((char *)values[0], "line 1 is wrong", (size_t)values[1]);
+    *to = (void *)0x7fff00000001LL;
+    return contexts != 1 || !strstr(ptx, ".entry pack(") ? 1 : load_error;
+}
+int cuModuleGetFunction(void **to, void *module, const char *name) {
+    *to = (void *)0x7fff00000002LL;
+    return module != (void *)0x7fff00000001LL || strcmp(name, "probe") ? 500 : 0;
+}
+int cuLaunchKernel(void *function, unsigned gx, unsigned gy, unsigned gz, unsigned bx, unsigned by, unsigned bz,
+                   unsigned shared, void *on, void **values, void **extra) {
+    if (function != (void *)0x7fff00000002LL || gy * gz * by * bz != 1 || shared || extra || contexts != 1) return 1;
+    grid = gx, block = bx, stream = on;
+    (*(float **)values[0])[0] = (float)(*(int64_t *)values[1] >> 32);
+    (*(float **)values[0])[1] = *(float *)values[2];
+    return 0;
+}
+int cuGetErrorString(int error, const char **to) { return *to = error == 500 ? "not found" : "too bad", 0; }
+"""
+
+
+@pytest.fixture(scope="module")
+def fake_library(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fake driver")
+    (folder / "fake.c").write_text(FAKE_DRIVER)
+    command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", "fake.c", "-o", "fake.so"]
+    subprocess.run(command, cwd=folder, check=True)
+    return ctypes.CDLL(str(folder / "fake.so"))
+
+
+@pytest.fixture
+def fake(fake_library, ptx, monkeypatch):
+    """A machine with a card, as far as Driver can see; its tensors are the CPU's."""
+    monkeypatch.setattr(cuda_driver, "_load_library", lambda: fake_library)
+    monkeypatch.setattr(cuda_driver.Driver, "device_type", "cpu")
+    monkeypatch.setattr(torch.version, "cuda", "12.8")
+    answers = {
+        "is_available": True,
+        "get_device_capability": (8, 6),
+        "get_device_name": "Fake 1",
+        "current_device": 0,
+        "synchronize": None,
+        "current_stream": SimpleNamespace(cuda_stream=2**40 + 7),
+    }
+    for name, answer in answers.items():
+        monkeypatch.setattr(torch.cuda, name, lambda *_, answer=answer: answer)
+    yield fake_library
+    assert ctypes.c_int.in_dll(fake_library, "contexts").value == 0
+    ctypes.c_int.in_dll(fake_library, "version").value = 12080
+    ctypes.c_int.in_dll(fake_library, "load_error").value = 0
+
+
+def test_the_driver_passes_arguments_grid_and_stream(fake):
+    values = torch.zeros(2)
+    cuda_driver.Driver().launch("probe", 2**31 - 1, 256, [values, 5 << 32, 0.25])
+    assert values.tolist() == [5.0, 0.25]
+    assert ctypes.c_uint.in_dll(fake, "grid").value == 2**31 - 1
+    assert ctypes.c_uint.in_dll(fake, "block").value == 256
+    assert ctypes.c_void_p.in_dll(fake, "stream").value == 2**40 + 7
+
+
+def test_no_blocks_no_launch(fake):
+    cuda_driver.Driver().launch("no such kernel", 0, 256, [torch.zeros(2)])
+
+
+def test_errors_of_the_driver_are_put_in_words(fake):
+    with pytest.raises(cuda_driver.CudaError, match="cuModuleGetFunction failed with error 500, not found"):
+        cuda_driver.Driver().launch("no such kernel", 1, 256, [torch.zeros(2)])
+
+
+def without_library():
+    raise OSError("libcuda.so.1: cannot open shared object file")
+
+
+@pytest.mark.parametrize(
+    "where, name, value, reason",
+    [
+        (torch.version, "cuda", None, "this PyTorch was built without CUDA"),
+        (cuda_driver, "_load_library", without_library, "no NVIDIA driver is installed"),
+        (torch.cuda, "is_available", lambda: False, "PyTorch finds no NVIDIA card"),
+        (torch.cuda, "get_device_capability", lambda: (6, 1), "Fake 1 has compute capability 6.1"),
+        (cuda_driver, "ptx_path", lambda: build.FOLDER / "none.ptx", "its kernels are not built"),
+        ("library", "version", 11080, "the NVIDIA driver knows CUDA 11.8, 12.0 is needed"),
+        ("library", "load_error", 222, "error 222, too bad\nline 1 is wrong"),
+    ],
+)
+def test_users_are_told_why_there_is_no_cuda(where, name, value, reason, fake, monkeypatch):
+    if where == "library":
+        ctypes.c_int.in_dll(fake, name).value = value
+    else:
+        monkeypatch.setattr(where, name, value)
+    assert reason in uncached_driver()

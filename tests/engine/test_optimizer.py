@@ -1,0 +1,38 @@
+"""Adam: the torch path against torch.optim, the kernel against it in float64."""
+
+import pytest
+import torch
+
+from swag_engine.training.optimizer import adam_step
+
+
+def trajectory(dtype, backend, steps=5):
+    generator = torch.Generator().manual_seed(0)
+    parameter = torch.randn(40, 5, 3, generator=generator, dtype=torch.float64).to(dtype)
+    mean, square = torch.zeros_like(parameter), torch.zeros_like(parameter)
+    for step in range(1, steps + 1):
+        gradient = torch.randn(40, 5, 3, generator=generator, dtype=torch.float64).to(dtype)
+        adam_step(parameter, gradient, mean, square, 0.1, step, backend)
+    return parameter, mean, square
+
+
+def test_it_is_adam():
+    generator = torch.Generator().manual_seed(0)
+    parameter = torch.randn(40, 5, 3, generator=generator, dtype=torch.float64).requires_grad_()
+    adam = torch.optim.Adam([parameter], lr=0.1, eps=1e-15)
+    for _ in range(5):
+        parameter.grad = torch.randn(40, 5, 3, generator=generator, dtype=torch.float64)
+        adam.step()
+    torch.testing.assert_close(trajectory(torch.float64, "torch")[0], parameter.detach())
+
+
+def test_the_kernel_agrees():
+    truth, result = trajectory(torch.float64, "torch"), trajectory(torch.float32, "cpu")
+    for value, expected in zip(result, truth, strict=True):
+        torch.testing.assert_close(value.double(), expected, atol=2e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("backend", ["cpu", "torch"])
+def test_an_empty_parameter_is_fine(backend):
+    empty = torch.zeros(0, 3)
+    adam_step(empty, empty.clone(), empty.clone(), empty.clone(), 0.1, 1, backend)

@@ -1,0 +1,38 @@
+"""The kernels built with address and undefined-behaviour sanitizers run their tests: no read or write out of bounds."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from swag_engine.rasterize.kernels import build
+
+ROOT = Path(__file__).resolve().parents[2]
+TESTS = ("test_rasterize.py", "test_losses.py", "test_optimizer.py", "test_sh.py")
+RUN = """
+import ctypes, sys
+import pytest
+from swag_engine.rasterize import cpu, cpu_library
+kernels = ctypes.CDLL(sys.argv[1])
+cpu_library.library = cpu.library = lambda: kernels
+skipped = "instruction_set or fallback or without_kernels or build_compiles"
+sys.exit(pytest.main(["-x", "-v", "-p", "no:cacheprovider", "-k", f"not ({skipped})", *sys.argv[2:]]))
+"""
+
+
+@pytest.mark.skipif(not shutil.which("g++") or sys.platform != "linux", reason="needs g++ on Linux")
+def test_kernels_stay_in_bounds(tmp_path):
+    library = tmp_path / "sanitized.so"
+    flags = ["-std=c++17", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    flags += ["-fno-omit-frame-pointer", "-ffp-contract=fast", "-fPIC", "-shared", "-DVW=8", "-mavx2", "-mfma"]
+    subprocess.run(["g++", *flags, *build.SOURCES, "-o", str(library)], cwd=build.FOLDER, check=True)
+    asan = subprocess.run(["g++", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True).stdout
+    environment = os.environ | {"LD_PRELOAD": asan.strip(), "ASAN_OPTIONS": "detect_leaks=0", "PYTHONPATH": str(ROOT)}
+    tests = [str(ROOT / "tests" / "engine" / name) for name in TESTS]
+    command = [sys.executable, "-c", RUN, str(library), *tests]
+    done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-6000:]
+    assert "passed" in done.stdout
