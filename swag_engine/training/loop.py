@@ -19,6 +19,7 @@ from ..formats.ply import write_ply
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.grow import Growth, GrowthStatistics
 from ..gaussians.init import gaussians_from_points
+from ..gaussians.sh import C0
 from ..rasterize.backends import device_for
 from ..rasterize.render import render
 from ..scene.cameras import Camera
@@ -26,7 +27,7 @@ from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
 from ..water.identify import FIT_WIDTH, fit_water, observe
-from ..water.medium import MAX_DEGREE, SETTINGS, Medium
+from ..water.medium import MAX_DEGREE, SETTINGS, Medium, without_water
 from .checkpoint import load_checkpoint, save_checkpoint
 from .config import LearningRates, Schedule, TrainSettings
 from .losses import l1_ssim
@@ -135,7 +136,9 @@ class Trainer:
         self.start_count = len(cloud)
         self.recipe = RECIPES[settings.recipe]
         self.water_note, medium = self.find_water() if self.recipe.water else ("", None)
-        self.optimizer = Optimizer(cloud.to(self.device), medium, settings.backend)
+        if medium:
+            self.take_water_away(cloud, medium)
+        self.optimizer = Optimizer(cloud.to(self.device), medium and medium.to(self.device), settings.backend)
         self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
 
     @property
@@ -150,13 +153,20 @@ class Trainer:
         """What the sparse points say of the water, in one sentence, and the medium that training starts from."""
         width = max(self.settings.width, FIT_WIDTH)
         views = {view.camera.name: view for view in self.scene.views}
-        seen = [views[image.camera.name] for image in self.training]
-        images = load_images(self.scene, seen, width) if width > self.settings.width else self.training
+        known = self.training + self.validation
+        seen = [views[image.camera.name] for image in known]
+        images = load_images(self.scene, seen, width) if width > self.settings.width else known
         fit = fit_water(observe(images, [view.point_indices for view in seen], self.scene.points))
         if not fit.found:
             return fit.reason, None
         start = (torch.from_numpy(values).float() for values in (fit.beta_D, fit.beta_B, fit.B))
-        return fit.reason, Medium.starting(self.median_range, "linear", *start).to(self.device)
+        return fit.reason, Medium.starting(self.median_range, "linear", *start)
+
+    def take_water_away(self, cloud: GaussianCloud, medium: Medium) -> None:
+        """Let the colours, which are those of the points as photographed, begin as they are without the water."""
+        centres = torch.from_numpy(np.stack([image.camera.centre for image in self.training])).to(cloud.means)
+        ranges = torch.cdist(cloud.means, centres).median(dim=1).values
+        cloud.sh0[:, 0] = (without_water(0.5 + C0 * cloud.sh0[:, 0], ranges, medium) - 0.5) / C0
 
     def load_photographs(self) -> dict[str, TrainingImage]:
         def progress(done: int, total: int) -> None:

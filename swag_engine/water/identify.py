@@ -23,6 +23,7 @@ FAR_WINDOW = 0.75
 MAX_WINDOW = 40
 LEAST_OBSERVATIONS = 200
 LEAST_RANGE_RATIO = 1.15
+"""Of a point's farthest sighting to its nearest, that one point in twenty must have."""
 LEAST_CHANGE = 0.10
 """Share of its colour that the scene's range must take from a channel."""
 LEAST_VEIL = 0.02
@@ -113,10 +114,10 @@ def fit_water(observations: Observations) -> WaterFit:
         return _nothing(f"The water cannot be told: only {len(observations.track)} sightings of points can be used.")
     ranges, light = observations.ranges, observations.light
     near, unit, far = np.quantile(ranges, (0.05, 0.5, 0.95))
-    ratio = np.median(_track_ratio(observations))
+    ratio = np.quantile(_track_ratio(observations), 0.95)
     if ratio < LEAST_RANGE_RATIO:
         return _nothing(
-            f"The water cannot be told: a typical point is seen from ranges of ratio {ratio:.2f} only "
+            f"The water cannot be told: points are seen from ranges of ratio {ratio:.2f} at most "
             f"({LEAST_RANGE_RATIO} at least)."
         )
     _, track = np.unique(observations.track, return_inverse=True)

@@ -21,6 +21,7 @@ from ..rasterize.backends import kernels_for
 
 Light = Literal["linear", "srgb"]
 MAX_DEGREE = 2
+BRIGHTEST = 1.2  # display value
 
 
 @dataclass
@@ -128,6 +129,19 @@ def through_water(
     veil = amount * _veil(directions, values, degree)
     light = J * torch.exp(-amount * values[:3] * ranges) - veil * torch.expm1(-amount * values[3:6] * ranges)
     return to_display(light) if linear else light
+
+
+@torch.no_grad()
+def without_water(seen: Tensor, ranges: Tensor, medium: Medium) -> Tensor:
+    """Display colours (N, 3) without the water, from those seen at ranges (N,) through it; at most BRIGHTEST.
+
+    The inverse of through_water with B of degree 0, for starting values: what the water has drowned stays dark.
+    """
+    r = ranges[:, None]
+    B = _veil(torch.zeros_like(seen[:1]), medium.values(), 0)
+    light = to_light(seen) if medium.light == "linear" else seen
+    J = (light + B * torch.expm1(-medium.beta_B * r)).clamp(min=0) * torch.exp(medium.beta_D * r)
+    return (to_display(J) if medium.light == "linear" else J).clamp(max=BRIGHTEST)
 
 
 def open_water(

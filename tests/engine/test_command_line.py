@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAIN = ["--iterations", "60", "--width", "64", "--max-gaussians", "400", "--sh-degree", "0"]
@@ -111,3 +112,35 @@ def test_bad_input_is_one_sentence(arguments):
 def test_usage_errors_exit_with_two():
     assert swag("paint").returncode == 2
     assert swag("train").returncode == 2
+
+
+def test_torch_trains_where_no_kernel_runs(tiny_scene, tmp_path):
+    done = swag("train", tiny_scene, "--out", tmp_path / "run", "--json", "--backend", "torch", *TRAIN)
+    metrics = json.loads(done.stdout)["metrics"]
+    assert metrics["iteration"] == 60 and metrics["test_psnr"] > metrics["control_psnr"]
+
+
+def test_the_doctor_says_what_runs_and_why_not_the_other():
+    found = json.loads(swag("doctor", "--json").stdout)
+    text = swag("doctor").stdout
+    assert found["packages"]["torch"] == torch.__version__ and found["backends"]["cpu"]["runs"]
+    cuda = found["backends"]["cuda"]
+    if cuda["runs"]:
+        assert found["auto"] == "cuda" and cuda["device"] in text
+    else:
+        assert found["auto"] == "cpu" and f"backend cuda: does not run here: {cuda['reason']}" in text
+    assert f"Training takes {found['auto']}." in text
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a card here")
+def test_asking_for_a_card_that_is_not_there_is_one_sentence_and_leaves_nothing(tiny_scene, tmp_path):
+    done = swag("train", tiny_scene, "--out", tmp_path / "run", "--backend", "cuda", *TRAIN)
+    assert_one_sentence(done)
+    assert done.stderr.startswith("The cuda backend cannot run here: ") and not (tmp_path / "run").exists()
+
+
+def test_a_missing_package_is_named(tmp_path):
+    (tmp_path / "torch.py").write_text("raise ModuleNotFoundError(\"No module named 'torch'\", name='torch')")
+    done = swag("doctor", env={"PYTHONPATH": str(tmp_path)})
+    assert_one_sentence(done)
+    assert "lacks the package torch" in done.stderr

@@ -11,7 +11,7 @@ import torch
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.water.identify import Observations, fit_water, observe
-from swag_engine.water.medium import Medium, open_water, through_water, to_display, to_light
+from swag_engine.water.medium import Medium, open_water, through_water, to_display, to_light, without_water
 
 CAMERA = torch.eye(4, dtype=torch.float64), torch.tensor([[20.0, 0, 11], [0, 21, 8], [0, 0, 1]], dtype=torch.float64)
 
@@ -56,6 +56,17 @@ def test_no_water_changes_nothing_and_far_things_become_water(light):
     half = through_water(colors[:1], middle, medium, amount=0.5)
     expected = 0.5 * (to_light(far) if light == "linear" else far)
     torch.testing.assert_close(to_light(half) if light == "linear" else half, expected)
+
+
+@pytest.mark.parametrize("light", ["linear", "srgb"])
+def test_colours_for_the_start_are_the_inverse(light):
+    colors, offsets, medium = make(light=light)
+    medium.veil[1:] = 0
+    seen = through_water(colors, offsets, medium, 0)
+    restored = without_water(seen, offsets.norm(dim=1), medium)
+    torch.testing.assert_close(restored, colors)
+    drowned = without_water(seen * 0 + 1, offsets.norm(dim=1) * 1e4, medium)
+    assert drowned.isfinite().all() and (drowned <= 1.2).all()
 
 
 @pytest.mark.parametrize("seed", range(5))
