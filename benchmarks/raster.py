@@ -34,7 +34,7 @@ from swag_engine.rasterize import cpu, projection, reference  # noqa: E402
 from swag_engine.rasterize.render import render  # noqa: E402
 from swag_engine.scene.cameras import Camera  # noqa: E402
 from swag_engine.training.config import LearningRates  # noqa: E402
-from swag_engine.training.losses import l1_ssim  # noqa: E402
+from swag_engine.training.losses import photometric  # noqa: E402
 from swag_engine.training.optimizer import Optimizer  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results"
@@ -79,7 +79,7 @@ def iteration(n: int, width: int, height: int, backend: str) -> Callable[[], Non
 
     def step() -> None:
         picture = render(cloud, camera, 3, backend=backend)
-        l1_ssim(picture.color, target, None, backend=backend).backward()
+        photometric(picture.color, target, None, backend=backend).backward()
         optimizer.step(rates)
 
     return step

@@ -22,6 +22,10 @@ def _mirrored(name: str, label: str, description: str) -> Any:
     default = getattr(TrainSettings(), name)
     if isinstance(default, int):
         return IntProperty(name=label, description=description, default=default, min=0)
+    if isinstance(default, float):
+        return FloatProperty(name=label, description=description, default=default, min=0, precision=4)
+    if TrainSettings.__dataclass_fields__[name].type is str:
+        return StringProperty(name=label, description=description, default=default)
     choices = typing.get_args(TrainSettings.__dataclass_fields__[name].type)
     return EnumProperty(
         name=label, description=description, items=[(choice, choice, "") for choice in choices], default=default
@@ -41,7 +45,21 @@ class SwagScene(PropertyGroup):
     )
     found: StringProperty(description="What the folder of photographs holds, in words")
 
-    recipe: _mirrored("recipe", "Method", "swag takes the water away, 3dgs shows the place as photographed")
+    recipe: _mirrored(
+        "recipe",
+        "Method",
+        "swag takes the water away, 3dgs shows the place as photographed; the others follow published methods",
+    )
+    effects: _mirrored("effects", "Effects", "Parts of the method switched by hand, as in water=off,depth=on")
+    water_type: _mirrored(
+        "water_type",
+        "Water",
+        "auto asks the photographs; or a Jerlov type (I IA IB II III 1C 3C 5C 7C 9C), or the attenuation of red, green "
+        "and blue per metre as in 0.3,0.1,0.06",
+    )
+    metres_per_unit: _mirrored(
+        "metres_per_unit", "Metres per Unit", "Metres that one unit of the COLMAP scene is; 0 where that is not known"
+    )
     iterations: _mirrored("iterations", "Iterations", "Number of optimisation steps; each looks at one photograph")
     width: _mirrored("width", "Width", "Width in pixels that the photographs are trained at")
     max_gaussians: _mirrored("max_gaussians", "Max Gaussians", "Most Gaussians that the scene may grow to")
@@ -90,7 +108,7 @@ class SwagScene(PropertyGroup):
         self.result_psnr = metrics.get("test_psnr") or 0.0
         self.result_ssim = metrics.get("test_ssim") or 0.0
         self.result_seconds = metrics["seconds"]
-        self.result_water = metrics["water"]
+        self.result_water = " ".join([metrics["water"], *metrics["notes"]]).strip()
         self.result_interrupted = event["interrupted"]
 
 

@@ -9,6 +9,7 @@ import operator
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,6 +17,8 @@ from typing import Annotated, Any
 import tyro
 
 from .errors import InputError
+from .formats.export import ExportOptions, export_run
+from .formats.export import describe as describe_export
 from .protocol import ExportFormat
 from .strict_json import to_json
 from .threads import wait_politely
@@ -78,6 +81,8 @@ class Train:
     settings: tyro.conf.OmitArgPrefixes[TrainSettings] = field(default_factory=TrainSettings)
     resume: tyro.conf.FlagCreatePairsOff[bool] = False
     """Go on with the run in --out where it stopped."""
+    weights_dir: Path | None = None
+    """Folder of pretrained networks, for depth priors and interpolated frames; the user's cache folder without it."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
@@ -85,17 +90,11 @@ class Train:
         from .progress import training_progress
         from .training.loop import train
 
-        stop = threading.Event()
-
-        def interrupt(signum: int, frame: object) -> None:
-            if stop.is_set():
-                raise KeyboardInterrupt
-            stop.set()
-            print("Stopping after this iteration; press Ctrl-C again to stop at once.", file=sys.stderr)
-
-        signal.signal(signal.SIGINT, interrupt)
+        should_stop = stop_on_interrupt()
         with training_progress() as on_event:
-            result = train(self.scene, self.out, self.settings, self.resume, on_event, stop.is_set)
+            result = train(
+                self.scene, self.out, self.settings, self.resume, on_event, should_stop, weights_dir=self.weights_dir
+            )
         metrics = result["metrics"]
         quality = (
             f"Held-out views: PSNR {metrics['test_psnr']:.2f} dB, SSIM {metrics['test_ssim']:.3f} "
@@ -106,6 +105,7 @@ class Train:
             f"{metrics['seconds'] / 60:.1f} minutes, {metrics['gaussians']} Gaussians.\n"
             f"{quality if metrics['views'] else 'Too few photographs to hold any out for a figure.'}\n"
             f"{metrics['water'] or 'The water is left in the colours.'}\n"
+            f"{''.join(note + chr(10) for note in metrics['notes'])}"
             f"Result: {result['ply']}"
         )
         show(result, self.json, text)
@@ -129,6 +129,44 @@ class Evaluate:
         evaluation = evaluate_run(self.run_folder, self.weights_dir)
         show(evaluation, self.json, describe(evaluation))
         return 0
+
+
+@dataclass(frozen=True)
+class Ablate:
+    """Train every method, and ours with each part switched, over several seeds, and print what each is worth.
+
+    Started again, it goes on where it stopped.
+    """
+
+    scene: tyro.conf.Positional[Path]
+    """Folder of the scene: photographs and a COLMAP model."""
+    out: Path
+    """Folder of the runs and of the table, ablation.md and ablation.json."""
+    seeds: int = 3
+    """Runs of each row."""
+    iterations: int = 1500
+    """Number of optimisation steps of each run."""
+    width: int = 320
+    """Width in pixels that the photographs are trained at."""
+    max_gaussians: int = 30_000
+    """Most Gaussians that the scene may grow to."""
+    weights_dir: Path | None = None
+    """Folder of pretrained networks; the user's cache folder without it."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .evaluation.ablate import ablate, table
+
+        settings = TrainSettings(iterations=self.iterations, width=self.width, max_gaussians=self.max_gaussians)
+
+        def told(name: str, seed: int, figures: dict[str, Any]) -> None:
+            quality = "not a number" if figures["test_psnr"] is None else f"{figures['test_psnr']:.2f} dB"
+            print(f"{name}, seed {seed}: test PSNR {quality}, {figures['seconds']:.0f} s", file=sys.stderr, flush=True)
+
+        document = ablate(self.scene, self.out, self.seeds, settings, self.weights_dir, told, stop_on_interrupt())
+        show(document, self.json, table(document))
+        return INTERRUPTED if document["interrupted"] else 0
 
 
 @dataclass(frozen=True)
@@ -164,15 +202,28 @@ class Export:
     """ply or glb."""
     out: Path
     """File to write."""
+    options: tyro.conf.OmitArgPrefixes[ExportOptions] = field(default_factory=ExportOptions)
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
-        from .formats.export import export_run
-
-        export_run(self.run_folder, self.format, self.out)
-        show({"out": str(self.out)}, self.json, str(self.out))
+        result = export_run(self.run_folder, self.format, self.out, self.options)
+        show(result, self.json, describe_export(result))
         return 0
+
+
+def stop_on_interrupt() -> Callable[[], bool]:
+    """Whether Ctrl-C was pressed; pressed again, it ends the program at once."""
+    stop = threading.Event()
+
+    def interrupt(signum: int, frame: object) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+        print("Stopping after this iteration; press Ctrl-C again to stop at once.", file=sys.stderr)
+
+    signal.signal(signal.SIGINT, interrupt)
+    return stop.is_set
 
 
 def show(document: dict[str, Any], as_json: bool, text: str) -> None:
@@ -195,7 +246,7 @@ class Doctor:
         return 0
 
 
-COMMANDS = (Inspect, Sfm, Train, Evaluate, Render, Export, Doctor)
+COMMANDS = (Inspect, Sfm, Train, Evaluate, Ablate, Render, Export, Doctor)
 
 
 def main(arguments: list[str] | None = None) -> int:

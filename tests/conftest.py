@@ -6,7 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from swag_engine.threads import wait_politely
+
 sys.path.insert(0, str(Path(__file__).parent / "scenes"))
+wait_politely()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -14,6 +14,7 @@ from ..scene.cameras import Camera
 from ..scene.images import TrainingImage
 from ..training.losses import ssim
 from ..water.medium import Medium
+from ..water.network import WaterNetwork
 
 FLOATER_GAP = 0.05
 """How far in front of a surface a floater is, in median ranges."""
@@ -42,7 +43,7 @@ def score_views(
     images: Sequence[TrainingImage],
     sh_degree: int,
     backend: str = "auto",
-    medium: Medium | None = None,
+    medium: Medium | WaterNetwork | None = None,
 ) -> list[ViewScore]:
     """Render every image's view and compare, at the size of the images, in 8 bits as both would be stored."""
     return [score_picture(image, picture(cloud, image.camera, sh_degree, backend, medium)) for image in images]
@@ -54,7 +55,7 @@ def picture(
     camera: Camera,
     sh_degree: int,
     backend: str = "auto",
-    medium: Medium | None = None,
+    medium: Medium | WaterNetwork | None = None,
     amount: float = 1.0,
 ) -> Tensor:
     """What `camera` sees through `amount` (0..1) of the water: (H, W, 3) on the CPU in 0..1, rounded as in 8 bits."""

@@ -20,6 +20,7 @@ from ..training.checkpoint import load_checkpoint
 from ..training.loop import cloud_from_tensors, median_range, medium_from_tensors
 from ..training.run_folder import RunFolder, write_json
 from ..water.medium import Medium
+from ..water.network import WaterNetwork
 from .lpips import BACKBONES, load_lpips
 from .metrics import (
     comparable,
@@ -184,7 +185,7 @@ def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) 
     return files
 
 
-def _newest(folder: Path) -> tuple[GaussianCloud, Medium | None, dict[str, Any]]:
+def _newest(folder: Path) -> tuple[GaussianCloud, Medium | WaterNetwork | None, dict[str, Any]]:
     """Gaussians and water of a run's newest checkpoint, where they are rendered fastest, and its state."""
     loaded = load_checkpoint(folder)
     if loaded is None:

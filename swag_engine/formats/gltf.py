@@ -7,6 +7,8 @@ turns them to glTF's Y up.
 import json
 import logging
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from math import atan
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from ..errors import InputError
 from ..files import atomic_path
 from ..gaussians.splats import Splats, cleaned, concatenate
 from ..gaussians.transform import quaternions, rotation_matrices, transformed
+from ..scene.cameras import Camera
 
 log = logging.getLogger(__name__)
 
@@ -29,33 +32,58 @@ ARRAY_BUFFER = 34962
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 # Splats handled at a time, few enough to stay in the processor's cache.
 BLOCK = 8192
-# The least a splat takes: float position and colour, one byte for each other number.
-SMALLEST_SPLAT = 32
 # How many times a scene may show the same splats, so that a small file cannot fill the memory.
 MOST_COPIES = 4
 COLMAP_UP = (0.0, -1.0, 0.0)
+# COLMAP's cameras look along z with y down, glTF's against z with y up.
+CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
+# What describes a scene of splats is a few kilobytes; Python needs 30 bytes for each byte of hostile JSON.
+MOST_JSON = 16 << 20
 
 
-def write_glb(path: Path, splats: Splats, up: Sequence[float] | np.ndarray = COLMAP_UP) -> None:
+def write_glb(
+    path: Path, splats: Splats, up: Sequence[float] | np.ndarray = COLMAP_UP, cameras: Sequence[Camera] = ()
+) -> None:
     """Write `splats` as GLB of their own degree. The file is whole or absent.
 
     up (3,) is the direction in the splats' world that viewers shall show as up: the node that holds the splats turns it
     to glTF's Y. The default suits COLMAP (y down; the node turns half around x, so that a viewer's first look is the
     cameras'), (0, 0, 1) suits Blender.
+    cameras: of the splats' world, written beside them under the same node. glTF has no principal point: the picture's
+    middle is taken, and the exact intrinsics are in the node's extras.
     COLOR_0 shows programs without splats the constant colour, as linear light. Extras become `_NAME` in upper case:
     integers within 16 bits as such, other numbers as float32.
     Raises InputError when there are no splats, more than a GLB can hold (4 GiB), a position is not finite, extras
     cannot be told apart or hold integers beyond 24 bits, the disk is full or the place cannot be written to.
     """
+    head, arrays = _assembled(path, splats, up, cameras)
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        file.write(head)
+        for array in arrays:
+            file.write(np.ascontiguousarray(array).data)
+
+
+def glb_size(
+    path: Path, splats: Splats, up: Sequence[float] | np.ndarray = COLMAP_UP, cameras: Sequence[Camera] = ()
+) -> int:
+    """Bytes that write_glb would write. Raises what write_glb raises before it writes."""
+    head, arrays = _assembled(path, splats, up, cameras)
+    return len(head) + sum(array.nbytes for array in arrays)
+
+
+def _assembled(
+    path: Path, splats: Splats, up: Sequence[float] | np.ndarray, cameras: Sequence[Camera]
+) -> tuple[bytes, list[np.ndarray]]:
+    """All that stands before the attributes, and these."""
     if not len(splats):
         raise InputError(f"There are no splats to write to {path}; choose at least one.")
     if not np.isfinite(splats.positions).all():
         raise InputError(f"Cannot write {path}: a splat's position is not finite; remove that splat.")
-    arrays = dict(_attributes(path, splats))
+    attributes = dict(_attributes(path, splats))
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
     offset = 0
-    for array, component, kind in arrays.values():
+    for array, component, kind in attributes.values():
         view = {"buffer": 0, "byteOffset": offset, "byteLength": array.nbytes, "target": ARRAY_BUFFER}
         accessor = {"bufferView": len(views), "componentType": component, "count": len(splats), "type": kind}
         if component != FLOAT and kind == "SCALAR":
@@ -67,35 +95,68 @@ def write_glb(path: Path, splats: Splats, up: Sequence[float] | np.ndarray = COL
         offset += array.nbytes
     accessors[0]["min"] = splats.positions.min(axis=0).tolist()
     accessors[0]["max"] = splats.positions.max(axis=0).tolist()
-    w, x, y, z = quaternions(_turn_to_y_up(up)).tolist()
     primitive = {
         "mode": 0,
-        "attributes": {name: index for index, name in enumerate(arrays)},
+        "attributes": {name: index for index, name in enumerate(attributes)},
         "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
     }
-    document = {
+    node: dict[str, Any] = {"name": path.stem, "mesh": 0, "rotation": _xyzw(turn_to_y_up(up))}
+    document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "SWAG Splatting"},
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": path.stem, "mesh": 0, "rotation": [x, y, z, w]}],
+        "nodes": [node],
         "meshes": [{"primitives": [primitive]}],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{"byteLength": offset}],
     }
+    if cameras:
+        # Nearer than a hundredth of the scene's size there is nothing to see, and a depth buffer needs some limit.
+        near = 0.01 * float(np.linalg.norm(np.ptp(np.percentile(splats.positions, (25, 75), axis=0), axis=0))) or 0.01
+        node["children"] = list(range(1, 1 + len(cameras)))
+        document["nodes"] += [_camera_node(camera, index) for index, camera in enumerate(cameras)]
+        document["cameras"] = [_camera(camera, near) for camera in cameras]
     text = json.dumps(document, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     total = 12 + 8 + len(text) + 8 + offset
     if total >= 2**32:
         raise InputError(f"{path} would be larger than the 4 GiB a GLB can hold; lower the SH degree or write a PLY.")
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        file.write(b"glTF" + np.array([2, total, len(text), JSON_CHUNK], "<u4").tobytes() + text)
-        file.write(np.array([offset, BINARY_CHUNK], "<u4").tobytes())
-        for array, _, _ in arrays.values():
-            file.write(np.ascontiguousarray(array).data)
+    head = b"glTF" + np.array([2, total, len(text), JSON_CHUNK], "<u4").tobytes() + text
+    return head + np.array([offset, BINARY_CHUNK], "<u4").tobytes(), [array for array, _, _ in attributes.values()]
 
 
+def _camera(camera: Camera, near: float) -> dict[str, Any]:
+    """A glTF camera of the same focal lengths."""
+    perspective = {
+        "yfov": 2 * atan(camera.height / (2 * camera.fy)),
+        "aspectRatio": (camera.width / camera.fx) / (camera.height / camera.fy),
+        "znear": near,
+    }
+    return {"name": camera.name, "type": "perspective", "perspective": perspective}
+
+
+def _camera_node(camera: Camera, index: int) -> dict[str, Any]:
+    """Where the camera of that index stands, among the splats."""
+    pose = np.linalg.inv(camera.world_to_camera) @ CAMERA_AXES
+    intrinsics = {name: value for name, value in asdict(camera).items() if name not in ("name", "world_to_camera")}
+    return {
+        "name": camera.name,
+        "camera": index,
+        "rotation": _xyzw(pose[:3, :3]),
+        "translation": pose[:3, 3].tolist(),
+        "extras": intrinsics,
+    }
+
+
+def _xyzw(rotation: np.ndarray) -> list[float]:
+    """A rotation matrix (3, 3) as glTF's quaternion."""
+    w, x, y, z = quaternions(rotation).tolist()
+    return [x, y, z, w]
+
+
+@np.errstate(over="ignore", invalid="ignore")  # numbers beyond float32 become infinities and are left out
 def read_glb(path: Path, up: Sequence[float] | np.ndarray = COLMAP_UP) -> Splats:
     """Read every Gaussian splat of a GLB's scene, in a world whose direction `up` is the scene's up (see write_glb).
 
@@ -106,16 +167,16 @@ def read_glb(path: Path, up: Sequence[float] | np.ndarray = COLMAP_UP) -> Splats
     Raises InputError when the file is missing, no GLB, without Gaussian splats, compressed, damaged or cut off.
     """
     from_y_up = np.eye(4)
-    from_y_up[:3, :3] = _turn_to_y_up(up).T
+    from_y_up[:3, :3] = turn_to_y_up(up).T
     try:
         document, binary = _chunks(path)
         parts = []
-        count = 0
+        size = 0
         for world, primitive in _splat_primitives(document):
-            part = _splats(path, document, binary, primitive)
-            count += len(part)
-            if count * SMALLEST_SPLAT > MOST_COPIES * len(binary):
+            size += _least_bytes(document, primitive)
+            if size > MOST_COPIES * len(binary):
                 raise ValueError("more splats than the file can hold")
+            part = _splats(path, document, binary, primitive)
             matrix = from_y_up @ world
             parts.append(part if np.allclose(matrix, np.eye(4), rtol=0, atol=1e-9) else transformed(part, matrix))
     except OSError as error:
@@ -157,7 +218,7 @@ def _harmonics(degree: int) -> list[str]:
     return [f"{EXTENSION}:SH_DEGREE_{band}_COEF_{i}" for band in range(degree + 1) for i in range(2 * band + 1)]
 
 
-def _turn_to_y_up(up: Sequence[float] | np.ndarray) -> np.ndarray:
+def turn_to_y_up(up: Sequence[float] | np.ndarray) -> np.ndarray:
     """The rotation (3, 3) that takes `up` to y: half around x first when it points below, then the shortest way."""
     direction = np.asarray(up, np.float64)
     length = np.linalg.norm(direction)
@@ -182,8 +243,8 @@ def _chunks(path: Path) -> tuple[dict[str, Any], memoryview]:
         raise InputError(f"{path} is glTF version {version}; only version 2 can be read.")
     if total > len(data) or 20 + json_length > len(data):
         raise InputError(f"{path} is cut off; copy or write it again.")
-    if json_kind != JSON_CHUNK:
-        raise ValueError("the first chunk is not JSON")
+    if json_kind != JSON_CHUNK or json_length > MOST_JSON:
+        raise ValueError("the first chunk is no JSON that describes splats")
     document = json.loads(data[20 : 20 + json_length])
     start = 20 + json_length
     length, kind = np.frombuffer(data[start : start + 8].ljust(8, b"\0"), "<u4").tolist()
@@ -222,6 +283,16 @@ def _splat_primitives(document: dict[str, Any]) -> Iterator[tuple[np.ndarray, di
         for primitive in primitives:
             if EXTENSION in primitive.get("extensions", {}):
                 yield world, primitive
+
+
+def _least_bytes(document: dict[str, Any], primitive: dict[str, Any]) -> int:
+    """What the attributes of a primitive take in a file where no two share their bytes."""
+    accessors = [document["accessors"][index] for index in primitive["attributes"].values()]
+    widths = [
+        WIDTHS.get(accessor["type"], 1) * np.dtype(COMPONENTS[accessor["componentType"]]).itemsize
+        for accessor in accessors
+    ]
+    return sum(max(0, int(accessor["count"])) * width for accessor, width in zip(accessors, widths, strict=True))
 
 
 def _matrix(node: dict[str, Any]) -> np.ndarray:

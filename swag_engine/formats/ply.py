@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import InputError
 from ..files import atomic_path
 from ..gaussians.splats import Splats, cleaned
+from .compressed_ply import WORDS, unpack
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +33,8 @@ ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 NORMAL = ("nx", "ny", "nz")
 # Rows handled at a time: few enough to stay in the processor's cache, which is what makes column access fast.
 BLOCK = 8192
+# No splat program comes near; a header that goes on for ever must not fill the memory.
+MOST_HEADER = 1 << 20
 # Opacities nearer to 0 or 1 have no finite logit that float32 could tell apart; 1 comes back as 1, 0 as 1e-8.
 SMALLEST_OPACITY = 1e-8
 
@@ -43,25 +46,10 @@ def write_ply(path: Path, splats: Splats) -> None:
     Raises InputError when there are no splats, an extra's name is taken or holds a space, its integers do not fit
     32 bits, the disk is full or the place cannot be written to.
     """
-    if not len(splats):
-        raise InputError(f"There are no splats to write to {path}; choose at least one.")
-    rest = (splats.sh.shape[1] - 1) * 3
-    names = ["x", "y", "z", *NORMAL, "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(rest))]
-    names += ["opacity", "scale_0", "scale_1", "scale_2", *ROTATION]
-    extras = {name: _storable(path, name, values) for name, values in splats.extras.items()}
-    if taken := [name for name in extras if name in names or not name or len(name.split()) != 1]:
-        raise InputError(f"Cannot write {path}: a PLY cannot hold a property of the name '{taken[0]}'; rename it.")
-
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(splats)}"]
-    header += [f"property float {name}" for name in names]
-    header += [f"property {TYPE_NAMES[values.dtype.str[1:]]} {name}" for name, values in extras.items()]
-    layout = [
-        ("position", "<f4", 3), ("normal", "<f4", 3), ("f_dc", "<f4", 3), ("f_rest", "<f4", rest), ("opacity", "<f4"),
-        ("scale", "<f4", 3), ("rotation", "<f4", 4),
-    ]  # fmt: skip
-    rows = np.zeros(BLOCK, np.dtype([*layout, *((f"extra {n}", v.dtype.newbyteorder("<")) for n, v in extras.items())]))
+    header, row, extras = _layout(path, splats)
+    rows = np.zeros(BLOCK, row)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        file.write(("\n".join([*header, "end_header"]) + "\n").encode())
+        file.write(header)
         for start in range(0, len(splats), BLOCK):
             part = slice(start, min(start + BLOCK, len(splats)))
             block = rows[: part.stop - start]
@@ -69,7 +57,7 @@ def write_ply(path: Path, splats: Splats) -> None:
             scales = splats.scales[part].astype(np.float64).clip(np.finfo(np.float32).tiny)
             block["position"] = splats.positions[part]
             block["f_dc"] = splats.sh[part, 0]
-            block["f_rest"] = splats.sh[part, 1:].transpose(0, 2, 1).reshape(len(block), rest)
+            block["f_rest"] = splats.sh[part, 1:].transpose(0, 2, 1).reshape(len(block), -1)
             block["opacity"] = np.log(opacities / (1 - opacities))
             block["scale"] = np.log(scales)
             block["rotation"] = splats.rotations[part]
@@ -78,13 +66,41 @@ def write_ply(path: Path, splats: Splats) -> None:
             file.write(block.data)
 
 
+def ply_size(path: Path, splats: Splats) -> int:
+    """Bytes that write_ply would write. Raises what write_ply raises before it writes."""
+    header, row, _ = _layout(path, splats)
+    return len(header) + len(splats) * row.itemsize
+
+
+def _layout(path: Path, splats: Splats) -> tuple[bytes, np.dtype, dict[str, np.ndarray]]:
+    """The header, a row, and the extras in dtypes that PLY has, of the file for `splats`."""
+    if not len(splats):
+        raise InputError(f"There are no splats to write to {path}; choose at least one.")
+    rest = (splats.sh.shape[1] - 1) * 3
+    names = ["x", "y", "z", *NORMAL, "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(rest))]
+    names += ["opacity", "scale_0", "scale_1", "scale_2", *ROTATION]
+    extras = {name: _storable(path, name, values) for name, values in splats.extras.items()}
+    if taken := [name for name in extras if name in names or not name or len(name.split()) != 1]:
+        raise InputError(f"Cannot write {path}: a PLY cannot hold a property of the name '{taken[0]}'; rename it.")
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(splats)}"]
+    header += [f"property float {name}" for name in names]
+    header += [f"property {TYPE_NAMES[values.dtype.str[1:]]} {name}" for name, values in extras.items()]
+    row: list[tuple] = [
+        ("position", "<f4", 3), ("normal", "<f4", 3), ("f_dc", "<f4", 3), ("f_rest", "<f4", rest), ("opacity", "<f4"),
+        ("scale", "<f4", 3), ("rotation", "<f4", 4),
+    ]  # fmt: skip
+    row += [(f"extra {name}", values.dtype.newbyteorder("<")) for name, values in extras.items()]
+    return ("\n".join([*header, "end_header"]) + "\n").encode(), np.dtype(row), extras
+
+
+@np.errstate(over="ignore", invalid="ignore")  # numbers beyond float32 become infinities and are left out
 def read_ply(path: Path) -> Splats:
     """Read a 3DGS PLY: ASCII or binary of either byte order, any order and type of properties, degree 0 to 3.
 
-    Normals are dropped, other properties become extras of their own dtype, degrees above 3 are dropped with a warning.
-    Quaternions come back at unit length; splats with a NaN or an infinity are left out with a warning (an infinite
-    logit is an opacity of 0 or 1 and stays).
-    Raises InputError when the file is missing, no PLY, no Gaussian splats, compressed, damaged or cut off.
+    The compressed PLY of SuperSplat is read too. Normals are dropped, other properties become extras of their own
+    dtype, degrees above 3 are dropped with a warning. Quaternions come back at unit length; splats with a NaN or an
+    infinity are left out with a warning (an infinite logit is an opacity of 0 or 1 and stays).
+    Raises InputError when the file is missing, no PLY, no Gaussian splats, damaged or cut off.
     """
     try:
         with open(path, "rb") as file:
@@ -99,10 +115,16 @@ class _Element:
     count: int
     properties: list[tuple[str, str]] = field(default_factory=list)  # name, numpy code or "list"
 
+    @property
+    def is_packed(self) -> bool:
+        return set(WORDS) <= {name for name, code in self.properties if code == "u4"}
+
 
 def _read(path: Path, file: BinaryIO) -> Splats:
     order, elements = _read_header(path, file)
     vertex = _splat_element(path, elements)
+    if vertex.is_packed:
+        return _read_packed(path, file, order, elements)
     names = [name for name, _ in vertex.properties]
     rest = sum(name.startswith("f_rest_") for name in names)
     per_channel = rest // 3
@@ -121,22 +143,21 @@ def _read(path: Path, file: BinaryIO) -> Splats:
     sh = np.empty((count, coefficients, 3), np.float32)
     known = {*BASE, *ROTATION, *NORMAL, *(f"f_rest_{i}" for i in range(rest))}
     extras = {name: np.empty(count, code) for name, code in vertex.properties if name not in known}
-    with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 become infinities and are left out
-        for start in range(0, count, BLOCK):
-            part = slice(start, min(start + BLOCK, count))
-            rows = read_rows(part.stop - start)
-            for column, name in enumerate(BASE):
-                base[part, column] = rows[name]
-            for column, name in enumerate(ROTATION):
-                rotations[part, column] = rows[name]
-            for i in range(1, coefficients):
-                for channel in range(3):
-                    sh[part, i, channel] = rows[f"f_rest_{channel * per_channel + i - 1}"]
-            for name, values in extras.items():
-                values[part] = rows[name]
-        sh[:, 0] = base[:, 3:6]
-        opacities = 1 / (1 + np.exp(-base[:, 6].astype(np.float64)))
-        scales = np.exp(base[:, 7:].astype(np.float64)).astype(np.float32)
+    for start in range(0, count, BLOCK):
+        part = slice(start, min(start + BLOCK, count))
+        rows = read_rows(part.stop - start)
+        for column, name in enumerate(BASE):
+            base[part, column] = rows[name]
+        for column, name in enumerate(ROTATION):
+            rotations[part, column] = rows[name]
+        for i in range(1, coefficients):
+            for channel in range(3):
+                sh[part, i, channel] = rows[f"f_rest_{channel * per_channel + i - 1}"]
+        for name, values in extras.items():
+            values[part] = rows[name]
+    sh[:, 0] = base[:, 3:6]
+    opacities = 1 / (1 + np.exp(-base[:, 6].astype(np.float64)))
+    scales = np.exp(base[:, 7:].astype(np.float64)).astype(np.float32)
     positions = np.ascontiguousarray(base[:, :3])
     return cleaned(Splats(positions, rotations, scales, opacities.astype(np.float32), sh, extras), path)
 
@@ -158,6 +179,8 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
     elements: list[_Element] = []
     try:
         while (line := file.readline(65536).decode("utf-8", "replace")) != "":
+            if file.tell() > MOST_HEADER:
+                raise ValueError("a header without end")
             match line.split():
                 case ["end_header"]:
                     if order is None:
@@ -167,8 +190,8 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
                     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[name]
                 case ["element", name, number]:
                     elements.append(_Element(name, int(number)))
-                    if elements[-1].count < 0:
-                        raise ValueError("a negative count")
+                    if not 0 <= elements[-1].count < 2**60:
+                        raise ValueError("no number of splats")
                 case ["property", "list", _, _, name]:
                     elements[-1].properties.append((name, "list"))
                 case ["property", kind, name]:
@@ -186,11 +209,8 @@ def _splat_element(path: Path, elements: list[_Element]) -> _Element:
     """The element that holds the splats; InputError says why there is none."""
     vertex = next((element for element in elements if element.name == "vertex"), None)
     names = [name for name, _ in vertex.properties] if vertex else []
-    if "packed_position" in names:
-        raise InputError(
-            f"{path} is a compressed PLY of SuperSplat or PlayCanvas; save it there as an uncompressed PLY."
-        )
-    missing = [name for name in (*BASE, *ROTATION) if name not in names]
+    wanted = WORDS if vertex and vertex.is_packed else (*BASE, *ROTATION)
+    missing = [name for name in wanted if name not in names]
     if vertex is None or {"f_dc_0", "scale_0", "rot_0"} <= set(missing):
         raise InputError(f"{path} is a plain point cloud or mesh, without the properties of Gaussian splats.")
     if missing:
@@ -200,6 +220,28 @@ def _splat_element(path: Path, elements: list[_Element]) -> _Element:
     if not vertex.count:
         raise InputError(f"{path} holds no splats.")
     return vertex
+
+
+def _read_packed(path: Path, file: BinaryIO, order: str, elements: list[_Element]) -> Splats:
+    """The splats of a compressed PLY."""
+    damaged = InputError(f"{path} is a damaged compressed PLY: its parts do not fit together; write the file again.")
+    found: dict[str, np.ndarray] = {}
+    here = file.tell()
+    size = file.seek(0, 2)
+    if not order:
+        raise damaged
+    try:
+        for element in elements:
+            row = np.dtype([(name, order + code) for name, code in element.properties])
+            if element.count * row.itemsize > size - here:
+                raise InputError(f"{path} is cut off; copy or write it again.")
+            if element.name in ("chunk", "vertex", "sh") and element.properties:  # gsplat's degree 0 is an empty sh
+                file.seek(here)
+                found[element.name] = np.frombuffer(file.read(element.count * row.itemsize), row)
+            here += element.count * row.itemsize
+        return cleaned(unpack(found["chunk"], found["vertex"], found.get("sh")), path)
+    except (ValueError, KeyError, TypeError):
+        raise damaged from None
 
 
 def _row_reader(

@@ -2,12 +2,24 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from .cloud import GaussianCloud
 
 PER_GAUSSIAN = ("means", "quats", "log_scales", "opacity_logits", "sh0", "shN")
+
+MIN_OPACITY = 0.01
+MIN_SCORE = 2e-5
+MAX_SCALE = 2.0
+"""In median ranges: what is wider is taken for a floater and dropped."""
+
+# Of 3DGS-MCMC, with the values of its authors.
+DEAD_OPACITY = 0.005
+MAX_SHARERS = 51
+NOISE = 5e5
+REGULARISATION = 0.01
 
 
 @dataclass
@@ -32,31 +44,38 @@ class GrowthStatistics:
         return self.gradient / self.views.clamp(min=1)
 
 
-@dataclass(frozen=True)
 class Growth:
-    """Split what the loss pulls at most, along its longest axis, up to a budget; drop what has become transparent.
+    """How a run changes its number of Gaussians, and what comes with it. This one splits and drops.
 
+    Split what the loss pulls at most, along its longest axis, up to a budget; drop what has become transparent.
     A split keeps the mass and the variance of its parent along that axis: offset .6 sigma, sigma .8, opacity .625.
     """
 
-    min_opacity: float = 0.01
-    min_score: float = 2e-5
-    max_scale: float = 2.0
-    """In median ranges: what is wider is taken for a floater and dropped."""
-
     def event(
-        self, cloud: GaussianCloud, statistics: GrowthStatistics, budget: int, median_range: float
+        self,
+        cloud: GaussianCloud,
+        statistics: GrowthStatistics,
+        budget: int,
+        median_range: float,
+        generator: torch.Generator,
+        weight: Tensor | None = None,
     ) -> tuple[GaussianCloud, Tensor]:
         """The cloud after one event of at most `budget` Gaussians, and for each the index (N',) of the Gaussian whose
-        optimiser state it continues, -1 for a new one."""
+        optimiser state it continues, -1 for a new one.
+
+        generator: what is drawn at random is drawn from it (random_of). weight (N,): multiplied into the score that
+        Gaussians are chosen by, 1 for all by default.
+        """
         scales = cloud.scales
         finite = torch.isfinite(cloud.means).all(dim=-1) & torch.isfinite(cloud.log_scales).all(dim=-1)
-        keep = (cloud.opacities > self.min_opacity) & (scales.amax(dim=-1) < self.max_scale * median_range) & finite
+        keep = (cloud.opacities > MIN_OPACITY) & (scales.amax(dim=-1) < MAX_SCALE * median_range) & finite
         if not keep.any():
             return cloud, torch.arange(len(cloud), device=keep.device)
         score = torch.where(keep, statistics.score(), torch.zeros_like(statistics.gradient))
+        if weight is not None:
+            score = score * weight
         room = max(0, budget - int(keep.sum()))
-        wanted = score > self.min_score
+        wanted = score > MIN_SCORE
         count = min(room, int(wanted.sum()))
         # A stable sort breaks ties by index: the same run always splits the same Gaussians.
         chosen = torch.sort(score, descending=True, stable=True).indices[:count]
@@ -71,6 +90,95 @@ class Growth:
         )
         source = torch.cat([stay, torch.full((2 * len(parents),), -1, device=stay.device)])
         return grown, source
+
+    def perturb(self, cloud: GaussianCloud, rate: float, median_range: float, generator: torch.Generator) -> None:
+        """What is added to the cloud, in place, after each step of the optimiser; rate: the step size of the means."""
+
+    def regularisation(self, cloud: GaussianCloud, median_range: float) -> Tensor | None:
+        """What is added to the loss (a scalar), None for nothing."""
+        return None
+
+
+class McmcGrowth(Growth):
+    """3D Gaussian Splatting as Markov chain Monte Carlo (Kheradmand et al. 2024, arXiv 2404.09591).
+
+    Dead Gaussians move to where living ones are, which are drawn by their opacity and share it; the number grows to
+    the budget in the same way. Faint Gaussians wander, and a loss on opacity and size lets the useless die. Lengths
+    are taken in median ranges, so that the scene's unit does not matter.
+    """
+
+    def event(
+        self,
+        cloud: GaussianCloud,
+        statistics: GrowthStatistics,
+        budget: int,
+        median_range: float,
+        generator: torch.Generator,
+        weight: Tensor | None = None,
+    ) -> tuple[GaussianCloud, Tensor]:
+        """As Growth.event; `statistics` are not looked at. Optimiser states of all that share an opacity are new."""
+        opacities = cloud.opacities
+        sums = cloud.means.sum(1) + cloud.quats.sum(1) + cloud.log_scales.sum(1) + cloud.sh0.sum((1, 2))
+        finite = torch.isfinite(sums + cloud.shN.sum((1, 2)))
+        alive = ((opacities > DEAD_OPACITY) & finite).nonzero().squeeze(-1)
+        chances = opacities[alive] if weight is None else opacities[alive] * weight[alive]
+        # On the CPU in float64: the same draws on every device.
+        total = chances.detach().double().cpu().cumsum(0)
+        if not len(alive) or total[-1] <= 0:
+            return cloud, torch.arange(len(cloud), device=opacities.device)
+        draws = torch.rand(max(0, budget - len(alive)), generator=generator, dtype=torch.float64) * total[-1]
+        drawn = torch.searchsorted(total, draws, right=True).clamp(max=len(alive) - 1).to(alive.device)
+        counts = torch.bincount(drawn, minlength=len(alive)) + 1
+        opacity, shrink = share_opacity(opacities[alive], counts.clamp(max=MAX_SHARERS))
+        living = {name: getattr(cloud, name)[alive] for name in PER_GAUSSIAN}
+        shared = counts > 1
+        logits = torch.logit(opacity.clamp(min=DEAD_OPACITY, max=1 - 1e-6))
+        living["opacity_logits"] = torch.where(shared, logits, living["opacity_logits"])
+        living["log_scales"] = living["log_scales"] + torch.where(shared, shrink, 1.0).log()[:, None]
+        grown = GaussianCloud(
+            **{name: torch.cat([values, values[drawn]]) for name, values in living.items()}, background=cloud.background
+        )
+        return grown, torch.cat([torch.where(shared, -1, alive), torch.full_like(drawn, -1)])
+
+    @torch.no_grad()
+    def perturb(self, cloud: GaussianCloud, rate: float, median_range: float, generator: torch.Generator) -> None:
+        """Move each centre by rate NOISE sigmoid(100 (.005 - opacity)) Sigma eta: covariance Sigma, normal eta.
+
+        Those of opacity over .15, whose sigmoid is below 1e-6, are left out.
+        """
+        opacities = cloud.opacities
+        faint = (opacities < 0.15).nonzero().squeeze(-1)
+        normal = torch.randn(len(faint), 3, generator=generator).to(cloud.means)
+        axes = rotation_matrices(cloud.quats[faint])
+        variances = (cloud.scales[faint] / median_range).square()
+        # Sigma eta = R S^2 R^T eta, and R^T eta is as normal as eta.
+        steps = (axes @ (variances * normal)[..., None]).squeeze(-1)
+        size = rate * NOISE * torch.sigmoid(100 * (DEAD_OPACITY - opacities[faint]))
+        cloud.means[faint] += size[:, None] * steps
+
+    def regularisation(self, cloud: GaussianCloud, median_range: float) -> Tensor | None:
+        """REGULARISATION times the mean opacity, and times the mean standard deviation in median ranges."""
+        return REGULARISATION * (cloud.opacities.mean() + cloud.scales.mean() / median_range)
+
+
+def random_of(seed: int, iteration: int) -> torch.Generator:
+    """The random numbers of one iteration, on the CPU: a run that is continued draws what it would have drawn."""
+    return torch.Generator().manual_seed(int(np.random.SeedSequence((seed, iteration)).generate_state(1)[0]))
+
+
+def share_opacity(opacities: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
+    """Opacity (N,) and factor (N,) of the scales with which `counts` (N,) equal Gaussians in one place look as one did.
+
+    3DGS-MCMC: opacity o' = 1 - (1 - o)^(1/n) keeps the centre, and the factor keeps the integral along a
+    line through it: o / sum_j C(n, j) (-1)^(j-1) o'^j / sqrt(j), j = 1..n (the double sum there, summed over i).
+    """
+    o, n = opacities.double().clamp(max=1 - 1e-12), counts.double()
+    shared = -torch.expm1(torch.log1p(-o) / n)
+    term, total = torch.ones_like(o), torch.zeros_like(o)
+    for j in range(1, int(counts.max()) + 1 if len(counts) else 1):
+        term = term * shared * (n - j + 1) / j  # 0 from j = n + 1 on
+        total = total - (-1) ** j * term / j**0.5
+    return shared.to(opacities), (o / total).to(opacities)
 
 
 def split_along_longest_axis(cloud: GaussianCloud, index: Tensor, sign: float) -> dict[str, Tensor]:

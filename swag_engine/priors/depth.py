@@ -4,7 +4,7 @@ Networks give inverse depth up to a scale and a shift that differ per image. SfM
 network does not understand this image (METHOD.md section 3).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from scipy.ndimage import map_coordinates
 from scipy.stats import spearmanr
 from torch import Tensor
 
+from ..errors import InputError
 from ..scene.cameras import Camera
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage
@@ -54,6 +55,34 @@ class InverseDepth:
         resized = cv2.resize(image.astype(np.float32) / 255, (columns, rows), interpolation=cv2.INTER_CUBIC)
         made = self.network(((resized - MEAN) / STD).transpose(2, 0, 1)[None])
         return cv2.resize(made.reshape(made.shape[-2:]), (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+class StoredDepth:
+    """Inverse depth, or depth of any kind that falls with it, which somebody made before: depth/NAME.npy, or .png of 8
+    or 16 bits, beside the photographs of a scene."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Raises InputError where the photographs have to be undistorted first: the maps could not follow."""
+        self.folder = scene.folder / "depth"
+        if not all(view.lens.is_pinhole for view in scene.views):
+            raise InputError(f"The maps in {self.folder} are of distorted photographs: undistort both first.")
+
+    def __call__(self, image: TrainingImage) -> np.ndarray:
+        """Inverse depth up to scale and shift, (H, W) float32. Raises InputError when it cannot be read."""
+        path = (self.folder / image.camera.name).with_suffix(".npy")
+        try:
+            if path.is_file():
+                values = np.load(path, allow_pickle=False)
+            else:
+                path = path.with_suffix(".png")
+                values = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+            values = np.asarray(values, np.float32)
+        except (OSError, ValueError, TypeError, cv2.error) as error:
+            raise InputError(f"{path} cannot be read as inverse depth: {error}.") from error
+        if values.ndim != 2 or not values.size:
+            raise InputError(f"{path} is not inverse depth: its shape is {values.shape}, not (height, width).")
+        height, width = image.valid.shape
+        return cv2.resize(values, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 # Alignment ------------------------------------------------------------------------------------------------------------
@@ -138,18 +167,18 @@ def prior(prediction: np.ndarray, alignment: Alignment) -> np.ndarray:
 
 
 def depth_priors(
-    network: InverseDepth, images: Sequence[TrainingImage], scene: Scene
+    predict: Callable[[TrainingImage], np.ndarray], images: Sequence[TrainingImage], scene: Scene
 ) -> tuple[dict[str, np.ndarray], dict[str, Alignment]]:
-    """Predict, align and gate the photographs of one scene.
+    """Predict, align and gate the photographs of one scene. predict: inverse depth (H, W) up to scale and shift.
 
     Returns q (H, W) float32 by name for the accepted images, not a number at invalid pixels, and the alignments of all.
-    Raises InputError as InverseDepth does.
+    Raises InputError as `predict` does.
     """
     indices = {view.name: view.point_indices for view in scene.views}
     predictions, alignments = {}, {}
     for image in images:
         name = image.camera.name
-        predictions[name] = network(image.pixels)
+        predictions[name] = predict(image)
         alignments[name] = align(predictions[name], *sparse_points(image.camera, scene.points.positions[indices[name]]))
     alignments = gate(alignments)
     priors = {

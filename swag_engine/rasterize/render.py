@@ -8,17 +8,20 @@ from torch import Tensor
 from ..gaussians.cloud import GaussianCloud
 from ..scene.cameras import Camera
 from ..water.medium import MAX_DEGREE, Medium, open_water, through_water
+from ..water.network import WaterNetwork
 from .api import Rendering, rasterize
 
 
 @dataclass
 class Picture:
     """color (H, W, 3) display values; alpha (H, W) in 0..1; range (H, W) Euclidean distance to the camera in scene
-    units, alpha-weighted and normalised, 0 where alpha is 0 (None unless asked for); rendering: what made it."""
+    units, alpha-weighted and normalised, 0 where alpha is 0; restored (H, W, 3): the same without water, black where
+    nothing is (both None unless asked for); rendering: what made it."""
 
     color: Tensor
     alpha: Tensor
     range: Tensor | None
+    restored: Tensor | None
     rendering: Rendering
 
 
@@ -26,27 +29,35 @@ def render(
     cloud: GaussianCloud,
     camera: Camera,
     sh_degree: int = 3,
-    medium: Medium | None = None,
+    medium: Medium | WaterNetwork | None = None,
     water_degree: int = MAX_DEGREE,
     amount: float = 1.0,
     with_range: bool = False,
+    with_restored: bool = False,
     backend: str = "auto",
 ) -> Picture:
     """Rasterise `cloud` as `camera` sees it, in the cloud's dtype; differentiable.
 
-    medium: the water in front of the cloud, and behind it in place of the cloud's background; water_degree and amount
-    as in water.medium.through_water. No gradient flows from colour to position through the range: it would push
-    Gaussians along rays to correct their colours.
+    medium: the water in front of the cloud, and behind it in place of the cloud's background (a network has none of its
+    own); water_degree and amount as in water.medium.through_water. No gradient flows from colour to position through
+    the range: it would push Gaussians along rays to correct their colours.
     """
     centre, viewmat, intrinsics = (
         torch.from_numpy(array).to(cloud.means) for array in (camera.centre, camera.world_to_camera, camera.K)
     )
-    channels = cloud.colors(centre, sh_degree, backend)
+    colors = channels = cloud.colors(centre, sh_degree, backend)
     background = cloud.background.sigmoid()
     if medium is not None:
         offsets = cloud.means.detach() - centre
-        channels = through_water(channels, offsets, medium, water_degree, amount, backend)
-        background = torch.zeros_like(background)
+        if isinstance(medium, Medium):
+            channels = through_water(channels, offsets, medium, water_degree, amount, backend)
+            background = torch.zeros_like(background)
+        else:
+            channels = medium.through(channels, offsets, amount)
+            background = amount * background
+    if with_restored:
+        channels = torch.cat([channels, colors], dim=-1)
+        background = torch.cat([background, background.new_zeros(3)])
     if with_range:
         channels = torch.cat([channels, (cloud.means - centre).norm(dim=-1, keepdim=True)], dim=-1)
         background = torch.cat([background, background.new_zeros(1)])
@@ -64,11 +75,12 @@ def render(
         backend,
     )
     color, seen = rendering.channels[..., :3], None
-    if medium is not None and amount > 0:
+    restored = rendering.channels[..., 3:6] if with_restored else None
+    if isinstance(medium, Medium) and amount > 0:
         behind = open_water(medium, viewmat, intrinsics, camera.width, camera.height, water_degree, amount, backend)
         color = color + (1 - rendering.alpha[..., None]) * behind
     if with_range:
         # The denominator is chosen before dividing: 0/0 behind a mask is NaN in the backward pass.
         covered = torch.where(rendering.alpha > 0, rendering.alpha, torch.ones_like(rendering.alpha))
-        seen = rendering.channels[..., 3] / covered
-    return Picture(color, rendering.alpha, seen, rendering)
+        seen = rendering.channels[..., -1] / covered
+    return Picture(color, rendering.alpha, seen, restored, rendering)

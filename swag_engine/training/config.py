@@ -4,7 +4,8 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 from ..errors import InputError
-from .recipes import RECIPE_NAMES
+from ..water.presets import water_of_type
+from .recipes import RECIPES, recipe_of
 
 BACKENDS = ("auto", "cpu", "cuda", "torch")
 
@@ -13,8 +14,16 @@ BACKENDS = ("auto", "cpu", "cuda", "torch")
 class TrainSettings:
     """What a user chooses about a run. Raises InputError for a value that cannot be trained with."""
 
-    recipe: Literal["swag", "3dgs"] = "swag"
-    """The method: swag models the water and takes it away, 3dgs shows the place as photographed."""
+    recipe: Literal["swag", "3dgs", "seasplat", "uw-gs", "watersplatting", "rusplatting", "paper"] = "swag"
+    """The method: swag models the water and takes it away, 3dgs shows the place as photographed; the others follow
+    published ones (docs/recipes.md)."""
+    effects: str = ""
+    """Parts of the method switched by hand, as in water=off,depth=on (docs/recipes.md has their names)."""
+    water_type: str = "auto"
+    """Water to start from: auto asks the photographs; a Jerlov type (I IA IB II III 1C 3C 5C 7C 9C), or attenuation of
+    red, green and blue per metre as in 0.3,0.1,0.06."""
+    metres_per_unit: float = 0.0
+    """Metres that one unit of the scene's coordinates is; 0 where that is not known."""
     iterations: int = 3000
     """Number of optimisation steps; each looks at one photograph."""
     width: int = 640
@@ -41,10 +50,18 @@ class TrainSettings:
             if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
                 title = name.replace("_", " ")
                 raise InputError(f"The setting {title} must be a whole number from {least} to {most}, not {value!r}.")
-        for name, choices in (("recipe", RECIPE_NAMES), ("backend", BACKENDS)):
+        for name, choices in (("recipe", RECIPES), ("backend", BACKENDS)):
             value = getattr(self, name)
             if value not in choices:
                 raise InputError(f"The setting {name} must be one of {', '.join(choices)}, not {value!r}.")
+        recipe_of(self.recipe, self.effects)
+        if not (isinstance(self.metres_per_unit, int | float) and 0 <= self.metres_per_unit < 1e9):
+            raise InputError(
+                f"The setting metres per unit must be a positive number, or 0 where it is not known, not "
+                f"{self.metres_per_unit!r}."
+            )
+        if self.water_type != "auto":
+            water_of_type(self.water_type, self.metres_per_unit)
 
     def to_json(self) -> dict[str, Any]:
         """A plain dict that `from_json` reads back."""
@@ -82,9 +99,10 @@ class Schedule:
     sh_degrees: tuple[float, ...] = (0.2, 0.35, 0.5)
     """Where SH degree 1, 2 and 3 join."""
     grow_from: float = 0.04
-    grow_until: float = 0.7
     grow_every: int = 50
     """Iterations between two growth events."""
+    reallocate_every: float = 0.1
+    """Share of the run between two reallocations; that long before stage two is the last."""
     validate: float = 0.1
     """Share of the run between two validations."""
     checkpoint_seconds: float = 30.0

@@ -3,11 +3,10 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -17,45 +16,28 @@ from ..evaluation.metrics import mean_score, median_control, score_views
 from ..formats.gltf import write_glb
 from ..formats.ply import write_ply
 from ..gaussians.cloud import GaussianCloud
-from ..gaussians.grow import Growth, GrowthStatistics
+from ..gaussians.grow import Growth, GrowthStatistics, McmcGrowth, random_of
 from ..gaussians.init import gaussians_from_points
-from ..gaussians.sh import C0
+from ..gaussians.reallocate import reallocate, scores, visibility
 from ..rasterize.backends import device_for
 from ..rasterize.render import render
-from ..scene.cameras import Camera
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
-from ..water.identify import FIT_WIDTH, fit_water, observe
-from ..water.medium import MAX_DEGREE, SETTINGS, Medium, without_water
+from ..water.medium import MAX_DEGREE, SETTINGS, Medium
+from ..water.network import WaterNetwork
 from .checkpoint import load_checkpoint, save_checkpoint
 from .config import LearningRates, Schedule, TrainSettings
-from .losses import l1_ssim
+from .objective import Objective
 from .optimizer import Optimizer
-from .recipes import RECIPES
+from .prepare import find_depth, find_frames, find_water, take_water_away
+from .recipes import recipe_of
 from .run_folder import RunFolder, write_json
+from .targets import Target
 
 Event = dict[str, Any]
-
-
-@dataclass
-class Target:
-    """One photograph at one size: camera, pixels (H, W, 3) uint8, valid (H, W) bool."""
-
-    camera: Camera
-    pixels: Tensor
-    valid: Tensor
-
-    @classmethod
-    def shrunk(cls, image: TrainingImage, factor: int, device: torch.device) -> "Target":
-        """The photograph at 1/factor of its size; a pixel is valid where all that it averages is."""
-        camera, pixels, valid = image.camera, image.pixels, image.valid
-        if factor > 1 and min(valid.shape) >= 32 * factor:
-            camera = camera.resized(camera.width // factor)
-            size = (camera.width, camera.height)
-            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-            valid = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
-        return cls(camera, torch.from_numpy(pixels).to(device), torch.from_numpy(valid).to(device))
+GEOMETRY = ("means", "quats", "log_scales")
+"""What stage two freezes."""
 
 
 def train(
@@ -66,13 +48,15 @@ def train(
     on_event: Callable[[Event], None] = lambda event: None,
     should_stop: Callable[[], bool] = lambda: False,
     preview: bool = False,
+    weights_dir: Path | None = None,
 ) -> Event:
     """Train a scene to a run folder and return the `result` event.
 
     on_event gets `progress`, `preview` and `checkpoint` events as they happen. When should_stop() turns true the run
     ends after the iteration at hand, with everything written and "interrupted" true in the result. With `resume` the
     run goes on from its newest checkpoint with the settings it was started with, bit-equal to a run that never
-    stopped (same machine, same backend). Raises InputError for anything wrong with the scene, the folder or the disk.
+    stopped (same machine, same backend). weights_dir: where networks are looked for before the user's cache. Raises
+    InputError for anything wrong with the scene, the folder or the disk.
     """
     run = RunFolder(out)
     if resume:
@@ -85,7 +69,7 @@ def train(
     if not resume:
         run.write_config(scene.folder, settings, scene.up.tolist())
     try:
-        trainer = Trainer(scene, run, settings, on_event)
+        trainer = Trainer(scene, run, settings, on_event, weights_dir)
     except InputError:
         if not resume:
             run.discard()
@@ -112,10 +96,15 @@ class Trainer:
     """One run: the scene's photographs, the cloud, its optimiser, and what was measured so far."""
 
     def __init__(
-        self, scene: Scene, run: RunFolder, settings: TrainSettings, on_event: Callable[[Event], None]
+        self,
+        scene: Scene,
+        run: RunFolder,
+        settings: TrainSettings,
+        on_event: Callable[[Event], None],
+        weights_dir: Path | None,
     ) -> None:
         self.run, self.settings, self.on_event, self.scene = run, settings, on_event, scene
-        self.rates, self.schedule, self.growth = LearningRates(), Schedule(), Growth()
+        self.rates, self.schedule = LearningRates(), Schedule()
         self.device = device_for(settings.backend)
         self.iteration, self.seconds_before = 0, 0.0
         self.psnr: float | None = None
@@ -134,10 +123,25 @@ class Trainer:
             scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, background
         )
         self.start_count = len(cloud)
-        self.recipe = RECIPES[settings.recipe]
-        self.water_note, medium = self.find_water() if self.recipe.water else ("", None)
-        if medium:
-            self.take_water_away(cloud, medium)
+        self.recipe = recipe = recipe_of(settings.recipe, settings.effects)
+        self.growth = McmcGrowth() if recipe.growth == "mcmc" else Growth()
+        self.water_note, medium, order = "", None, None
+        if recipe.water:
+            self.water_note, medium, order = find_water(
+                scene, self.training + self.validation, recipe, settings, self.median_range
+            )
+        if isinstance(medium, Medium) and recipe.fitted:
+            take_water_away(cloud, medium, self.training)
+        self.objective = Objective(recipe, self.median_range, order, settings.backend)
+        self.notes: list[str] = []
+        self.depth: dict[str, np.ndarray] = {}
+        self.frames: list[TrainingImage] = []
+        if recipe.depth:
+            note, self.depth = find_depth(scene, self.training, weights_dir)
+            self.notes.append(note)
+        if recipe.interpolation:
+            note, self.frames = find_frames(scene, self.training, weights_dir)
+            self.notes.append(note)
         self.optimizer = Optimizer(cloud.to(self.device), medium and medium.to(self.device), settings.backend)
         self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
 
@@ -146,27 +150,8 @@ class Trainer:
         return self.optimizer.cloud
 
     @property
-    def medium(self) -> Medium | None:
+    def medium(self) -> Medium | WaterNetwork | None:
         return self.optimizer.medium
-
-    def find_water(self) -> tuple[str, Medium | None]:
-        """What the sparse points say of the water, in one sentence, and the medium that training starts from."""
-        width = max(self.settings.width, FIT_WIDTH)
-        views = {view.camera.name: view for view in self.scene.views}
-        known = self.training + self.validation
-        seen = [views[image.camera.name] for image in known]
-        images = load_images(self.scene, seen, width) if width > self.settings.width else known
-        fit = fit_water(observe(images, [view.point_indices for view in seen], self.scene.points))
-        if not fit.found:
-            return fit.reason, None
-        start = (torch.from_numpy(values).float() for values in (fit.beta_D, fit.beta_B, fit.B))
-        return fit.reason, Medium.starting(self.median_range, "linear", *start)
-
-    def take_water_away(self, cloud: GaussianCloud, medium: Medium) -> None:
-        """Let the colours, which are those of the points as photographed, begin as they are without the water."""
-        centres = torch.from_numpy(np.stack([image.camera.centre for image in self.training])).to(cloud.means)
-        ranges = torch.cdist(cloud.means, centres).median(dim=1).values
-        cloud.sh0[:, 0] = (without_water(0.5 + C0 * cloud.sh0[:, 0], ranges, medium) - 0.5) / C0
 
     def load_photographs(self) -> dict[str, TrainingImage]:
         def progress(done: int, total: int) -> None:
@@ -180,20 +165,45 @@ class Trainer:
     def step(self) -> float:
         """One iteration; returns its loss."""
         fraction = self.iteration / self.settings.iterations
+        if self.objective.in_stage_two(fraction):
+            for name in GEOMETRY:
+                getattr(self.cloud, name).requires_grad_(False)
         target = self.next_target(fraction)
-        degree = min(self.settings.sh_degree, sum(fraction >= start for start in self.schedule.sh_degrees))
+        medium = self.medium if fraction >= self.recipe.water_from else None
         picture = render(
-            self.cloud, target.camera, degree, self.medium, self.water_degree, backend=self.settings.backend
+            self.cloud,
+            target.camera,
+            self.sh_degree(fraction),
+            medium,
+            self.water_degree,
+            with_range=self.objective.needs_range(target, fraction),
+            with_restored=self.objective.needs_restored(medium, fraction),
+            backend=self.settings.backend,
         )
-        loss = l1_ssim(picture.color, target.pixels.float() / 255, target.valid, backend=self.settings.backend)
+        offsets = self.cloud.means.detach() - torch.from_numpy(target.camera.centre).to(self.cloud.means)
+        loss = self.objective(picture, target, medium, offsets, fraction)
+        if (regularisation := self.growth.regularisation(self.cloud, self.median_range)) is not None:
+            loss = loss + regularisation
         loss.backward()
         gradient = picture.rendering.means2d.grad
-        if gradient is not None:
+        if gradient is not None and target.weight == 1:
+            if self.recipe.undimmed_growth and medium is not None:
+                gradient = gradient / visibility(medium, offsets).detach()[:, None]
             self.statistics.add(gradient, picture.rendering.radii, target.camera.width)
-        self.optimizer.step(self.learning_rates(fraction))
+        rates = self.learning_rates(fraction)
+        self.optimizer.step(rates)
         self.iteration += 1
-        self.grow()
+        if not self.objective.in_stage_two(fraction):
+            random = random_of(self.settings.seed, self.iteration)
+            self.growth.perturb(self.cloud, rates["means"], self.median_range, random)
+            self.grow(random)
+            self.reallocate()
         return float(loss.detach())
+
+    def sh_degree(self, fraction: float) -> int:
+        """SH degree of the Gaussians' colours, `fraction` (0..1) of the way through the run."""
+        degree = min(self.settings.sh_degree, sum(fraction >= start for start in self.schedule.sh_degrees))
+        return min(degree, 1) if self.medium and fraction < self.recipe.plain_colours_until else degree
 
     @property
     def water_degree(self) -> int:
@@ -205,28 +215,59 @@ class Trainer:
         rates = asdict(self.rates)
         end = rates.pop("means_end")
         rates["means"] *= (end / self.rates.means) ** fraction * self.median_range
+        if self.objective.in_stage_two(fraction):
+            return {name: rate for name, rate in rates.items() if name not in GEOMETRY}
         water = self.recipe.water_rate * 0.5 * (1 + math.cos(math.pi * fraction))
-        return rates | {f"medium.{name}": water for name in ("attenuation", "backscatter", "veil")}
+        return rates | {f"medium.{name}": water for name in (self.medium.parameters() if self.medium else ())}
 
     def next_target(self, fraction: float) -> Target:
         """The photograph of this iteration: every epoch in its own order, which depends on the seed alone."""
         factor = next((factor for until, factor in self.schedule.coarse if fraction < until), 1)
         if factor not in self.levels:
-            self.levels = {factor: [Target.shrunk(image, factor, self.device) for image in self.training]}
-        epoch, position = divmod(self.iteration, len(self.training))
-        order = np.random.default_rng((self.settings.seed, epoch)).permutation(len(self.training))
-        return self.levels[factor][order[position]]
+            photographs = [
+                Target.shrunk(image, factor, self.device, self.depth.get(image.camera.name)) for image in self.training
+            ]
+            made = [Target.shrunk(image, factor, self.device, None, self.recipe.interpolation) for image in self.frames]
+            self.levels = {factor: photographs + made}
+        targets = self.levels[factor]
+        epoch, position = divmod(self.iteration, len(targets))
+        order = np.random.default_rng((self.settings.seed, epoch)).permutation(len(targets))
+        return targets[order[position]]
 
-    def grow(self) -> None:
+    def grow(self, random: torch.Generator) -> None:
         schedule, total = self.schedule, self.settings.iterations
         fraction = self.iteration / total
-        if self.iteration % schedule.grow_every or not schedule.grow_from <= fraction <= schedule.grow_until:
+        if self.iteration % schedule.grow_every or not schedule.grow_from <= fraction <= self.recipe.grow_until:
             return
-        progress = (fraction - schedule.grow_from) / (schedule.grow_until - schedule.grow_from)
+        progress = (fraction - schedule.grow_from) / (self.recipe.grow_until - schedule.grow_from)
         # The number grows to its limit evenly in time, so that late Gaussians still have time to settle.
         budget = self.start_count + int((self.settings.max_gaussians - self.start_count) * min(1.0, 1.25 * progress))
         with torch.no_grad():
-            cloud, source = self.growth.event(self.cloud, self.statistics, budget, self.median_range)
+            cloud, source = self.growth.event(self.cloud, self.statistics, budget, self.median_range, random)
+        self.optimizer.replace(cloud, source)
+        self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
+
+    def reallocate(self) -> None:
+        """Move Gaussians to where the error is, a few times between the end of growth and stage two."""
+        every = max(1, round(self.schedule.reallocate_every * self.settings.iterations))
+        fraction = self.iteration / self.settings.iterations
+        last = self.recipe.stage_two_from - self.schedule.reallocate_every
+        if (
+            self.recipe.reallocation == "off"
+            or self.iteration % every
+            or not self.recipe.grow_until <= fraction <= last
+        ):
+            return
+        self.next_target(fraction)  # makes the photographs at this size
+        (targets,) = self.levels.values()
+        views = [
+            (target.camera, lambda color, target=target: self.objective.reconstruction(color, target, fraction))
+            for target in targets
+            if target.weight == 1
+        ]
+        degree = self.sh_degree(fraction)
+        S, E = scores(self.cloud, views, degree, self.medium, self.water_degree, self.settings.backend)
+        cloud, source = reallocate(self.cloud, S, E, identical=self.recipe.reallocation == "identical")
         self.optimizer.replace(cloud, source)
         self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
 
@@ -320,6 +361,7 @@ class Trainer:
             "interrupted": interrupted,
             "background": self.background(),
             "water": self.water_note,
+            "notes": self.notes,
             "views": {score.name: {"psnr": score.psnr, "ssim": score.ssim} for score in scores},
         }
         self.run.log(
@@ -330,7 +372,7 @@ class Trainer:
             }
         )
         if self.medium:
-            write_json(self.run.water, self.medium.to_json())
+            write_json(self.run.water, self.medium.to_json(self.settings.metres_per_unit))
         self.run.write_metrics(metrics)
         self.run.preview.unlink(missing_ok=True)
         return {
@@ -344,7 +386,7 @@ class Trainer:
 
     def background(self) -> list[float]:
         """Display colour (3,) behind the Gaussians: black where the water that was there has been taken away."""
-        color = torch.zeros(3) if self.medium else self.cloud.background.detach().sigmoid()
+        color = torch.zeros(3) if isinstance(self.medium, Medium) else self.cloud.background.detach().sigmoid()
         return [round(value, 6) for value in color.tolist()]
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
@@ -361,7 +403,7 @@ class Trainer:
             "start_count": self.start_count,
             "psnr": self.psnr,
             "ssim": self.ssim,
-            "medium": self.medium and {name: getattr(self.medium, name) for name in SETTINGS},
+            "medium": self.medium and {name: getattr(self.medium, name, None) for name in SETTINGS},
         }
         path = save_checkpoint(self.run.path, self.iteration, tensors, state)
         self.on_event({"event": "checkpoint", "path": str(path)})
@@ -389,14 +431,16 @@ def cloud_from_tensors(tensors: dict[str, Tensor]) -> GaussianCloud:
     return GaussianCloud(**{name[len(prefix) :]: t.clone() for name, t in tensors.items() if name.startswith(prefix)})
 
 
-def medium_from_tensors(tensors: dict[str, Tensor], state: dict[str, Any]) -> Medium | None:
+def medium_from_tensors(tensors: dict[str, Tensor], state: dict[str, Any]) -> Medium | WaterNetwork | None:
     """The water of a checkpoint, None where it has none."""
     prefix = "medium."
     found = {name[len(prefix) :]: t.clone() for name, t in tensors.items() if name.startswith(prefix)}
     if not found:
         return None
     settings = state["medium"]
-    return Medium(found["attenuation"], found["backscatter"], found["veil"], settings["unit_range"], settings["light"])
+    if "weights" in found:
+        return WaterNetwork(**found, unit_range=settings["unit_range"])
+    return Medium(**found, unit_range=settings["unit_range"], light=settings["light"])
 
 
 def median_range(scene: Scene, images: Sequence[TrainingImage]) -> float:

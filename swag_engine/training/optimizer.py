@@ -7,6 +7,7 @@ from ..gaussians.cloud import GaussianCloud
 from ..gaussians.grow import PER_GAUSSIAN
 from ..rasterize.backends import kernels_for
 from ..water.medium import Medium
+from ..water.network import WaterNetwork
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 BETAS = (0.9, 0.999)
@@ -19,7 +20,7 @@ class Optimizer:
     cloud and medium (None: no water): optimised in place.
     """
 
-    def __init__(self, cloud: GaussianCloud, medium: Medium | None, backend: str = "auto") -> None:
+    def __init__(self, cloud: GaussianCloud, medium: Medium | WaterNetwork | None, backend: str = "auto") -> None:
         self.backend = backend
         self.cloud = cloud
         self.medium = medium

@@ -1,20 +1,153 @@
-"""Methods as sets of switches on one configuration."""
+"""Methods as values of one configuration; docs/recipes.md says line by line what each shares with its namesake."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
-RECIPE_NAMES = ("swag", "3dgs")
+from ..errors import InputError
+
+Weights = tuple[float, float]
+"""A loss weight at the start and at the end of the run; linear between, unless said otherwise."""
+
+
+@dataclass(frozen=True)
+class Photometric:
+    """Weights of what compares picture and photograph: mean absolute error, 1 - SSIM and mean square error."""
+
+    l1: Weights = (0.8, 0.8)
+    ssim: float = 0.2
+    l2: Weights = (0.0, 0.0)
+
+
+TRUE_L2 = Photometric(l1=(0.05, 0.05), ssim=0.0, l2=(0.9, 0.9))
+"""What PSNR measures; SWAGSplatting's own weights leave stage two to the absolute error (19:1 in gradient at 30 dB)."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a run computes beside plain Gaussian splatting."""
+    """What a run computes beside plain Gaussian splatting (arXiv 2308.04079). A weight of 0 is not computed at all."""
 
     water: bool = False
-    """Model the water, where the scene's points say that there is some."""
+    """Model the water."""
+    medium: Literal["analytic", "network"] = "analytic"
+    """Coefficients of the whole scene (water/medium.py), or a network of direction and range (water/network.py)."""
+    light: Literal["linear", "srgb"] = "linear"
+    """What the water's formula works on."""
+    fitted: bool = True
+    """Ask the sparse points whether there is water, and start from what they say; else always model it."""
+    water_from: float = 0.0
+    """Share of the run after which the water joins."""
     water_rate: float = 3e-3
     """Adam's step size for the water's raw parameters at the start; falls to 0 as a cosine."""
     veil_degrees_from: float = 0.4
     """Share of the run after which the water's colour may change with direction."""
+    plain_colours_until: float = 0.0
+    """Share of the run in which colour is of SH degree 1 at most where there is water, or SH would imitate it."""
+
+    photometric: Photometric = Photometric()
+    relative: bool = False
+    """Divide residuals by the rendered brightness (WaterSplatting): dark, far parts count as much as bright ones."""
+
+    stage_two_from: float = 1.0
+    """Share of the run after which geometry and water are frozen, and only appearance goes on."""
+    photometric_two: Photometric = TRUE_L2
+    """Weights in stage two."""
+
+    growth: Literal["default", "mcmc"] = "default"
+    grow_until: float = 0.7
+    """Share of the run after which the number of Gaussians stays."""
+    undimmed_growth: bool = False
+    """Weigh what a Gaussian is pulled with by how much of it the water lets through (UW-GS)."""
+    reallocation: Literal["off", "balanced", "identical"] = "off"
+    """Move Gaussians from where they show least to where the error is largest: clones that keep the picture, or
+    identical copies."""
+
+    depth: float = 0.0
+    """Weight of the depth prior at the start; falls to a tenth geometrically until stage two."""
+    grey_world: float = 0.0
+    """Weight of the restored picture being grey on average."""
+    grey_world_target: Literal["mean", "middle"] = "mean"
+    """Grey like its own mean, or middle grey."""
+    smoothness: float = 0.0
+    """Weight of range being smooth where the picture is."""
+    smoothness_edges: Literal["photograph", "render"] = "photograph"
+    hinge: float = 0.0
+    """Weight of the channels' attenuation keeping its order."""
+    hinge_order: Literal["fitted", "oceanic"] = "fitted"
+    """The order that the sparse points gave, or red over green over blue."""
+    range_consistency: float = 0.0
+    """Weight of the range that the network's transmission implies being the Gaussian's (recipe paper's L_ca)."""
+    interpolation: float = 0.0
+    """Weight of interpolated frames."""
 
 
-RECIPES = {"swag": Recipe(water=True), "3dgs": Recipe()}
+PAPER_LOSS = Photometric(l1=(0.56, 0.96), ssim=0.2, l2=(0.0, 0.1))
+PAPER_LOSS_TWO = Photometric(l1=(0.7, 1.2), ssim=0.0, l2=(0.9, 0.9))
+
+RECIPES: dict[str, Recipe] = {
+    "swag": Recipe(water=True),
+    "3dgs": Recipe(),
+    "seasplat": Recipe(
+        water=True, light="srgb", fitted=False, water_from=0.33, veil_degrees_from=1.0, grey_world=0.02, smoothness=0.05
+    ),
+    "uw-gs": Recipe(water=True, light="srgb", fitted=False, veil_degrees_from=1.0, depth=0.1, undimmed_growth=True),
+    "watersplatting": Recipe(water=True, light="srgb", fitted=False, veil_degrees_from=0.0, relative=True),
+    "rusplatting": Recipe(
+        water=True, light="srgb", fitted=False, veil_degrees_from=1.0, smoothness=0.05, interpolation=0.1
+    ),
+    "paper": Recipe(
+        water=True,
+        medium="network",
+        light="srgb",
+        fitted=False,
+        photometric=PAPER_LOSS,
+        stage_two_from=0.6,
+        photometric_two=PAPER_LOSS_TWO,
+        grow_until=0.4,
+        reallocation="identical",
+        depth=0.1,
+        grey_world=1.0,
+        grey_world_target="middle",
+        smoothness=0.05,
+        smoothness_edges="render",
+        hinge=1e-3,
+        hinge_order="oceanic",
+        range_consistency=0.1,
+        interpolation=0.1,
+    ),
+}
+
+EFFECTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "water": ({"water": True}, {"water": False}),
+    "stages": ({"stage_two_from": 0.6}, {"stage_two_from": 1.0}),
+    "reallocation": ({"reallocation": "balanced"}, {"reallocation": "off"}),
+    "depth": ({"depth": 0.1}, {"depth": 0.0}),
+    "grey-world": ({"grey_world": 0.02}, {"grey_world": 0.0}),
+    "smoothness": ({"smoothness": 0.05}, {"smoothness": 0.0}),
+    "hinge": ({"hinge": 1e-3}, {"hinge": 0.0}),
+    "interpolation": ({"interpolation": 0.1}, {"interpolation": 0.0}),
+}
+"""What a user can switch: the recipe's values with it and without it."""
+
+
+def recipe_of(name: str, effects: str = "") -> Recipe:
+    """The recipe `name` with switches such as "water=off,depth=on" applied.
+
+    Switching on what the recipe has keeps the recipe's own values. Raises InputError for unknown names and states.
+    """
+    if name not in RECIPES:
+        raise InputError(f"The setting recipe must be one of {', '.join(RECIPES)}, not {name!r}.")
+    recipe = RECIPES[name]
+    for switch in filter(None, (part.strip() for part in effects.split(","))):
+        effect, _, state = switch.partition("=")
+        if effect not in EFFECTS or state not in ("on", "off"):
+            raise InputError(
+                f"The effect {switch!r} cannot be switched: write name=on or name=off, with a name of "
+                f"{', '.join(EFFECTS)}."
+            )
+        on, off = EFFECTS[effect]
+        already = any(getattr(recipe, field) != value for field, value in off.items())
+        if state == "off":
+            recipe = replace(recipe, **off)
+        elif not already:
+            recipe = replace(recipe, **on)
+    return recipe

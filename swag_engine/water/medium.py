@@ -78,20 +78,22 @@ class Medium:
         """(3,) growth of the backscatter per scene unit."""
         return torch.nn.functional.softplus(self.backscatter) / self.unit_range
 
-    def to_json(self) -> dict[str, Any]:
-        """What a compositor needs: beta_D and beta_B per scene unit, B_inf in 0..1 of `light`, each (R, G, B).
+    def to_json(self, metres_per_unit: float = 0.0) -> dict[str, Any]:
+        """What a compositor needs: beta_D and beta_B, B_inf in 0..1 of `light`, each (R, G, B).
 
+        The coefficients are per metre where the scene has a scale (metres_per_unit > 0), else per scene unit: `per`.
         B_inf is without the change by direction; veil_sh (9, 3) has its raw SH coefficients, B = sigmoid(their sum).
         """
+        scale = metres_per_unit or 1.0
         with torch.no_grad():
             constant = _veil(torch.tensor([[0.0, 0.0, 1.0]]).to(self.veil), self.values(), 0)[0]
             return {
-                "beta_D": _rounded(self.beta_D),
-                "beta_B": _rounded(self.beta_B),
+                "beta_D": _rounded(self.beta_D / scale),
+                "beta_B": _rounded(self.beta_B / scale),
                 "B_inf": _rounded(constant),
                 "veil_sh": [_rounded(row) for row in self.veil],
                 "light": self.light,
-                "per": "unit",
+                "per": "metre" if metres_per_unit else "unit",
             }
 
     def values(self) -> Tensor:

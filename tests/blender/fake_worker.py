@@ -77,6 +77,7 @@ def train(request):
         "interrupted": cancelled.is_set(),
         "background": [0.1, 0.2, 0.3],
         "water": "No water is modelled: it adds too little.",
+        "notes": [],
     }
     (run / "metrics.json").write_text(json.dumps(metrics))
     send(

@@ -17,7 +17,7 @@ from swag_engine.rasterize import cuda, cuda_driver
 from swag_engine.rasterize.api import contributions, rasterize
 from swag_engine.rasterize.kernels import build
 from swag_engine.rasterize.projection import project
-from swag_engine.training.losses import l1_ssim, ssim
+from swag_engine.training.losses import photometric, ssim
 from swag_engine.training.optimizer import adam_step
 from swag_engine.water.medium import Medium, open_water, through_water
 from tests.engine.cuda_fibres import Fibres
@@ -179,7 +179,7 @@ def test_no_result_depends_on_the_order_of_threads_between_barriers(fibres, monk
 
     def everything():
         image = a.clone().requires_grad_()
-        loss = l1_ssim(image, b, None, backend="cuda")
+        loss = photometric(image, b, None, backend="cuda")
         loss.backward()
         scene3 = scene | {"channels": scene["channels"][:, :3], "background": scene["background"][:3]}
         return [*run(scene)[0].values(), *contributions_of(scene3, images=2), loss, image.grad]
@@ -306,8 +306,8 @@ def test_l1_ssim_agrees_with_torch(height, width):
 
     def losses(backend, dtype, device):
         a, b = image.to(device, dtype, copy=True).requires_grad_(), target.to(device, dtype)
-        l1_ssim(a, b, None, 0.3, backend).backward()
-        values = l1_ssim(a, b, None, 0.0, backend), ssim(a, b, backend), a.grad
+        photometric(a, b, None, 0.7, 0.3, backend=backend).backward()
+        values = photometric(a, b, None, 1.0, 1e-30, backend=backend), ssim(a, b, backend), a.grad
         return [value.detach().double().cpu() for value in values]
 
     truth = losses("torch", torch.float64, "cpu")

@@ -200,7 +200,7 @@ def test_a_scene_gets_priors_for_the_images_that_the_network_understands(tiny_sc
     images[3].pixels[:] = 255 - images[3].pixels
     images[5].pixels[:] //= 7
     network = InverseDepth(write_network(tmp_path / "red.onnx", RED.format("H,W")))
-    priors, alignments = depth_priors(network, images, scene)
+    priors, alignments = depth_priors(lambda image: network(image.pixels), images, scene)
     accepted = [image for i, image in enumerate(images) if i not in (3, 5)]
     assert set(priors) == {image.camera.name for image in accepted} and len(alignments) == len(images)
     assert "exchanged" in alignments[images[3].camera.name].reason

@@ -1,30 +1,15 @@
-"""Where Gaussians start, how they split, and what range they are seen at."""
+"""Where Gaussians start, what follows them through growth, and what range they are seen at."""
 
 import numpy as np
 import pytest
 import torch
+from clouds import make_cloud
 
-from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.gaussians.grow import Growth, GrowthStatistics, rotation_matrices, split_along_longest_axis
 from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.rasterize.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import Points
 from swag_engine.training.optimizer import Optimizer
-
-
-def make_cloud(n, seed=0, dtype=torch.float64):
-    draw = torch.Generator().manual_seed(seed)
-    means = torch.randn(n, 3, generator=draw) * torch.tensor([1.0, 1.0, 0.3]) + torch.tensor([0.0, 0.0, 5.0])
-    return GaussianCloud(
-        means=means.to(dtype),
-        quats=torch.randn(n, 4, generator=draw).to(dtype),
-        log_scales=(torch.rand(n, 3, generator=draw) * 1.5 - 3).to(dtype),
-        opacity_logits=torch.randn(n, generator=draw).to(dtype),
-        sh0=torch.randn(n, 1, 3, generator=draw).to(dtype),
-        shN=0.1 * torch.randn(n, 3, 3, generator=draw).to(dtype),
-        background=torch.zeros(3, dtype=dtype),
-    )
 
 
 def points_at(positions, colors=None):
@@ -64,47 +49,6 @@ def test_the_cap_holds_for_the_start_too_and_is_seeded():
     points = points_at(np.random.default_rng(0).normal(size=(500, 3)))
     first, again = (gaussians_from_points(points, 100, 0, 3, np.zeros(3)) for _ in range(2))
     assert len(first) == 100 and torch.equal(first.means, again.means)
-
-
-def test_a_split_keeps_mass_mean_and_variance():
-    cloud = make_cloud(50)
-    index = torch.arange(50)
-    children = [split_along_longest_axis(cloud, index, sign) for sign in (1.0, -1.0)]
-    mass, first, second = torch.zeros(50), torch.zeros(50, 3), torch.zeros(50, 3, 3)
-    for child in children:
-        part = GaussianCloud(**child, background=cloud.background)
-        weight = part.opacities * part.scales.prod(dim=-1)
-        mass = mass + weight
-        first = first + weight[:, None] * part.means
-        offset = part.means - cloud.means
-        second = second + weight[:, None, None] * (covariance(part) + offset[:, :, None] * offset[:, None, :])
-    torch.testing.assert_close(mass, cloud.opacities * cloud.scales.prod(dim=-1))
-    torch.testing.assert_close(first / mass[:, None], cloud.means)
-    torch.testing.assert_close(second / mass[:, None, None], covariance(cloud))
-
-
-def covariance(cloud):
-    axes = rotation_matrices(cloud.quats) * cloud.scales[:, None, :]
-    return axes @ axes.transpose(1, 2)
-
-
-def test_growth_splits_what_the_loss_pulls_and_drops_what_is_transparent():
-    cloud = make_cloud(10)
-    cloud.opacity_logits[3] = -9.0
-    statistics = GrowthStatistics(torch.zeros(10), torch.ones(10))
-    statistics.gradient[[2, 7]] = torch.tensor([1.0, 2.0])
-    grown, source = Growth().event(cloud, statistics, 10, 5.0)
-    assert len(grown) == 10  # 9 left and room for one: the stronger of the two is split
-    assert 3 not in source and 7 not in source and (source == -1).sum() == 2
-    kept = source[source >= 0]
-    torch.testing.assert_close(grown.means[: len(kept)], cloud.means[kept])
-
-
-def test_growth_of_a_wholly_transparent_cloud_changes_nothing():
-    cloud = make_cloud(4)
-    cloud.opacity_logits[:] = -20.0
-    grown, source = Growth().event(cloud, GrowthStatistics.zeros(4, cloud.means.device), 100, 5.0)
-    assert len(grown) == 4 and torch.equal(source, torch.arange(4))
 
 
 def test_moments_follow_their_gaussians_and_start_at_zero_for_new_ones():

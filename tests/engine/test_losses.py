@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from swag_engine.rasterize import cpu
-from swag_engine.training.losses import l1_ssim, ssim
+from swag_engine.training import losses
+from swag_engine.training.losses import attenuation_order, grey_world, photometric, smoothness, ssim
 
 SIZES = [(1, 1), (4, 7), (11, 11), (23, 41), (9, 330)]  # the last one is wider than a block of the kernel
 
@@ -59,7 +60,7 @@ def test_l1_ssim_weighs_both(dtype):
         return 0.7 * (x - target).abs().mean() + 0.3 * (1 - direct_ssim(x, target))
 
     expected, expected_gradient = value_and_gradient(expected_loss, image)
-    value, gradient = value_and_gradient(lambda x: l1_ssim(x, target.to(dtype), None, 0.3), image.to(dtype))
+    value, gradient = value_and_gradient(lambda x: photometric(x, target.to(dtype), None, 0.7, 0.3), image.to(dtype))
     assert abs(value - expected) < 1e-6
     assert (gradient - expected_gradient).abs().max() < 1e-5 * expected_gradient.abs().max()
 
@@ -69,19 +70,19 @@ def test_invalid_pixels_change_nothing(dtype):
     image, target = (x.to(dtype) for x in images(20, 30))
     valid = torch.rand(20, 30, generator=torch.Generator().manual_seed(3)) > 0.3
     other = torch.where(valid[..., None], image, torch.full_like(image, float("nan")))
-    first = value_and_gradient(lambda x: l1_ssim(x, target, valid), image)
-    second = value_and_gradient(lambda x: l1_ssim(x, target, valid), other)
+    first = value_and_gradient(lambda x: photometric(x, target, valid), image)
+    second = value_and_gradient(lambda x: photometric(x, target, valid), other)
     assert first[0] == second[0]
     assert torch.equal(first[1], second[1])
     assert (first[1][~valid] == 0).all() and (first[1][valid] != 0).any()
-    assert first[0] < l1_ssim(image, target, None).item()
-    assert l1_ssim(image, target, torch.zeros_like(valid)).item() == pytest.approx(0, abs=1e-6)
+    assert first[0] < photometric(image, target, None).item()
+    assert photometric(image, target, torch.zeros_like(valid)).item() == pytest.approx(0, abs=1e-6)
 
 
 def test_perfect_and_constant_images_are_finite():
     black = torch.zeros(16, 16, 3)
     for image in (black, black + 1):
-        value, gradient = value_and_gradient(lambda x, target=image: l1_ssim(x, target, None), image)
+        value, gradient = value_and_gradient(lambda x, target=image: photometric(x, target, None), image)
         assert value == pytest.approx(0, abs=1e-6) and gradient.isfinite().all()
 
 
@@ -92,7 +93,7 @@ def test_same_bits_for_any_number_of_threads():
     try:
         for threads in (1, 2, 5):
             torch.set_num_threads(threads)
-            results.append(value_and_gradient(lambda x: l1_ssim(x, target, None), image))
+            results.append(value_and_gradient(lambda x: photometric(x, target, None), image))
     finally:
         torch.set_num_threads(before)
     assert all(r[0] == results[0][0] and torch.equal(r[1], results[0][1]) for r in results)
@@ -100,9 +101,9 @@ def test_same_bits_for_any_number_of_threads():
 
 def test_torch_path_agrees_when_there_are_no_kernels(monkeypatch):
     image, target = (x.float() for x in images(45, 70))
-    expected = value_and_gradient(lambda x: l1_ssim(x, target, None), image)
+    expected = value_and_gradient(lambda x: photometric(x, target, None), image)
     monkeypatch.setattr(cpu, "library", lambda: None)
-    value, gradient = value_and_gradient(lambda x: l1_ssim(x, target, None), image)
+    value, gradient = value_and_gradient(lambda x: photometric(x, target, None), image)
     assert value == pytest.approx(expected[0], rel=1e-5)
     np.testing.assert_allclose(gradient, expected[1], atol=1e-5 * expected[1].abs().max().item())
 
@@ -112,3 +113,80 @@ def test_other_shapes_are_refused():
         ssim(torch.zeros(4, 4, 3), torch.zeros(4, 5, 3))
     with pytest.raises(ValueError, match="H, W, 3"):
         ssim(torch.zeros(4, 4, 1), torch.zeros(4, 4, 1))
+
+
+# Weights, and what is known about any place under water --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_square_error_and_relative_residuals_are_those_of_the_definition(relative):
+    image, target = images(20, 30)
+    image = image.clamp(min=0.01)
+
+    def expected_loss(x):
+        error = (x - target) / (image + 1e-3 if relative else 1)
+        return 0.3 * error.abs().mean() + 0.1 * (1 - direct_ssim(x, target)) + 0.5 * error.square().mean()
+
+    expected, expected_gradient = value_and_gradient(expected_loss, image)
+    value, gradient = value_and_gradient(
+        lambda x: photometric(x, target.float(), None, 0.3, 0.1, 0.5, relative), image.float()
+    )
+    assert value == pytest.approx(expected, rel=1e-5)
+    assert (gradient - expected_gradient).abs().max() < 1e-5 * expected_gradient.abs().max()
+
+
+def test_no_weight_computes_nothing(monkeypatch):
+    image, target = (x.float() for x in images(20, 30))
+    monkeypatch.setattr(losses, "_l1_and_ssim", lambda *arguments: pytest.fail("SSIM was computed"))
+    expected = 0.05 * (image - target).abs().mean() + 0.9 * (image - target).square().mean()
+    assert photometric(image, target, None, 0.05, 0.0, 0.9).item() == pytest.approx(expected.item(), rel=1e-6)
+
+
+def test_grey_world_is_zero_for_grey_and_pulls_a_cast_back():
+    alpha = torch.ones(6, 5, dtype=torch.float64)
+    grey = torch.rand(6, 5, 1, dtype=torch.float64).expand(-1, -1, 3)
+    assert grey_world(grey, alpha).item() == pytest.approx(0, abs=1e-12)
+    cast = grey * torch.tensor([0.5, 1.0, 1.2], dtype=torch.float64)
+    value, gradient = value_and_gradient(lambda x: grey_world(x, alpha), cast)
+    means = cast.mean((0, 1))
+    assert value == pytest.approx(((means / means.mean() - 1) ** 2).mean().item())
+    assert (gradient[..., 0] < 0).all() and (gradient[..., 2] > 0).all()
+    middle = grey_world(cast, alpha, "middle")
+    assert middle.item() == pytest.approx(((means - 0.5) ** 2).sum().item())
+
+
+def test_grey_world_sees_only_what_is_covered():
+    picture = torch.rand(6, 5, 3, dtype=torch.float64)
+    alpha = torch.zeros(6, 5, dtype=torch.float64)
+    value, gradient = value_and_gradient(lambda x: grey_world(x, alpha), picture)
+    assert value == 0 and (gradient == 0).all()
+    alpha[2] = 0.9
+    _, gradient = value_and_gradient(lambda x: grey_world(x, alpha), picture)
+    assert (gradient[2] != 0).all() and (gradient[[0, 1, 3, 4, 5]] == 0).all()
+    black = torch.zeros(6, 5, 3, dtype=torch.float64)
+    value, gradient = value_and_gradient(lambda x: grey_world(x, alpha), black)
+    assert np.isfinite(value) and gradient.isfinite().all()
+
+
+def test_smoothness_forgives_steps_where_the_picture_has_an_edge():
+    alpha = torch.ones(4, 6, dtype=torch.float64)
+    step = torch.ones(4, 6, dtype=torch.float64)
+    step[:, 3:] = 3
+    flat, edge = torch.zeros(4, 6, 3, dtype=torch.float64), torch.zeros(4, 6, 3, dtype=torch.float64)
+    edge[:, 3:] = 1
+    pairs = 3 * 6 + 4 * 5
+    assert smoothness(step, alpha, flat, 2.0).item() == pytest.approx(4 * 2 / 2.0 / pairs)
+    assert smoothness(step, alpha, edge, 2.0).item() == pytest.approx(4 * 2 / 2.0 * np.exp(-5) / pairs)
+    alpha[:, 3:] = 0.2
+    assert smoothness(step, alpha, flat, 2.0).item() == 0
+    x = step.clone().requires_grad_()
+    guide = torch.rand(4, 6, 3, dtype=torch.float64)
+    assert torch.autograd.gradcheck(
+        lambda r: smoothness(r + 0.1 * torch.arange(24.0).view(4, 6), torch.ones_like(r), guide, 2.0), x
+    )
+
+
+def test_the_order_of_attenuation_is_asked_for_channel_by_channel():
+    beta = torch.tensor([0.3, 0.1, 0.05])
+    assert attenuation_order(beta, (0, 1, 2)).item() == 0
+    assert attenuation_order(beta, (2, 1, 0)).item() == pytest.approx(0.2 + 0.05 + 2e-3)

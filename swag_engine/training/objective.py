@@ -1,0 +1,86 @@
+"""What one iteration minimises."""
+
+from torch import Tensor
+
+from ..priors.depth import depth_loss
+from ..rasterize.render import Picture
+from ..water.medium import Medium
+from ..water.network import WaterNetwork
+from .losses import attenuation_order, grey_world, photometric, smoothness
+from .recipes import Recipe, Weights
+from .targets import Target
+
+OCEANIC = (0, 1, 2)  # red is taken most, blue least
+SAMPLED = 8
+"""One Gaussian in so many is asked for its range consistency in an iteration."""
+
+
+class Objective:
+    """The loss of a recipe.
+
+    median_range: the scene's, in scene units. order: the channels by the attenuation that the sparse points gave,
+    largest first, None where they gave none.
+    """
+
+    def __init__(self, recipe: Recipe, median_range: float, order: tuple[int, int, int] | None, backend: str) -> None:
+        self.recipe, self.median_range, self.backend = recipe, median_range, backend
+        self.order = OCEANIC if recipe.hinge_order == "oceanic" else order
+
+    def in_stage_two(self, fraction: float) -> bool:
+        """Whether geometry and water are frozen, `fraction` (0..1) of the way through the run."""
+        return fraction >= self.recipe.stage_two_from
+
+    def needs_range(self, target: Target, fraction: float) -> bool:
+        """Whether the picture has to come with ranges."""
+        geometry = self.recipe.smoothness > 0 or (self.recipe.depth > 0 and target.inverse_range is not None)
+        return geometry and not self.in_stage_two(fraction)
+
+    def needs_restored(self, medium: object, fraction: float) -> bool:
+        """Whether the picture has to come with the same without water."""
+        return self.recipe.grey_world > 0 and medium is not None and not self.in_stage_two(fraction)
+
+    def reconstruction(self, color: Tensor, target: Target, fraction: float) -> Tensor:
+        """How far the picture (H, W, 3) is from its photograph."""
+        weights = self.recipe.photometric_two if self.in_stage_two(fraction) else self.recipe.photometric
+        return photometric(
+            color,
+            target.color,
+            target.valid,
+            _at(weights.l1, fraction),
+            weights.ssim,
+            _at(weights.l2, fraction),
+            self.recipe.relative,
+            self.backend,
+        )
+
+    def __call__(
+        self, picture: Picture, target: Target, medium: Medium | WaterNetwork | None, offsets: Tensor, fraction: float
+    ) -> Tensor:
+        """The loss of one picture, `fraction` of the way through; `picture` has what needs_* asked for.
+
+        offsets (N, 3): from the camera to the Gaussians.
+        """
+        recipe, two = self.recipe, self.in_stage_two(fraction)
+        loss = self.reconstruction(picture.color, target, fraction)
+        if target.weight != 1:
+            return target.weight * loss
+        if two:
+            return loss
+        if recipe.depth and target.inverse_range is not None and picture.range is not None:
+            weight = recipe.depth * 0.1 ** (fraction / recipe.stage_two_from)
+            loss = loss + weight * depth_loss(picture.range, picture.alpha, target.inverse_range, self.median_range)
+        if recipe.smoothness and picture.range is not None:
+            guide = target.color if recipe.smoothness_edges == "photograph" else picture.color
+            loss = loss + recipe.smoothness * smoothness(picture.range, picture.alpha, guide, self.median_range)
+        if recipe.grey_world and picture.restored is not None:
+            loss = loss + recipe.grey_world * grey_world(picture.restored, picture.alpha, recipe.grey_world_target)
+        if recipe.hinge and medium is not None and self.order:
+            # The coefficients that render, per median range, so that the margin means the same in every scene.
+            loss = loss + recipe.hinge * attenuation_order(medium.beta_D * self.median_range, self.order)
+        if recipe.range_consistency and isinstance(medium, WaterNetwork):
+            loss = loss + recipe.range_consistency * medium.range_consistency(offsets[::SAMPLED].detach())
+        return loss
+
+
+def _at(weights: Weights, fraction: float) -> float:
+    return weights[0] + (weights[1] - weights[0]) * fraction

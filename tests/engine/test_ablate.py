@@ -1,0 +1,75 @@
+"""The table of methods: whole, resumable, honest about what it could not know."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from swag_engine.errors import InputError
+from swag_engine.evaluation import ablate as module
+from swag_engine.evaluation.ablate import Row, ablate, rows, table
+from swag_engine.training.config import TrainSettings
+from swag_engine.training.recipes import EFFECTS, RECIPES, recipe_of
+
+SETTINGS = TrainSettings(iterations=12, width=48, max_gaussians=320, sh_degree=0)
+
+
+@pytest.fixture
+def two_rows(monkeypatch):
+    monkeypatch.setattr(module, "rows", lambda: [Row("3dgs", "3dgs"), Row("swag without water", "swag", "water=off")])
+
+
+def test_every_recipe_and_every_switch_has_a_row():
+    table_rows = rows()
+    assert {row.recipe for row in table_rows if not row.effects} == set(RECIPES)
+    assert {row.effects.partition("=")[0] for row in table_rows if row.effects} == set(EFFECTS)
+    for row in table_rows:
+        TrainSettings(recipe=row.recipe, effects=row.effects)
+        assert not row.effects or recipe_of(row.recipe, row.effects) != RECIPES[row.recipe], row
+
+
+def test_the_table_has_mean_and_spread_over_the_seeds(two_rows, tiny_scene, tmp_path):
+    done = []
+    document = ablate(tiny_scene, tmp_path / "a", 2, SETTINGS, on_run=lambda name, seed, f: done.append((name, seed)))
+    assert done == [("3dgs", 0), ("3dgs", 1), ("swag without water", 0), ("swag without water", 1)]
+    row = document["rows"][0]
+    values = [run["test_psnr"] for run in row["runs"]]
+    assert values[0] != values[1]
+    assert row["mean"]["test_psnr"] == pytest.approx(sum(values) / 2)
+    assert row["spread"]["test_psnr"] == pytest.approx(abs(values[0] - values[1]) / 2**0.5)
+    assert row["mean"]["delta_e"] is None  # the scene has no truth
+    text = (tmp_path / "a" / "ablation.md").read_text()
+    assert text == table(document) + "\n" and "| swag without water |" in text and " ± " in text
+    assert json.loads((tmp_path / "a" / "ablation.json").read_text())["seeds"] == 2
+    # Without water and any other part on, both rows are the same method.
+    assert document["rows"][1]["runs"][0]["test_psnr"] == values[0]
+
+
+def test_an_interrupted_table_goes_on(two_rows, tiny_scene, tmp_path, monkeypatch):
+    asked = iter(range(10**9))
+    stopped = ablate(tiny_scene, tmp_path / "a", 1, SETTINGS, should_stop=lambda: next(asked) > 16)
+    assert stopped["interrupted"] and len(stopped["rows"]) == 1
+    whole = ablate(tiny_scene, tmp_path / "b", 1, SETTINGS)
+    trained = []
+    train = module.train
+    monkeypatch.setattr(module, "train", lambda *a, **k: trained.append(a[1].parent.name) or train(*a, **k))
+    resumed = ablate(tiny_scene, tmp_path / "a", 1, SETTINGS)
+    assert trained == ["swag-without-water"] and not resumed["interrupted"]
+    for expected, got in zip(whole["rows"], resumed["rows"], strict=True):
+        assert expected["mean"]["test_psnr"] == got["mean"]["test_psnr"]
+
+
+def test_runs_of_other_settings_are_not_mixed_in(two_rows, tiny_scene, tmp_path):
+    ablate(tiny_scene, tmp_path / "a", 1, SETTINGS)
+    with pytest.raises(InputError, match="another scene or other settings"):
+        ablate(tiny_scene, tmp_path / "a", 1, replace(SETTINGS, width=32))
+    with pytest.raises(InputError, match="seeds must be 1 or more"):
+        ablate(tiny_scene, tmp_path / "b", 0, SETTINGS)
+
+
+def test_the_command_says_what_is_wrong(tmp_path):
+    command = [sys.executable, "-m", "swag_engine", "ablate", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2 and "nowhere" in done.stderr and "Traceback" not in done.stderr

@@ -1,0 +1,219 @@
+"""Growing: splitting where the loss pulls, and 3DGS-MCMC's moving, wandering and dying."""
+
+import numpy as np
+import pytest
+import torch
+from clouds import make_cloud
+
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.gaussians.grow import (
+    PER_GAUSSIAN,
+    Growth,
+    GrowthStatistics,
+    McmcGrowth,
+    random_of,
+    rotation_matrices,
+    share_opacity,
+    split_along_longest_axis,
+)
+from swag_engine.rasterize.render import render
+from swag_engine.scene.cameras import Camera
+
+
+def test_a_split_keeps_mass_mean_and_variance():
+    cloud = make_cloud(50)
+    index = torch.arange(50)
+    children = [split_along_longest_axis(cloud, index, sign) for sign in (1.0, -1.0)]
+    mass, first, second = torch.zeros(50), torch.zeros(50, 3), torch.zeros(50, 3, 3)
+    for child in children:
+        part = GaussianCloud(**child, background=cloud.background)
+        weight = part.opacities * part.scales.prod(dim=-1)
+        mass = mass + weight
+        first = first + weight[:, None] * part.means
+        offset = part.means - cloud.means
+        second = second + weight[:, None, None] * (covariance(part) + offset[:, :, None] * offset[:, None, :])
+    torch.testing.assert_close(mass, cloud.opacities * cloud.scales.prod(dim=-1))
+    torch.testing.assert_close(first / mass[:, None], cloud.means)
+    torch.testing.assert_close(second / mass[:, None, None], covariance(cloud))
+
+
+def covariance(cloud):
+    axes = rotation_matrices(cloud.quats) * cloud.scales[:, None, :]
+    return axes @ axes.transpose(1, 2)
+
+
+def test_growth_splits_what_the_loss_pulls_and_drops_what_is_transparent():
+    cloud = make_cloud(10)
+    cloud.opacity_logits[3] = -9.0
+    statistics = GrowthStatistics(torch.zeros(10), torch.ones(10))
+    statistics.gradient[[2, 7]] = torch.tensor([1.0, 2.0])
+    grown, source = Growth().event(cloud, statistics, 10, 5.0, random_of(0, 0))
+    assert len(grown) == 10  # 9 left and room for one: the stronger of the two is split
+    assert 3 not in source and 7 not in source and (source == -1).sum() == 2
+    kept = source[source >= 0]
+    torch.testing.assert_close(grown.means[: len(kept)], cloud.means[kept])
+
+
+def test_growth_of_a_wholly_transparent_cloud_changes_nothing():
+    cloud = make_cloud(4)
+    cloud.opacity_logits[:] = -20.0
+    grown, source = Growth().event(cloud, GrowthStatistics.zeros(4, cloud.means.device), 100, 5.0, random_of(0, 0))
+    assert len(grown) == 4 and torch.equal(source, torch.arange(4))
+
+
+def pulled(strengths):
+    """Statistics of one view whose loss pulled Gaussians so strongly."""
+    strengths = torch.tensor(strengths)
+    return GrowthStatistics(strengths, torch.ones(len(strengths)))
+
+
+def test_a_weight_decides_what_is_split():
+    cloud, statistics = make_cloud(5), pulled([1.0, 2.0, 3.0, 4.0, 5.0])
+    same, source = Growth().event(cloud, statistics, 6, 5.0, random_of(0, 0), weight=torch.ones(5))
+    plain, expected = Growth().event(cloud, statistics, 6, 5.0, random_of(0, 0))
+    assert torch.equal(source, expected) and torch.equal(same.means, plain.means)
+    _, source = Growth().event(cloud, statistics, 6, 5.0, random_of(0, 0), weight=torch.tensor([9.0, 1, 1, 1, 1]))
+    assert source.tolist() == [1, 2, 3, 4, -1, -1]
+
+
+def test_default_growth_adds_no_noise_and_no_loss():
+    cloud = make_cloud(5)
+    before = {name: tensor.clone() for name, tensor in cloud.parameters().items()}
+    Growth().perturb(cloud, 1.0, 1.0, random_of(0, 0))
+    assert Growth().regularisation(cloud, 1.0) is None
+    assert all(torch.equal(tensor, before[name]) for name, tensor in cloud.parameters().items())
+
+
+@pytest.mark.parametrize("opacity", [0.01, 0.3, 0.9, 0.999])
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 51])
+def test_shared_opacity_keeps_the_centre_and_the_integral(opacity, count):
+    shared, shrink = share_opacity(torch.tensor([opacity], dtype=torch.float64), torch.tensor([count]))
+    x = torch.linspace(-8, 8, 4001, dtype=torch.float64)
+    profile = 1 - (1 - shared * torch.exp(-0.5 * (x / shrink) ** 2)) ** count
+    assert profile.max().item() == pytest.approx(opacity, rel=1e-9)
+    assert torch.trapezoid(profile, x).item() == pytest.approx(opacity * (2 * np.pi) ** 0.5, rel=1e-9)
+
+
+def test_two_share_as_in_the_paper():
+    o = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
+    shared, shrink = share_opacity(o, torch.full((3,), 2))
+    new = 1 - (1 - o) ** 0.5
+    torch.testing.assert_close(shared, new)
+    # The double sum of the paper for N = 2: i = 1 gives o', i = 2 gives o' - o'^2 / sqrt 2.
+    torch.testing.assert_close(shrink, o / (new + new - new**2 / 2**0.5))
+
+
+def test_the_dead_move_to_the_living_and_the_number_grows_to_the_budget():
+    cloud = make_cloud(40)
+    cloud.opacity_logits[:10] = -9.0
+    cloud.opacity_logits[10] = torch.nan
+    cloud.sh0[11] = torch.inf
+    grown, source = McmcGrowth().event(cloud, GrowthStatistics.zeros(40, cloud.means.device), 50, 5.0, random_of(0, 1))
+    assert len(grown) == len(source) == 50
+    assert all(getattr(grown, name).isfinite().all() for name in PER_GAUSSIAN)
+    assert not set(range(12)) & set(source.tolist())
+    kept = source >= 0
+    for name in PER_GAUSSIAN:
+        torch.testing.assert_close(getattr(grown, name)[kept], getattr(cloud, name)[source[kept]])
+    # The first 28 are the living in their order, then come those that moved to them, exactly.
+    where = (grown.means[28:, None] == grown.means[None, :28]).all(-1)
+    assert (where.sum(1) == 1).all()
+    parents = where.any(0)
+    assert torch.equal(parents, source[:28] < 0)
+    alone = 1 - cloud.opacities[12:]
+    together = (1 - grown.opacities[:28]) * torch.stack(
+        [(1 - grown.opacities[28:][where[:, i]]).prod() for i in range(28)]
+    )
+    torch.testing.assert_close(together, alone)
+    _, shrink = share_opacity(cloud.opacities[12:], where.sum(0) + 1)
+    torch.testing.assert_close(grown.scales[:28], cloud.scales[12:] * shrink[:, None])
+
+
+def test_moving_changes_the_picture_little():
+    camera = Camera("a", 96, 64, 80.0, 80.0, 48.0, 32.0, np.eye(4))
+    cloud = make_cloud(60)
+    grown, _ = McmcGrowth().event(cloud, GrowthStatistics.zeros(60, cloud.means.device), 90, 5.0, random_of(0, 1))
+    copies, _ = McmcGrowth().event(cloud, GrowthStatistics.zeros(60, cloud.means.device), 90, 5.0, random_of(0, 1))
+    same = (copies.means[60:, None] == copies.means[None, :60]).all(-1).int().argmax(1)
+    for name in ("opacity_logits", "log_scales"):
+        original = getattr(cloud, name)
+        setattr(copies, name, torch.cat([original, original[same]]))
+    before = render(cloud, camera).color
+    changes = [(render(c, camera).color - before).abs().mean() for c in (grown, copies)]
+    assert changes[0] < 0.3 * changes[1] and changes[0] * 255 < 1
+
+
+def test_the_living_are_drawn_by_opacity_and_weight():
+    cloud = make_cloud(3)
+    cloud.opacity_logits[:] = torch.logit(torch.tensor([0.1, 0.3, 0.6]))
+    statistics, budget = GrowthStatistics.zeros(3, cloud.means.device), 4003
+
+    def drawn(weight):
+        grown, _ = McmcGrowth().event(cloud, statistics, budget, 5.0, random_of(0, 0), weight)
+        return [(grown.means[3:] == mean).all(-1).double().mean().item() for mean in cloud.means]
+
+    np.testing.assert_allclose(drawn(None), [0.1, 0.3, 0.6], atol=0.03)
+    np.testing.assert_allclose(drawn(torch.tensor([6.0, 0.0, 1.0])), [0.5, 0, 0.5], atol=0.03)
+
+
+def test_random_numbers_depend_on_seed_and_iteration_alone():
+    def numbers(seed, iteration):
+        return torch.rand(4, generator=random_of(seed, iteration)).tolist()
+
+    assert numbers(1, 2) == numbers(1, 2)
+    assert len({tuple(numbers(seed, iteration)) for seed in range(4) for iteration in range(4)}) == 16
+
+
+@pytest.mark.parametrize("growth", [Growth(), McmcGrowth()])
+@pytest.mark.parametrize("n", [0, 1, 7])
+@pytest.mark.parametrize("opacity", [-20.0, 0.0, 40.0])
+def test_small_and_extreme_clouds_survive(growth, n, opacity):
+    cloud = make_cloud(n, dtype=torch.float32)
+    cloud.opacity_logits[:] = opacity
+    statistics = GrowthStatistics(torch.ones(n), torch.ones(n))
+    grown, source = growth.event(cloud, statistics, 200, 5.0, random_of(0, 0))
+    assert len(grown) == len(source) <= 200
+    assert n <= len(grown)
+    growth.perturb(grown, 1e-3, 5.0, random_of(0, 0))
+    assert all(getattr(grown, name).isfinite().all() for name in PER_GAUSSIAN)
+
+
+def test_the_faint_wander_along_their_own_shape():
+    n = 4000
+    cloud = make_cloud(n)
+    cloud.quats[:] = torch.tensor([0.8, 0.1, -0.5, 0.3], dtype=torch.float64)
+    cloud.log_scales[:] = torch.tensor([0.2, 0.1, 0.02], dtype=torch.float64).log()
+    cloud.opacity_logits[: n // 2] = torch.logit(torch.tensor(0.015))
+    cloud.opacity_logits[n // 2 :] = 3.0
+    before = cloud.means.clone()
+    McmcGrowth().perturb(cloud, 1e-3, 1.0, random_of(0, 5))
+    moved = cloud.means - before
+    assert torch.equal(moved[n // 2 :], torch.zeros_like(moved[n // 2 :]))
+    axes = rotation_matrices(cloud.quats[:1])[0]
+    spread = (moved[: n // 2] @ axes).std(dim=0)
+    expected = 1e-3 * 5e5 / (1 + np.e) * torch.tensor([0.04, 0.01, 0.0004], dtype=torch.float64)
+    torch.testing.assert_close(spread, expected, rtol=0.06, atol=0)
+
+
+def test_noise_and_loss_do_not_depend_on_the_scene_s_unit():
+    moves, losses = [], []
+    for unit in (1.0, 100.0):
+        cloud = make_cloud(20)
+        cloud.opacity_logits[:] = -5.0
+        cloud.means *= unit
+        cloud.log_scales += np.log(unit)
+        before = cloud.means.clone()
+        losses.append(McmcGrowth().regularisation(cloud, 3 * unit))
+        McmcGrowth().perturb(cloud, 1e-3 * unit, 3 * unit, random_of(0, 5))
+        moves.append((cloud.means - before) / unit)
+    torch.testing.assert_close(*moves)
+    torch.testing.assert_close(*losses)
+    assert moves[0].abs().max() > 0
+
+
+def test_the_loss_makes_gaussians_fainter_and_smaller():
+    cloud = make_cloud(6)
+    for tensor in (cloud.opacity_logits, cloud.log_scales):
+        tensor.requires_grad_()
+    McmcGrowth().regularisation(cloud, 2.0).backward()
+    assert (cloud.opacity_logits.grad > 0).all() and (cloud.log_scales.grad > 0).all()

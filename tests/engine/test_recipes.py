@@ -1,0 +1,260 @@
+"""Methods and their switches: what is asked for is what runs."""
+
+import json
+import shutil
+import typing
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from tiny import make_tiny_scene
+
+from swag_engine.errors import InputError
+from swag_engine.priors.interpolate import Admission
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.images import load_images
+from swag_engine.scene.split import split_views
+from swag_engine.training import losses, prepare, recipes
+from swag_engine.training.checkpoint import load_checkpoint
+from swag_engine.training.config import TrainSettings
+from swag_engine.training.loop import GEOMETRY, Trainer, train
+from swag_engine.training.objective import Objective
+from swag_engine.training.prepare import find_depth, find_frames
+from swag_engine.training.recipes import EFFECTS, RECIPES, Photometric, Recipe, recipe_of
+from swag_engine.training.run_folder import RunFolder
+from swag_engine.training.targets import Target
+
+REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
+SETTINGS = TrainSettings(iterations=60, width=64, max_gaussians=400, sh_degree=1)
+
+
+def trainer_of(scene, folder, monkeypatch, **values):
+    """A trainer of the plain recipe with `values` changed."""
+    monkeypatch.setitem(RECIPES, "3dgs", replace(Recipe(), **values))
+    return Trainer(load_scene(scene), RunFolder(folder), replace(SETTINGS, recipe="3dgs"), lambda event: None, None)
+
+
+def test_the_settings_name_every_recipe():
+    assert set(typing.get_args(TrainSettings.__dataclass_fields__["recipe"].type)) == set(RECIPES)
+
+
+def test_switches_turn_parts_on_and_off():
+    assert recipe_of("swag", "water=off") == replace(RECIPES["swag"], water=False)
+    assert recipe_of("3dgs", "depth=on, grey-world=on") == Recipe(depth=0.1, grey_world=0.02)
+    for effect in EFFECTS:
+        assert recipe_of("swag", f"{effect}=on,{effect}=off") == recipe_of("swag", f"{effect}=off")
+
+
+def test_switching_on_what_a_recipe_has_keeps_its_own_values():
+    assert recipe_of("paper", "grey-world=on,stages=on") == RECIPES["paper"]
+
+
+@pytest.mark.parametrize("effects", ["fog=on", "water", "water=yes", "=on"])
+def test_unknown_switches_are_one_sentence(effects):
+    with pytest.raises(InputError, match="cannot be switched: write name=on"):
+        TrainSettings(effects=effects)
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_every_recipe_trains_and_resumes_bit_equal(recipe, tiny_scene, tmp_path):
+    settings = replace(SETTINGS, recipe=recipe)
+    asked = iter(range(10**9))
+    train(tiny_scene, tmp_path / "whole", settings)
+    train(tiny_scene, tmp_path / "parts", settings, should_stop=lambda: next(asked) >= 40)
+    result = train(tiny_scene, tmp_path / "parts", settings, resume=True)
+    expected, _ = load_checkpoint(tmp_path / "whole")
+    got, _ = load_checkpoint(tmp_path / "parts")
+    assert expected.keys() == got.keys() and all(torch.equal(expected[name], got[name]) for name in expected)
+    assert all(tensor.isfinite().all() for tensor in got.values())
+    assert result["metrics"]["test_psnr"] > result["metrics"]["control_psnr"]
+
+
+# Stages ---------------------------------------------------------------------------------------------------------------
+
+
+def test_stage_two_freezes_geometry_and_water_bit_by_bit(tiny_scene, tmp_path, monkeypatch):
+    trainer = trainer_of(tiny_scene, tmp_path, monkeypatch, water=True, fitted=False, stage_two_from=0.5)
+    while trainer.iteration < 30:
+        trainer.step()
+    kept = {name: tensor.detach().clone() for name, tensor in trainer.optimizer.parameters().items()}
+    moments = {name: trainer.optimizer.moments[name][0].clone() for name in GEOMETRY}
+    while trainer.iteration < 60:
+        trainer.step()
+    for name, tensor in trainer.optimizer.parameters().items():
+        frozen = name in GEOMETRY or name.startswith("medium.")
+        assert torch.equal(tensor.detach(), kept[name]) == frozen or name == "background", name
+    assert all(torch.equal(trainer.optimizer.moments[name][0], moments[name]) for name in GEOMETRY)
+    assert any(trainer.medium.parameters())
+
+
+def test_stage_two_has_its_own_weights():
+    recipe = Recipe(photometric=Photometric((1.0, 1.0), 0.0), stage_two_from=0.5, photometric_two=recipes.TRUE_L2)
+    objective = Objective(recipe, 1.0, None, "torch")
+    color, target = torch.full((4, 4, 3), 0.75), StubTarget()
+    assert objective.reconstruction(color, target, 0.4).item() == pytest.approx(0.25)
+    assert objective.reconstruction(color, target, 0.6).item() == pytest.approx(0.05 * 0.25 + 0.9 * 0.0625)
+
+
+class StubTarget:
+    color = torch.full((4, 4, 3), 0.5)
+    valid = None
+    weight = 1.0
+    inverse_range = None
+
+
+def test_weights_follow_the_paper_over_time():
+    objective = Objective(RECIPES["paper"], 1.0, None, "torch")
+    color = torch.full((4, 4, 3), 0.75)
+    t = 0.3
+    similar = losses.ssim(color, StubTarget.color, "torch").item()
+    expected = (0.7 + 0.5 * t) * 0.8 * 0.25 + 0.2 * (1 - similar) + 0.1 * t * 0.0625
+    assert objective.reconstruction(color, StubTarget(), t).item() == pytest.approx(expected, rel=1e-5)
+    t = 0.8
+    expected = (0.7 + 0.5 * t) * 0.25 + 0.9 * 0.0625
+    assert objective.reconstruction(color, StubTarget(), t).item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_reallocation_keeps_the_number_and_ends_before_stage_two(tiny_scene, tmp_path, monkeypatch):
+    trainer = trainer_of(tiny_scene, tmp_path, monkeypatch, reallocation="balanced", grow_until=0.4, stage_two_from=0.8)
+    moved = []
+    replace_cloud = trainer.optimizer.replace
+
+    def watched(cloud, source):
+        moved.append((trainer.iteration, len(trainer.cloud), len(cloud)))
+        replace_cloud(cloud, source)
+
+    monkeypatch.setattr(trainer, "grow", lambda random: None)
+    monkeypatch.setattr(trainer.optimizer, "replace", watched)
+    while trainer.iteration < 60:
+        trainer.step()
+    assert [iteration for iteration, _, _ in moved] == [24, 30, 36, 42]
+    assert all(before == after for _, before, after in moved)
+
+
+# What cannot be had ---------------------------------------------------------------------------------------------------
+
+
+def test_training_goes_on_without_networks_and_says_so(tiny_scene, tmp_path, monkeypatch):
+    monkeypatch.setenv("SWAG_CACHE_DIR", str(tmp_path / "cache"))
+    settings = replace(SETTINGS, recipe="3dgs", effects="depth=on,interpolation=on", iterations=10)
+    metrics = train(tiny_scene, tmp_path / "run", settings)["metrics"]
+    depth, frames = metrics["notes"]
+    assert depth.startswith("No depth prior: The network depth-anything-v2-small") and "get it" in depth
+    assert frames.startswith("No interpolated frames: The network rife") and "get it" in frames
+
+
+def test_stored_depth_becomes_the_prior_and_is_asked_for(tmp_path):
+    scene_folder = shutil.copytree(REEF, tmp_path / "scene")
+    (scene_folder / "depth").mkdir()
+    for path in sorted((REEF / "range").glob("*.png")):
+        millimetres = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32)
+        inverse = np.where(millimetres > 0, 1000 / np.maximum(millimetres, 1), 0)
+        np.save(scene_folder / "depth" / f"{path.stem}.npy", 3 * inverse + 0.2)
+    scene = load_scene(scene_folder)
+    images = load_images(scene, scene.views[::8], 160)
+    note, priors = find_depth(scene, images, None)
+    assert note == "Depth prior on 3 of 3 photographs."
+    for image in images:
+        stored = cv2.imread(str(REEF / "range" / f"{image.camera.name[:-4]}.png"), cv2.IMREAD_UNCHANGED)
+        truth = cv2.resize(stored, (160, image.valid.shape[0]), interpolation=cv2.INTER_NEAREST) / 1000
+        error = np.abs(priors[image.camera.name] * truth - 1)[truth > 0]
+        assert np.median(error) < 0.02
+    objective = Objective(Recipe(depth=0.1), 1.0, None, "torch")
+    with_prior = Target.shrunk(images[0], 2, torch.device("cpu"), priors[images[0].camera.name])
+    assert with_prior.inverse_range.shape == with_prior.valid.shape
+    assert objective.needs_range(with_prior, 0.1)
+    assert not objective.needs_range(Target.shrunk(images[0], 2, torch.device("cpu")), 0.1)
+
+
+def test_damaged_depth_is_left_out_and_named(tmp_path):
+    scene_folder = shutil.copytree(REEF, tmp_path / "scene")
+    (scene_folder / "depth").mkdir()
+    scene = load_scene(scene_folder)
+    images = load_images(scene, scene.views[1:2], 80)
+    (scene_folder / "depth" / "reef_001.npy").write_bytes(b"no array")
+    note, priors = find_depth(scene, images, None)
+    assert note.startswith("No depth prior: ") and "reef_001.npy cannot be read" in note and not priors
+
+
+@pytest.mark.parametrize(
+    "values, message",
+    [
+        ({"water_type": "IX", "metres_per_unit": 1.0}, "not known: use one of I, IA"),
+        ({"water_type": "-1,0,0", "metres_per_unit": 1.0}, "from 0 to 10"),
+        ({"water_type": "II"}, "scene's scale is needed"),
+        ({"metres_per_unit": -1.0}, "must be a positive number"),
+    ],
+)
+def test_presets_that_make_no_sense_are_one_sentence(values, message):
+    with pytest.raises(InputError, match=message):
+        TrainSettings(**values)
+
+
+def test_a_water_type_is_modelled_whatever_the_points_say(tiny_scene, tmp_path):
+    settings = replace(SETTINGS, water_type="II", metres_per_unit=0.5, iterations=10)
+    metrics = train(tiny_scene, tmp_path / "run", settings)["metrics"]
+    assert metrics["water"] == "Water is modelled, from the type II."
+    water = json.loads((tmp_path / "run" / "water.json").read_text())
+    assert water["per"] == "metre"
+    np.testing.assert_allclose(water["beta_D"], (0.260, 0.076, 0.062), rtol=0.15)
+
+
+@pytest.mark.parametrize("recipe", ["swag", "paper", "seasplat"])
+@pytest.mark.parametrize("case", ["grey", "two views", "black"])
+def test_photographs_that_say_little_train_all_the_same(case, recipe, tmp_path):
+    scene = make_tiny_scene(tmp_path / "scene", views=2 if case == "two views" else 5)
+    for path in (scene / "images").glob("*.png"):
+        pixels = cv2.imread(str(path))
+        if case != "two views":
+            pixels[:] = pixels.mean(axis=2, keepdims=True) if case == "grey" else 0
+        cv2.imwrite(str(path), pixels)
+    settings = replace(SETTINGS, recipe=recipe, effects="grey-world=on,smoothness=on,hinge=on", iterations=20)
+    metrics = train(scene, tmp_path / "run", settings)["metrics"]
+    tensors, _ = load_checkpoint(tmp_path / "run")
+    assert all(tensor.isfinite().all() for tensor in tensors.values())
+    if recipe == "swag":  # one range and little colour: the photographs cannot tell
+        assert metrics["water"].startswith(("The water cannot be told", "No water is modelled"))
+
+
+# Interpolated frames --------------------------------------------------------------------------------------------------
+
+
+def test_frames_are_made_between_training_photographs_only_and_teach_colours_only(tmp_path, monkeypatch):
+    scene_folder = make_tiny_scene(tmp_path / "scene", views=12)
+    made = []
+
+    def blend(a, b, t):
+        made.append((a, b))
+        return ((a.astype(np.float32) + b) / 2).astype(np.uint8)
+
+    monkeypatch.setattr(prepare, "find", lambda name, folder: tmp_path)
+    monkeypatch.setattr(prepare, "Interpolator", lambda path: blend)
+    admitted = Admission(3, 30.0, 5.0, 1.0, True, "")
+    monkeypatch.setattr(prepare, "admission", lambda *arguments: admitted)
+    scene = load_scene(scene_folder)
+    split = split_views(view.camera.name for view in scene.views)
+    images = {image.camera.name: image for image in load_images(scene, scene.views, 64)}
+    note, frames = find_frames(scene, [images[name] for name in split.train], None)
+    assert note.startswith(f"{len(frames)} interpolated frames (30.0 dB") and frames
+    held_out = [images[name].pixels for name in (*split.test, *split.validation)]
+    assert not any(np.array_equal(used, pixels) for pair in made for used in pair for pixels in held_out)
+    order = sorted(images)
+    for frame in frames:
+        first, _, second = frame.camera.name.partition("@")[0].partition("+")
+        assert order.index(second) == order.index(first) + 1 and {first, second} <= set(split.train)
+
+    trainer = trainer_of(scene_folder, tmp_path / "run", monkeypatch, interpolation=0.1)
+    weights = []
+    add = trainer.statistics.add
+    monkeypatch.setattr(trainer.statistics, "add", lambda *a: (weights.append(target.weight), add(*a)))
+    seen = set()
+    for _ in range(len(split.train) + len(frames)):
+        target = trainer.next_target(0.0)
+        seen.add((target.camera.name, target.weight))
+        trainer.step()
+    assert {weight for name, weight in seen if "+" in name} == {0.1}
+    assert {name for name, _ in seen if "+" not in name} == set(split.train)
+    assert set(weights) == {1.0} and len(weights) == len(split.train)
