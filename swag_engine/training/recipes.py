@@ -53,7 +53,7 @@ class Recipe:
     """Weights in stage two."""
 
     growth: Literal["default", "mcmc"] = "default"
-    grow_until: float = 0.7
+    grow_until: float = 0.5
     """Share of the run after which the number of Gaussians stays."""
     undimmed_growth: bool = False
     """Weigh what a Gaussian is pulled with by how much of it the water lets through (UW-GS)."""
@@ -84,7 +84,7 @@ PAPER_LOSS = Photometric(l1=(0.56, 0.96), ssim=0.2, l2=(0.0, 0.1))
 PAPER_LOSS_TWO = Photometric(l1=(0.7, 1.2), ssim=0.0, l2=(0.9, 0.9))
 
 RECIPES: dict[str, Recipe] = {
-    "swag": Recipe(water=True),
+    "swag": Recipe(water=True, water_rate=1e-3, stage_two_from=0.9, reallocation="balanced"),
     "3dgs": Recipe(),
     "seasplat": Recipe(
         water=True, light="srgb", fitted=False, water_from=0.33, veil_degrees_from=1.0, grey_world=0.02, smoothness=0.05
