@@ -2,9 +2,29 @@
 
 import bpy
 
-from . import cancel, export_splats, import_scene, import_splats, inspect_scene, install_engine, prepare_render, train
+from . import (
+    cancel,
+    export_splats,
+    import_scene,
+    import_splats,
+    inspect_scene,
+    install_engine,
+    labels,
+    prepare_render,
+    train,
+)
 
-_MODULES = (inspect_scene, import_scene, train, cancel, import_splats, prepare_render, export_splats, install_engine)
+_MODULES = (
+    inspect_scene,
+    import_scene,
+    train,
+    cancel,
+    import_splats,
+    labels,
+    prepare_render,
+    export_splats,
+    install_engine,
+)
 
 
 def register() -> None:

@@ -4,7 +4,7 @@ import textwrap
 
 import bpy
 
-from . import EXTENSION, engine_process, splats
+from . import EXTENSION, engine_process, labels, splats
 from .properties import time_text
 
 
@@ -119,6 +119,18 @@ class SWAG_PT_result(SwagPanel, bpy.types.Panel):
         layout.operator("swag.import_splats", text="Open Splat File", icon="FILE_FOLDER")
 
 
+class SWAG_PT_labels(SwagPanel, bpy.types.Panel):
+    bl_label = "Labels"
+    bl_parent_id = "SWAG_PT_result"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return splats.is_splats(context.active_object)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        labels.draw_labels(self.layout, context.active_object)
+
+
 class SWAG_PT_export(SwagPanel, bpy.types.Panel):
     bl_label = "Export"
     bl_order = 4
@@ -157,7 +169,7 @@ def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: str = 
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 
-_CLASSES = (SWAG_PT_scene, SWAG_PT_train, SWAG_PT_train_more, SWAG_PT_result, SWAG_PT_export)
+_CLASSES = (SWAG_PT_scene, SWAG_PT_train, SWAG_PT_train_more, SWAG_PT_result, SWAG_PT_labels, SWAG_PT_export)
 
 
 def register() -> None:

@@ -13,8 +13,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..swag_engine.errors import InputError
 from ..swag_engine.gaussians.splats import Splats
-from ..swag_engine.gaussians.transform import transformed
 from .nodes import splat_preview
 
 BASE = "radiance:base"
@@ -54,12 +54,45 @@ def replace_splats(obj: bpy.types.Object, splats: Splats) -> None:
 
 
 def read_splats(obj: bpy.types.Object) -> Splats:
-    """The splats of the object in its own frame, without its transform."""
-    attributes = obj.data.attributes
+    """The splats of the object in its own frame, without its transform and modifiers."""
+    return _splats_of(obj.data)
+
+
+def read_modified_splats(obj: bpy.types.Object) -> Splats:
+    """The splats of the object in its own frame as its modifiers leave them, but for the preview's.
+
+    Modifiers that are off in the viewport do not count. A modifier that moves points moves splats; their sizes,
+    rotations and colours are what the attributes say. Raises InputError when a modifier leaves no splats.
+    """
+    shown = [modifier for modifier in obj.modifiers if modifier.show_viewport]
+    previews = [modifier for modifier in shown if _is_preview(modifier)]
+    if len(previews) == len(shown):
+        return read_splats(obj)
+    try:
+        for modifier in previews:
+            modifier.show_viewport = False
+        data = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+        if not isinstance(data, bpy.types.PointCloud) or BASE not in data.attributes or not len(data.points):
+            raise InputError(f"The modifiers of {obj.name} leave no splats; turn them off in the viewport.")
+        return _splats_of(data)
+    finally:
+        for modifier in previews:
+            modifier.show_viewport = True
+
+
+def _is_preview(modifier: bpy.types.Modifier) -> bool:
+    group = modifier.node_group if modifier.type == "NODES" else None
+    return group is not None and group.name.startswith(splat_preview.NAME)
+
+
+def _splats_of(pointcloud: bpy.types.PointCloud) -> Splats:
+    attributes = pointcloud.attributes
     base = _read(attributes[BASE], 4)
     sh = [base[:, :3]]
     while (attribute := attributes.get(f"radiance:sh_{len(sh) - 1}")) is not None:
         sh.append(_read(attribute, 3))
+    # A modifier can leave a degree incomplete; what is whole counts.
+    sh = sh[: math.isqrt(len(sh)) ** 2]
     own = [a for a in attributes if a.name.startswith(OWN_PREFIX) and a.data_type in {"FLOAT", "INT"}]
     return Splats(
         positions=_read(attributes["position"], 3),
@@ -69,16 +102,6 @@ def read_splats(obj: bpy.types.Object) -> Splats:
         sh=np.stack(sh, axis=1),
         extras={a.name.removeprefix(OWN_PREFIX): _read(a, 1)[:, 0] for a in own},
     )
-
-
-def read_splats_in(obj: bpy.types.Object, frame: Matrix, depsgraph: bpy.types.Depsgraph) -> Splats:
-    """The splats of the object as seen from `frame`, a (4, 4) frame-to-world matrix (identity: in the world).
-
-    The transform is the evaluated one: parents, constraints and animation count. Positions, sizes, rotations and
-    spherical harmonics are all turned.
-    """
-    matrix = frame.inverted() @ obj.evaluated_get(depsgraph).matrix_world
-    return transformed(read_splats(obj), np.array(matrix, dtype=np.float64))
 
 
 def new_pointcloud(name: str, positions: np.ndarray) -> bpy.types.PointCloud:

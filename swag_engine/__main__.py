@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -212,6 +212,101 @@ class Export:
         return 0
 
 
+@dataclass(frozen=True)
+class Label:
+    """Give every Gaussian of a run a label: by words, by mask images, or by what stands out."""
+
+    run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+    """Folder of the run."""
+    words: tuple[str, ...] = ()
+    """What to look for, as in --words coral wreck "open water"; needs networks (see --weights-dir)."""
+    masks: Path | None = None
+    """Folder of mask images, one folder a label: MASKS/coral/NAME.png."""
+    provider: Literal["auto", "masks", "grounded-sam", "saliency"] = "auto"
+    """Whose regions: masks where a folder is given, grounded-sam where there are words, else saliency."""
+    features: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Write the 32 numbers of each Gaussian's feature into the splat files too."""
+    weights_dir: Path | None = None
+    """Folder of pretrained networks; the user's cache folder without it."""
+    download: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Fetch networks that are not on this machine from their authors."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .progress import stage_progress
+        from .semantics.run import describe, label_run
+
+        provider = None if self.provider == "auto" else self.provider
+        with stage_progress() as progress:
+            document = label_run(
+                self.run_folder,
+                self.words,
+                self.masks,
+                provider,
+                self.weights_dir,
+                self.download,
+                self.features,
+                progress,
+            )
+        show(document, self.json, describe(document))
+        return 0
+
+
+@dataclass(frozen=True)
+class Search:
+    """Say how near the Gaussians of a labelled run are to words; --out writes the number of each."""
+
+    run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+    """Folder of the run."""
+    words: tyro.conf.Positional[str]
+    """What to look for."""
+    out: Path | None = None
+    """File (.npy) for the similarity of each Gaussian, -1 to 1, in the order of result.ply."""
+    weights_dir: Path | None = None
+    """Folder of pretrained networks; the user's cache folder without it."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .semantics.run import search_run, write_similarity
+
+        similarity, names = search_run(self.run_folder, self.words, self.weights_dir)
+        if self.out:
+            write_similarity(self.out, similarity)
+        alike = int((similarity > 0.5).sum())
+        text = f"{alike} of {len(similarity)} Gaussians are more than half alike."
+        text += f"\nLabels of that name: {', '.join(names)}." if names else ""
+        text += f"\n{self.out}" if self.out else ""
+        show(
+            {"gaussians": len(similarity), "alike": alike, "labels": names, "out": self.out and str(self.out)},
+            self.json,
+            text,
+        )
+        return 0
+
+
+@dataclass(frozen=True)
+class Extract:
+    """Write the Gaussians of one label of a run as a PLY or GLB of their own."""
+
+    run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+    """Folder of the run."""
+    label: str
+    """Name or number of the label."""
+    out: Path
+    """File to write, .ply or .glb."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .semantics.run import extract_run
+
+        count = extract_run(self.run_folder, self.label, self.out)
+        show({"out": str(self.out), "gaussians": count}, self.json, f"{count} Gaussians: {self.out}")
+        return 0
+
+
 def stop_on_interrupt() -> Callable[[], bool]:
     """Whether Ctrl-C was pressed; pressed again, it ends the program at once."""
     stop = threading.Event()
@@ -246,7 +341,7 @@ class Doctor:
         return 0
 
 
-COMMANDS = (Inspect, Sfm, Train, Evaluate, Ablate, Render, Export, Doctor)
+COMMANDS = (Inspect, Sfm, Train, Evaluate, Ablate, Render, Label, Search, Extract, Export, Doctor)
 
 
 def main(arguments: list[str] | None = None) -> int:

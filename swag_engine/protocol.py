@@ -39,15 +39,25 @@ class ExportRequest:
 
 
 @dataclass(frozen=True)
+class SearchRequest:
+    """Write how near each Gaussian of the labelled run `run` is to `words` to the .npy file `path`."""
+
+    run: Path
+    words: str
+    path: Path
+
+
+@dataclass(frozen=True)
 class CancelRequest:
     """Stop what is running; what exists is kept."""
 
 
-Request = InspectRequest | TrainRequest | ExportRequest | CancelRequest
+Request = InspectRequest | TrainRequest | ExportRequest | SearchRequest | CancelRequest
 REQUESTS: dict[str, type[Request]] = {
     "inspect": InspectRequest,
     "train": TrainRequest,
     "export": ExportRequest,
+    "search": SearchRequest,
     "cancel": CancelRequest,
 }
 
@@ -80,6 +90,8 @@ def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
     """One field of a request as the type that the dataclass gives it."""
     if kind is Path and isinstance(value, str) and value:
         return Path(value)
+    if kind is str and isinstance(value, str) and value:
+        return value
     if kind is bool and isinstance(value, bool):
         return value
     if kind is TrainSettings and isinstance(value, dict):
@@ -90,5 +102,5 @@ def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
 
 
 def describe(kind: Any) -> str:
-    words: dict[Any, str] = {Path: "path", bool: "true or false", TrainSettings: "object of settings"}
+    words: dict[Any, str] = {Path: "path", str: "text", bool: "true or false", TrainSettings: "object of settings"}
     return words.get(kind) or f"one of {', '.join(get_args(kind))}"

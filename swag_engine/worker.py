@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from .errors import InputError
-from .protocol import CancelRequest, ExportRequest, InspectRequest, Request, TrainRequest, parse_request
+from .protocol import CancelRequest, ExportRequest, InspectRequest, Request, SearchRequest, TrainRequest, parse_request
 from .strict_json import to_json
 from .threads import wait_politely
 
@@ -84,6 +84,12 @@ class Worker:
             return train(
                 request.scene, request.out, request.settings, request.resume, self.send, self.stop.is_set, preview=True
             )
+        if isinstance(request, SearchRequest):
+            from .semantics.run import search_run, write_similarity
+
+            similarity, names = search_run(request.run, request.words)
+            write_similarity(request.path, similarity)
+            return {"event": "result", "request": "search", "path": str(request.path), "labels": names}
         assert isinstance(request, ExportRequest)
         from .formats.export import export_run
 

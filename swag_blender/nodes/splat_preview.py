@@ -30,6 +30,7 @@ from .build import Field, add, arranged, combined
 
 NAME = "SWAG Splat Preview"
 OPACITY, REACH, PLACE = "swag:opacity", "swag:reach", "swag:place"
+HIDDEN, TINT = "swag:hidden", "swag:tint"  # splats left out, and a colour mixed in by its alpha: see labels.py
 RADIUS_IN_SIGMA = 3.0
 BACKGROUND_KEY = "swag_background"  # on a splat object: the display colour that the training had behind the splats
 # Splat renderers leave out what is fainter.
@@ -70,6 +71,19 @@ def set_input(obj: bpy.types.Object, name: str, value: float | bool) -> None:
             else:
                 modifier[item.identifier] = value
             obj.update_tag()
+
+
+def copy_inputs(source: bpy.types.Object, target: bpy.types.Object) -> None:
+    """Let the preview of one splat object draw as that of another."""
+    for modifier in source.modifiers:
+        if modifier.type == "NODES" and modifier.node_group and modifier.node_group.name.startswith(NAME):
+            for item in modifier.node_group.interface.items_tree:
+                if item.in_out == "INPUT" and item.socket_type != "NodeSocketGeometry":
+                    if hasattr(modifier, "properties"):  # Blender 5.2 and later
+                        value = getattr(modifier.properties.inputs, item.identifier).value
+                    else:
+                        value = modifier[item.identifier]
+                    set_input(target, item.name, value)
 
 
 def remember_training(obj: bpy.types.Object, pixel_size: float, background: Sequence[float]) -> None:
@@ -145,9 +159,15 @@ def node_group() -> bpy.types.NodeTree:
     color = _color(tree, ray.vector("NORMALIZE"), inputs[SH_DEGREE])
     linear = combined(tree, [_srgb_to_linear(channel) for channel in color.xyz()])
     color = linear + (color - linear) * inputs[BLEND_DISPLAY]
+    tint = Field(_attribute(tree, TINT, "FLOAT_COLOR").outputs["Attribute"])
+    strength = Field(add(tree, "FunctionNodeSeparateColor", Color=tint).outputs["Alpha"])
+    color = color + (tint - color) * strength
     opacity = Field(_attribute(tree, "radiance:base", "FLOAT_COLOR").outputs["Attribute"])
     opacity = Field(add(tree, "FunctionNodeSeparateColor", Color=opacity).outputs["Alpha"])
-    geometry = _stored(tree, inputs["Geometry"], point_material.COLOR, "FLOAT_VECTOR", color)
+    hidden = Field(_attribute(tree, HIDDEN, "BOOLEAN").outputs["Attribute"])
+    geometry = add(tree, "GeometryNodeDeleteGeometry", Geometry=inputs["Geometry"], Selection=hidden)
+    geometry = Field(geometry.outputs["Geometry"])
+    geometry = _stored(tree, geometry, point_material.COLOR, "FLOAT_VECTOR", color)
     geometry = _stored(tree, geometry, OPACITY, "FLOAT", opacity)
 
     widened = _depth(tree, ray, view) * inputs[PIXEL_SIZE]

@@ -1,7 +1,7 @@
 """Pretrained networks in ONNX files, on the CPU."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import torch
 from ..errors import InputError
 
 FLOAT32 = "tensor(float)"  # in onnxruntime's words
+NUMBERS = {FLOAT32: np.float32, "tensor(int64)": np.int64, "tensor(int32)": np.int32}
 Shape = tuple[int | None, ...]
 """None stands for any size; () for one number, of whatever rank the file gives it."""
 
@@ -23,22 +24,10 @@ class Network:
         """Open the file at `path`, whose inputs must have the shapes `inputs`, in order, and whose first output one of
         the shapes `output`. `kind` names it in messages ("an inverse depth network").
 
-        It runs on as many threads as torch uses, which sleep while they wait: other work shares the cores.
         Raises InputError when the file is absent, no ONNX file, or a network of another kind.
         """
         self.path, self.kind, self.output = path, kind, output
-        if not path.is_file():
-            raise InputError(f"There is no file {path}: put {kind} there as an ONNX file, or choose another file.")
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 4  # what goes wrong is raised; warnings are not for users
-        options.intra_op_num_threads = torch.get_num_threads()
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        try:
-            self.session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime's errors have no base class of their own
-            raise InputError(
-                f"{path} cannot be opened as an ONNX file ({_cause(error)}): get it again or choose another file."
-            ) from error
+        self.session = _session(path, kind)
         found, made = self.session.get_inputs(), self.session.get_outputs()[0]
         self.inputs = [_shape(tensor) for tensor in found]
         fits = len(inputs) == len(found) and all(map(_fits, self.inputs, inputs))
@@ -59,11 +48,7 @@ class Network:
             tensor.name: array.reshape(len(tensor.shape) * [1]) if array.size == 1 else array
             for tensor, array in zip(tensors, arrays, strict=True)
         }
-        try:
-            made = self.session.run([self.session.get_outputs()[0].name], feed)[0]
-        except Exception as error:  # onnxruntime's errors have no base class of their own
-            sizes = ", ".join(str(array.shape) for array in arrays if array.size > 1)
-            raise InputError(f"{self.path} cannot work on an input of {sizes} ({_cause(error)}).") from error
+        made = _run(self.session, self.path, [self.session.get_outputs()[0].name], feed)[0]
         if not any(_fits(made.shape, shape) for shape in self.output):
             raise InputError(
                 f"{self.path} is not {self.kind}: its output is {made.shape}, and "
@@ -72,6 +57,90 @@ class Network:
         if not np.isfinite(made).all():
             raise InputError(f"{self.path} makes numbers that are not finite: get it again or choose another file.")
         return made
+
+
+class Graph:
+    """A network with inputs and outputs of several names and number types in an ONNX file.
+
+    Exporters name them differently: what has another name is taken in the order of the file, where the count agrees.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        kind: str,
+        inputs: Mapping[str, Shape | None],
+        outputs: Sequence[str],
+        optional: Sequence[str] = (),
+    ) -> None:
+        """Open the file at `path`, which has the `inputs` of these shapes (None: of any rank), may have those named in
+        `optional`, and makes the `outputs`. `kind` names it in messages.
+
+        Raises InputError when the file is absent, no ONNX file, or a network of another kind.
+        """
+        self.path, self.kind = path, kind
+        self.session = _session(path, kind)
+        found, made = self.session.get_inputs(), self.session.get_outputs()
+        needed = [tensor for tensor in found if tensor.name not in optional]
+        self._inputs = _matched(list(inputs), needed)
+        self._inputs |= {tensor.name: tensor for tensor in found if tensor.name in optional}
+        self._outputs = _matched(outputs, made)
+        self.shapes: dict[str, Shape] = {name: _shape(tensor) for name, tensor in self._inputs.items()}
+        fits = len(needed) == len(inputs) and all(
+            name in self.shapes and (shape is None or _fits(self.shapes[name], shape)) for name, shape in inputs.items()
+        )
+        known = all(tensor.type in NUMBERS for tensor in found)
+        if not fits or not known or len(self._outputs) != len(outputs):
+            wanted = ", ".join(name if shape is None else f"{name} {_words(shape)}" for name, shape in inputs.items())
+            raise InputError(
+                f"{path} is not {kind}: it makes {_describe(made)} from {_describe(found)}, where {', '.join(outputs)} "
+                f"from {wanted} is needed."
+            )
+
+    def __call__(self, **arrays: np.ndarray) -> dict[str, np.ndarray]:
+        """The outputs by name, for the inputs by name; those that the file does not have are left out.
+
+        Raises InputError when the network fails or makes what is not a number (infinities mask things out).
+        """
+        feed = {
+            tensor.name: arrays[name].astype(NUMBERS[tensor.type], copy=False) for name, tensor in self._inputs.items()
+        }
+        made = _run(self.session, self.path, [tensor.name for tensor in self._outputs.values()], feed)
+        if any(np.isnan(array).any() for array in made):
+            raise InputError(f"{self.path} makes what is not a number: get it again or choose another file.")
+        return dict(zip(self._outputs, made, strict=True))
+
+
+def _session(path: Path, kind: str) -> Any:
+    """It runs on as many threads as torch uses, which sleep while they wait: other work shares the cores."""
+    if not path.is_file():
+        raise InputError(f"There is no file {path}: put {kind} there as an ONNX file, or choose another file.")
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 4  # what goes wrong is raised; warnings are not for users
+    options.intra_op_num_threads = torch.get_num_threads()
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's errors have no base class of their own
+        raise InputError(
+            f"{path} cannot be opened as an ONNX file ({_cause(error)}): get it again or choose another file."
+        ) from error
+
+
+def _run(session: Any, path: Path, outputs: Sequence[str], feed: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    try:
+        return list(session.run(list(outputs), dict(feed)))
+    except Exception as error:  # onnxruntime's errors have no base class of their own
+        sizes = ", ".join(str(array.shape) for array in feed.values() if array.size > 1)
+        raise InputError(f"{path} cannot work on an input of {sizes} ({_cause(error)}).") from error
+
+
+def _matched(names: Sequence[str], tensors: Sequence[Any]) -> dict[str, Any]:
+    """Tensors by the names wanted: of those names, else in their order where as many are there."""
+    by_name = {tensor.name: tensor for tensor in tensors}
+    if all(name in by_name for name in names):
+        return {name: by_name[name] for name in names}
+    return dict(zip(names, tensors, strict=True)) if len(names) == len(tensors) else {}
 
 
 def _shape(tensor: Any) -> Shape:

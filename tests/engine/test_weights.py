@@ -1,5 +1,8 @@
 import hashlib
+import http.server
 import pickle
+import threading
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +13,8 @@ import pytest
 import torch
 
 from swag_engine.errors import InputError
-from swag_engine.weights.onnx import Network
-from swag_engine.weights.registry import NETWORKS, Weights, cache_folder, find
+from swag_engine.weights.onnx import Graph, Network
+from swag_engine.weights.registry import NETWORKS, Weights, cache_folder, fetch, find, find_or_fetch
 
 KIND = "a doubling network"
 DOUBLE = "net (float[1,3,H,W] image) => (float[1,3,H,W] out) { out = Add(image, image) }"
@@ -144,3 +147,169 @@ def test_a_file_with_another_size_or_hash_is_refused(
             find("known", tmp_path)
     monkeypatch.setitem(NETWORKS, "known", replace(known, size=None, sha256=None))
     assert find("known", tmp_path) == tmp_path / "known.onnx"
+
+
+# Networks of several inputs and outputs -------------------------------------------------------------------------------
+
+TWO = "net (float[1,3,H,W] image, int64[1,L] ids) => (float[1,3,H,W] twice, int64[1,L] same) "
+TWO += "{ twice = Add(image, image) same = Identity(ids) }"
+SHAPES = {"image": (1, 3, None, None), "ids": (1, None)}
+
+
+def test_a_graph_takes_and_gives_by_name(tmp_path: Path) -> None:
+    path = write_network(tmp_path / "two.onnx", TWO)
+    for inputs, outputs in ((SHAPES, ["twice", "same"]), ({"pixels": None, "tokens": (1, None)}, ["a", "b"])):
+        graph = Graph(path, KIND, inputs, outputs)
+        image, ids = np.ones((1, 3, 4, 5), np.float32), np.arange(6, dtype=np.int32)[None]
+        made = graph(**dict(zip(inputs, (image, ids), strict=True)))
+        assert list(made) == outputs
+        assert (made[outputs[0]] == 2).all() and np.array_equal(made[outputs[1]], ids)
+        assert graph.shapes[list(inputs)[0]] == (1, 3, None, None)
+    backwards = Graph(path, KIND, SHAPES, ["same", "twice"])
+    assert np.array_equal(backwards(image=image, ids=ids)["same"], ids)
+    one = Graph(path, KIND, {"image": SHAPES["image"]}, ["twice", "same"], ["ids", "mask"])
+    assert np.array_equal(one(image=image, ids=ids, mask=ids)["same"], ids)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "optional"),
+    [
+        ({"image": (1, 3, None, None)}, ["twice", "same"], []),
+        (SHAPES | {"more": (1,)}, ["twice", "same"], []),
+        (SHAPES, ["twice"], ["ids"]),
+        (SHAPES, ["twice", "same", "third"], []),
+        ({"image": (1, 1, None, None), "ids": (1, None)}, ["twice", "same"], []),
+        ({"image": (1, 3, None), "ids": (1, None)}, ["twice", "same"], []),
+    ],
+)
+def test_another_graph_is_refused_with_what_is_needed(
+    tmp_path: Path, inputs: dict, outputs: list, optional: list
+) -> None:
+    path = write_network(tmp_path / "two.onnx", TWO)
+    with pytest.raises(InputError, match=r"two.onnx is not a doubling network: it makes twice \(.* is needed"):
+        Graph(path, KIND, inputs, outputs, optional)
+
+
+def test_a_graph_that_fails_or_makes_no_numbers_is_named(tmp_path: Path) -> None:
+    fixed = "net (float[1,3,8,8] image) => (float[1,3,8,8] out) { out = Log(image) }"
+    graph = Graph(write_network(tmp_path / "log.onnx", fixed), KIND, {"image": None}, ["out"])
+    assert np.isneginf(graph(image=np.zeros((1, 3, 8, 8)))["out"]).all()  # infinities mask things out
+    with pytest.raises(InputError, match="log.onnx makes what is not a number"):
+        graph(image=np.full((1, 3, 8, 8), -1))
+    with pytest.raises(InputError, match=r"log.onnx cannot work on an input of \(1, 3, 8, 9\)"):
+        graph(image=np.zeros((1, 3, 8, 9)))
+
+
+# Download -------------------------------------------------------------------------------------------------------------
+
+
+class Server(http.server.ThreadingHTTPServer):
+    """Serves `content`, from where it is asked to if `resumes`; stops after `most` bytes."""
+
+    content, most, resumes, status = b"", None, True, 200
+
+    def __init__(self) -> None:
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.ranges: list[str | None] = []
+        threading.Thread(target=self.serve_forever, daemon=True).start()
+
+
+class Handler(http.server.BaseHTTPRequestHandler):
+    server: Server
+
+    def do_GET(self) -> None:  # noqa: N802
+        asked = self.headers.get("Range")
+        self.server.ranges.append(asked)
+        if self.server.status != 200:
+            return self.send_error(self.server.status)
+        first = int(asked.removeprefix("bytes=").removesuffix("-")) if asked and self.server.resumes else 0
+        if first >= len(self.server.content) and first:
+            return self.send_error(416)
+        rest = self.server.content[first:]
+        self.send_response(206 if first else 200)
+        self.send_header("Content-Length", str(len(rest)))
+        self.end_headers()
+        self.wfile.write(rest[: self.server.most])
+        return None
+
+    def log_message(self, *arguments: object) -> None:
+        pass
+
+
+CONTENT = np.random.default_rng(0).integers(0, 256, 3_000_000, np.uint8).tobytes()
+
+
+@pytest.fixture
+def server(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    served = Server()
+    served.content = CONTENT
+    known = Weights("1.0", "MIT", "known.onnx", len(CONTENT), hashlib.sha256(CONTENT).hexdigest(), "its page")
+    known = replace(known, url=f"http://127.0.0.1:{served.server_port}/known.onnx")
+    monkeypatch.setitem(NETWORKS, "known", known)
+    yield served
+    served.shutdown()
+    served.server_close()
+
+
+@pytest.mark.parametrize("sized", [True, False])
+def test_a_network_is_fetched_once_with_consent(
+    server: Server, empty_cache: Path, monkeypatch: pytest.MonkeyPatch, sized: bool
+) -> None:
+    if not sized:
+        monkeypatch.setitem(NETWORKS, "known", replace(NETWORKS["known"], size=None))
+    with pytest.raises(InputError, match="known 1.0 .licence MIT. is not on this machine"):
+        find_or_fetch("known", None, consent=False)
+    assert server.ranges == []
+    fractions: list[float] = []
+    path = find_or_fetch("known", None, consent=True, progress=fractions.append)
+    assert path == empty_cache / "known.onnx" and path.read_bytes() == CONTENT
+    assert fractions == sorted(fractions) and len(fractions) >= 3 and fractions[-1] == 1
+    assert find_or_fetch("known", None, consent=True) == path and len(server.ranges) == 1
+    assert [entry.name for entry in empty_cache.iterdir()] == ["known.onnx"]
+
+
+def test_a_download_goes_on_where_it_stopped(server: Server, empty_cache: Path) -> None:
+    server.most = 1_000_000
+    with pytest.raises(InputError, match="cannot be fetched .*: try again, which goes on where it stopped"):
+        fetch("known")
+    assert not (empty_cache / "known.onnx").exists()
+    server.most = None
+    assert fetch("known").read_bytes() == CONTENT
+    assert server.ranges == [None, "bytes=1000000-"]
+
+
+def test_a_server_that_cannot_resume_starts_again(server: Server, empty_cache: Path) -> None:
+    (empty_cache / ".known.onnx.part").write_bytes(b"x" * 500)
+    server.resumes = False
+    assert fetch("known").read_bytes() == CONTENT
+    (empty_cache / "known.onnx").unlink()
+    (empty_cache / ".known.onnx.part").write_bytes(b"x" * (len(CONTENT) + 5))  # longer than the file
+    server.resumes = True
+    assert fetch("known").read_bytes() == CONTENT
+
+
+@pytest.mark.parametrize("wrong", [CONTENT[:-1] + bytes([CONTENT[-1] ^ 1]), CONTENT[:-1], b"<html>Sign in</html>"])
+def test_what_is_not_the_network_is_removed(server: Server, empty_cache: Path, wrong: bytes) -> None:
+    server.content = wrong
+    with pytest.raises(InputError, match="gave is not known 1.0, or is damaged, and was removed.*its page"):
+        fetch("known")
+    assert list(empty_cache.iterdir()) == []
+
+
+def test_a_server_that_refuses_is_quoted(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    server.status = 404
+    with pytest.raises(InputError, match="known.onnx cannot be fetched: the server answers 404"):
+        fetch("known")
+    monkeypatch.setitem(NETWORKS, "known", replace(NETWORKS["known"], url="http://127.0.0.1:9/known.onnx"))
+    with pytest.raises(InputError, match="cannot be fetched .*refused"):
+        fetch("known")
+
+
+def test_every_network_that_is_fetched_has_a_hash_and_a_secure_address(empty_cache: Path) -> None:
+    for name, weights in NETWORKS.items():
+        assert weights.licence and weights.page.startswith("https://"), name
+        if weights.url:
+            assert weights.url.startswith("https://") and weights.url.endswith(weights.file), name
+            assert weights.sha256 and len(bytes.fromhex(weights.sha256)) == 32, name
+    with pytest.raises(InputError, match="The network rife .* is not on this machine"):
+        find_or_fetch("rife", None, consent=True)

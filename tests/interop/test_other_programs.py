@@ -1,9 +1,6 @@
 """Programs that are not ours read what we write: Khronos' glTF validator and PlayCanvas' splat-transform."""
 
 import json
-import shutil
-import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,34 +9,8 @@ from swag_engine.errors import InputError
 from swag_engine.formats.gltf import read_glb, write_glb
 from swag_engine.formats.ply import read_ply, write_ply
 from swag_engine.gaussians.splats import Splats
-from swag_engine.gaussians.transform import covariances, sh_basis, transformed
-
-HERE = Path(__file__).parent
-
-
-@pytest.fixture(scope="module")
-def node():
-    """Runs a script of tests/interop with node; the packages are installed as package-lock.json says, once."""
-    if not (shutil.which("node") and shutil.which("npm")):
-        pytest.skip("node and npm are not installed")
-    lock, installed = HERE / "package-lock.json", HERE / "node_modules" / ".package-lock.json"
-    if not installed.exists() or installed.stat().st_mtime < lock.stat().st_mtime:
-        # The peer is a 100 MB engine that the command-line program does not load.
-        command = ["npm", "ci", "--ignore-scripts", "--omit=peer", "--no-audit", "--no-fund"]
-        try:
-            done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, timeout=300)
-        except subprocess.TimeoutExpired:
-            pytest.skip("the npm packages of tests/interop did not arrive within 5 minutes")
-        if done.returncode:
-            reason = next((line for line in done.stderr.splitlines() if line.startswith("npm error")), "npm failed")
-            pytest.skip(f"the npm packages of tests/interop cannot be had: {reason}")
-
-    def run(script, *arguments):
-        done = subprocess.run(["node", HERE / script, *arguments], capture_output=True, text=True, timeout=120)
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout
-
-    return run
+from swag_engine.gaussians.transform import covariances, rotation_matrices, sh_basis, transformed
+from swag_engine.scene.cameras import Camera
 
 
 @pytest.fixture
@@ -73,7 +44,10 @@ def some_splats(count=200, degree=3, extras=True):
 def test_khronos_validator_objects_to_nothing_but_prefixed_names(node, tmp_path, degree):
     """The validator of 2024 does not know extensions' attribute names with a colon; all else must be clean."""
     path = tmp_path / "with spaces & ü.glb"
-    write_glb(path, some_splats(degree=degree))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_matrices(np.array([0.5, -0.5, 0.5, 0.5])), (1, 2, 3)
+    cameras = [Camera(f"Öl {i}.jpg", 640, 480, 500.0 + i, 510.0, 310.0, 250.0, pose) for i in range(3)]
+    write_glb(path, some_splats(degree=degree), cameras=cameras)
     report = json.loads(node("validate.mjs", path))
     splat = {"ROTATION", "SCALE", "OPACITY"}
     splat |= {f"SH_DEGREE_{band}_COEF_{i}" for band in range(degree + 1) for i in range(2 * band + 1)}
@@ -162,7 +136,50 @@ def test_through_spz_and_back(convert, tmp_path):
         read_ply(tmp_path / "really.ply")
 
 
-def test_compressed_ply_is_refused_in_words(convert, tmp_path):
-    write_ply(tmp_path / "ours.ply", some_splats(extras=False))
-    with pytest.raises(InputError, match="compressed PLY of SuperSplat or PlayCanvas"):
-        read_ply(convert(tmp_path / "ours.ply", tmp_path / "small.compressed.ply"))
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_its_compressed_ply_is_read(convert, tmp_path, degree):
+    """The same numbers as from its own reader, and those that were compressed, to the format's precision."""
+    splats = some_splats(600, degree, extras=False)  # more than two chunks
+    write_ply(tmp_path / "ours.ply", splats)
+    small = convert(tmp_path / "ours.ply", tmp_path / "small.compressed.ply")
+    assert b"packed_position" in small.read_bytes()[:2000]
+    ours = read_ply(small)
+    theirs = read_ply(convert(small, tmp_path / "unpacked.ply"))
+    np.testing.assert_allclose(ours.positions, theirs.positions, atol=1e-6)
+    np.testing.assert_allclose(ours.scales, theirs.scales, rtol=1e-5)
+    np.testing.assert_allclose(np.abs(np.sum(ours.rotations * theirs.rotations, axis=1)), 1, atol=1e-6)
+    np.testing.assert_allclose(ours.opacities, theirs.opacities, atol=1e-6)
+    np.testing.assert_allclose(ours.sh, theirs.sh, atol=1e-5)
+    # Its writer sorts the splats along a curve: each has its nearest among those that went in.
+    nearest = np.linalg.norm(ours.positions[:, None] - splats.positions, axis=2).argmin(axis=1)
+    assert sorted(nearest) == list(range(600))
+    went_in = splats.subset(nearest)
+    np.testing.assert_allclose(ours.positions, went_in.positions, atol=5e-3)
+    np.testing.assert_allclose(ours.opacities, went_in.opacities, atol=3e-3)
+    assert np.abs(np.sum(ours.rotations * went_in.rotations, axis=1)).min() > 0.999
+    np.testing.assert_allclose(ours.sh, went_in.sh, atol=0.03)
+
+
+def test_a_damaged_compressed_ply_ends_in_one_sentence(convert, tmp_path):
+    write_ply(tmp_path / "ours.ply", some_splats(300, 1, extras=False))
+    small = convert(tmp_path / "ours.ply", tmp_path / "small.compressed.ply")
+    data = small.read_bytes()
+    changes = [
+        data[: len(data) // 2],
+        data[:-1],
+        data.replace(b"element chunk 2", b"element chunk 1"),
+        data.replace(b"element chunk 2", b"element chunk 9"),
+        data.replace(b"element vertex 300", b"element vertex 301"),
+        data.replace(b"element vertex 300", b"element vertex 999999999999"),
+        data.replace(b"element sh 300", b"element sh 299"),
+        data.replace(b"uint packed_scale", b"uint packed_other"),
+        data.replace(b"float min_x", b"float mum_x"),
+        data.replace(b"f_rest_8", b"f_rest_9"),
+        data.replace(b"binary_little_endian", b"ascii"),
+    ]
+    for changed in changes:
+        assert changed != data
+        small.write_bytes(changed)
+        with pytest.raises(InputError) as error:
+            read_ply(small)
+        assert str(small) in str(error.value) and "\n" not in str(error.value)

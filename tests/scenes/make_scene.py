@@ -12,6 +12,7 @@ What is written to DIR:
     sparse/0/             the COLMAP model (binary): exact poses, points triangulated from observations with noise
     clean/NAME.png        what the held-out views (every eighth) look like without water and fish, on black
     range/NAME.png        their ranges, 16 bit, millimetres, 0 in open water
+    labels/NAME.png       what each pixel shows: the number of a line in labels/labels.txt, counted from 1
     masks/NAME.png        255 where a moving object is, for the images that have one
     truth.json            every coefficient and setting
 """
@@ -30,7 +31,7 @@ import tyro
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.scenes.reef_model import SUN, Model, Passes, Renderer, camera_path  # noqa: E402
+from tests.scenes.reef_model import LABELS, SUN, Model, Passes, Renderer, camera_path  # noqa: E402
 
 RGB = tuple[float, float, float]
 
@@ -70,6 +71,8 @@ class Settings:
     """Standard deviation of the images' log gains."""
     caustics: float = 0.0
     """Strength of the light pattern that waves throw on what the sun lights; 1 is the pattern as lenses make it."""
+    vignetting: float = 0.0
+    """Share of its light that the lens loses at the corners; the loss grows with the squared distance to the middle."""
     moving_object: float = 0.0
     """Share of the images that fish swim through."""
     volume: bool = False
@@ -116,6 +119,12 @@ def nearest_range(distance: np.ndarray, alpha: np.ndarray, factor: int) -> np.nd
     return np.where((averaged(alpha, factor) < 0.5) | np.isinf(blocks.min(-1)), np.inf, mean).astype(np.float32)
 
 
+def majority(labels: np.ndarray, factor: int) -> np.ndarray:
+    """Per image pixel the label of most of its rendered ones."""
+    shares = np.stack([averaged(labels == label, factor) for label in range(len(LABELS) + 1)])
+    return shares.argmax(0).astype(np.uint8)
+
+
 def through_water(clean: np.ndarray, alpha: np.ndarray, distance: np.ndarray, water: Water) -> np.ndarray:
     """The image formation model.
 
@@ -150,6 +159,13 @@ def caustic_pattern(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return light / light.mean()
 
 
+def squared_radius(shape: tuple[int, ...]) -> np.ndarray:
+    """(H,W) squared distance to the image's middle, 1 at the corners."""
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    middle_x, middle_y = shape[1] / 2, shape[0] / 2
+    return ((x + 0.5 - middle_x) ** 2 + (y + 0.5 - middle_y) ** 2) / (middle_x**2 + middle_y**2)
+
+
 def world_points(distance: np.ndarray, focal: float, world_to_camera: np.ndarray) -> np.ndarray:
     """(H,W,3) points seen at pixel centres, for ranges (H,W); open water gives the camera's centre."""
     h, w = distance.shape
@@ -180,6 +196,7 @@ def photograph(
     if settings.caustics:
         pattern = caustic_pattern(world_points(passes.range, focal, pose), rng)
         light = light * (1 + settings.caustics * passes.sun_share * (pattern - 1))
+    gain = gain * (1 - settings.vignetting * squared_radius(passes.alpha.shape))[..., None]
     clean = passes.colour * light[..., None]
     if settings.water.light == "linear":
         seen = through_water(clean, passes.alpha, passes.range, settings.water) * gain
@@ -338,10 +355,11 @@ def make_scene(settings: Settings, rendered: Rendered | None = None) -> dict:
     finite = np.concatenate([p.range[np.isfinite(p.range)][::97] for p in rendered.still])
     reference = float(np.median(finite))
 
-    for part in ("images", "sparse", "clean", "range", "masks"):
+    for part in ("images", "sparse", "clean", "range", "masks", "labels"):
         shutil.rmtree(settings.out / part, ignore_errors=True)
-    for part in ("images", "clean", "range"):
+    for part in ("images", "clean", "range", "labels"):
         (settings.out / part).mkdir(parents=True)
+    (settings.out / "labels" / "labels.txt").write_text("\n".join(LABELS) + "\n")
     images, ranges, with_object = [], [], []
     for k, (name, still, seen) in enumerate(zip(names, rendered.still, rendered.seen, strict=True)):
         if volume:
@@ -353,6 +371,7 @@ def make_scene(settings: Settings, rendered: Rendered | None = None) -> dict:
         ranges.append(nearest_range(seen.range, seen.alpha, factor))
         cv2.imwrite(str(settings.out / "images" / name), images[-1][..., ::-1], JPEG)
         png = Path(name).with_suffix(".png").name
+        cv2.imwrite(str(settings.out / "labels" / png), majority(seen.label, factor), PNG)
         if settings.truth == "all" or k % HELD_OUT == 0:
             cv2.imwrite(
                 str(settings.out / "clean" / png), to_8bit(srgb(averaged(still.colour, factor)))[..., ::-1], PNG

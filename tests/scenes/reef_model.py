@@ -615,6 +615,19 @@ def seabed_height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return hills + ridge + scour
 
 
+LABELS = ("open water", "sand", "rock", "wreck", "amphora", "coral", "sponge", "seagrass", "fish")
+"""What things are called in the truth; open water is where there is no surface."""
+
+_LABEL_OF = {  # by the first word of a mesh's name; whatever else lives here is a coral
+    "seabed": "sand", "rock": "rock", "hull": "wreck", "mast": "wreck", "anchor": "wreck", "crate": "wreck",
+    "plank": "wreck", "amphora": "amphora", "sponge": "sponge", "grass": "seagrass", "fish": "fish",
+}  # fmt: skip
+
+
+def label_of(mesh_name: str) -> str:
+    return _LABEL_OF.get(mesh_name.split(".")[0].split()[0], "coral")
+
+
 class Model:
     """The Blender scene. Only one exists at a time: Blender's data is global."""
 
@@ -637,6 +650,7 @@ class Model:
     ) -> bpy.types.Object:
         item = bpy.data.objects.new(mesh.name, mesh)
         item.matrix_world = matrix
+        item.pass_index = 1 + LABELS.index(label_of(mesh.name))
         (collection or self.still).objects.link(item)
         return item
 
@@ -978,6 +992,7 @@ class Passes:
     range: np.ndarray  # (H,W) metres from the camera's centre along the ray, inf in open water
     sun_share: np.ndarray  # (H,W) share of the light that comes straight from the sun
     fish: np.ndarray  # (H,W) share of the pixel that a moving object covers
+    label: np.ndarray  # (H,W) uint8, place in LABELS of what is seen, counted from 1
 
 
 class Renderer:
@@ -1005,7 +1020,7 @@ class Renderer:
         cycles.max_bounces = 0  # sun and sky with their shadows; light from surface to surface costs as much again
         cycles.pixel_filter_type = "BOX"
         layer = scene.view_layers[0]
-        layer.use_pass_z = True
+        layer.use_pass_z = layer.use_pass_object_index = True
         tree = bpy.data.node_groups.new("passes", "CompositorNodeTree")
         scene.compositing_node_group = tree
         layers = tree.nodes.new("CompositorNodeRLayers")
@@ -1014,7 +1029,8 @@ class Renderer:
         self.files.format.media_type = "IMAGE"
         self.files.format.file_format, self.files.format.color_depth = "OPEN_EXR", "32"
         self.files.file_name = ""
-        for name, kind in (("Image", "RGBA"), ("Depth", "FLOAT"), ("Combined_sun", "RGBA")):
+        passes = (("Image", "RGBA"), ("Depth", "FLOAT"), ("Combined_sun", "RGBA"), ("Object Index", "FLOAT"))
+        for name, kind in passes:
             self.files.file_output_items.new(kind, name)
             tree.links.new(layers.outputs[name], self.files.inputs[name])
 
@@ -1050,7 +1066,10 @@ class Renderer:
         alpha = np.where(np.isinf(distance), 0, alpha)
         luminance = colour.mean(-1)
         share = (shot["Combined_sun"][..., :3].mean(-1) / np.maximum(luminance, 1e-4)).clip(0, 1)
-        return Passes(colour * (alpha > 0)[..., None], alpha, distance.astype(np.float32), share, np.zeros_like(alpha))
+        label = shot["Object Index"][..., 0].round().astype(np.uint8)
+        label = np.where(np.isinf(distance), 1, np.maximum(label, 1)).astype(np.uint8)
+        colour = colour * (alpha > 0)[..., None]
+        return Passes(colour, alpha, distance.astype(np.float32), share, np.zeros_like(alpha), label)
 
     def with_fish(self, passes: Passes, world_to_camera: np.ndarray, rng: np.random.Generator) -> Passes:
         """`passes` with one to three fish swimming before the camera; they cast no shadow."""
@@ -1075,6 +1094,7 @@ class Renderer:
             np.where(front > 0.5, own.range, passes.range),
             np.where(front > 0.5, own.sun_share, passes.sun_share),
             front,
+            np.where(front > 0.5, own.label, passes.label),
         )
 
     def volume(

@@ -1,0 +1,100 @@
+"""Seconds and memory of reading and writing splat files on this machine: a million splats of SH degree 3.
+
+    python benchmarks/formats.py [SPLATS]
+
+Writes results/formats.json. Each figure is from a process of its own: the median of several runs, and the most memory
+that the process held above what it held with numpy loaded, splats included. Writing counts until the file is on disk.
+Run it with nothing else on the machine: the clock counts what others take.
+"""
+
+import json
+import multiprocessing
+import resource
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import numpy as np  # noqa: E402
+from train_scenes import processor  # noqa: E402
+
+from swag_engine.formats.gltf import read_glb, write_glb  # noqa: E402
+from swag_engine.formats.ply import read_ply, write_ply  # noqa: E402
+from swag_engine.gaussians.splats import Splats  # noqa: E402
+
+RESULTS = ROOT / "benchmarks" / "results" / "formats.json"
+ROUNDS = 5
+FORMATS = {"ply": (write_ply, read_ply), "glb": (write_glb, read_glb)}
+
+
+def make_splats(count: int) -> Splats:
+    """Random splats, made without memory beside them."""
+    random = np.random.default_rng(0)
+
+    def normal(*shape: int) -> np.ndarray:
+        return random.standard_normal((count, *shape), np.float32)
+
+    rotations, scales, opacities = normal(4), normal(3), normal()
+    rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
+    np.exp(scales, out=scales)
+    return Splats(normal(3), rotations, scales, np.clip(np.abs(opacities), 0, 1), normal(16, 3))
+
+
+def held() -> int:
+    """Most bytes that this process has held so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def measure(work: Callable[[], object], before: int) -> dict[str, float]:
+    """Median seconds of ROUNDS runs, by the clock and of the processor, and bytes held above `before`."""
+    seconds, processor_seconds = [], []
+    for _ in range(ROUNDS):
+        started, processor_started = time.perf_counter(), time.process_time()
+        work()
+        seconds.append(time.perf_counter() - started)
+        processor_seconds.append(time.process_time() - processor_started)
+    return {
+        "seconds": statistics.median(seconds),
+        "processor_seconds": statistics.median(processor_seconds),
+        "bytes_held": held() - before,
+    }
+
+
+def write(name: str, path: Path, count: int) -> dict[str, float]:
+    before = held()
+    splats = make_splats(count)
+    return measure(lambda: FORMATS[name][0](path, splats), before)
+
+
+def read(name: str, path: Path, count: int) -> dict[str, float]:
+    before = held()
+    return measure(lambda: FORMATS[name][1](path), before)
+
+
+def main() -> None:
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
+    result: dict[str, object] = {"machine": processor(), "splats": count, "sh_degree": 3, "rounds": ROUNDS}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in FORMATS:
+            path = Path(folder) / f"million.{name}"
+            for work in (write, read):
+                with multiprocessing.get_context("spawn").Pool(1) as pool:
+                    figures = pool.apply(work, (name, path, count))
+                size = path.stat().st_size
+                figures |= {"file_bytes": size, "held_per_file_byte": round(figures["bytes_held"] / size, 2)}
+                result[f"{work.__name__} {name}"] = figures
+                clock, busy, memory = (figures[n] for n in ("seconds", "processor_seconds", "held_per_file_byte"))
+                print(
+                    f"{work.__name__} {name}: {clock:.2f} s by the clock, {busy:.2f} s of the processor, "
+                    f"{size / 1e6:.0f} MB, memory {memory:.2f} x the file"
+                )
+    RESULTS.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""How right labels are and what they cost.
+
+    python benchmarks/semantics.py            prints tables, writes benchmarks/results/semantics.json
+
+Trains the demo scene, labels its Gaussians from the true masks of the training photographs, and compares rendered
+labels with the truth of the held-out views. Region providers are compared with the class masks of SUIM photographs,
+where they are on this machine. Run it with nothing else on the machine.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.train_scenes import processor  # noqa: E402
+from swag_engine.scene.cameras import Camera  # noqa: E402
+from swag_engine.scene.colmap import load_scene  # noqa: E402
+from swag_engine.scene.images import TrainingImage, load_images, read_picture  # noqa: E402
+from swag_engine.scene.split import split_views  # noqa: E402
+from swag_engine.semantics.assign import (  # noqa: E402
+    assign,
+    label_weights,
+    rendered_labels,
+    semantic_loss,
+    targets_in_view,
+)
+from swag_engine.semantics.embed import Descriptor  # noqa: E402
+from swag_engine.semantics.masks import MaskFolder  # noqa: E402
+from swag_engine.semantics.regions import RegionProvider, SceneRegions, find_regions  # noqa: E402
+from swag_engine.semantics.saliency import Saliency  # noqa: E402
+from swag_engine.training.checkpoint import load_checkpoint  # noqa: E402
+from swag_engine.training.loop import cloud_from_tensors  # noqa: E402
+
+REEF = ROOT / "tests" / "scenes" / "reef_wreck"
+SUIM = ROOT.parent / "shared" / "data" / "suim"
+ITERATIONS, WIDTH, GAUSSIANS = 1500, 480, 60000
+
+
+def main() -> None:
+    document: dict[str, Any] = {"machine": f"{processor()}, {os.cpu_count()} cores"}
+    with tempfile.TemporaryDirectory() as folder:
+        run = Path(sys.argv[1]) if len(sys.argv) > 1 else train(Path(folder) / "run")
+        document["demo"] = demo(run)
+    if SUIM.is_dir():
+        document["suim"] = suim(Saliency())
+    print(json.dumps(document, indent=2))
+    (ROOT / "benchmarks" / "results" / "semantics.json").write_text(json.dumps(document, indent=2) + "\n")
+
+
+def train(run: Path) -> Path:
+    command = [sys.executable, "-m", "swag_engine", "train", REEF, "--out", run, "--iterations", ITERATIONS]
+    command += ["--width", WIDTH, "--max-gaussians", GAUSSIANS]
+    subprocess.run([str(part) for part in command], cwd=ROOT, check=True)
+    return run
+
+
+def demo(run: Path) -> dict[str, Any]:
+    """IoU of rendered labels on held-out views by source of the regions, and what labelling costs."""
+    scene = load_scene(REEF)
+    width = json.loads((run / "config.json").read_text())["settings"]["width"]
+    split = split_views([view.name for view in scene.views])
+    images = {image.camera.name: image for image in load_images(scene, scene.views, width)}
+    training = [images[name] for name in split.train]
+    masks = MaskFolder(REEF / "labels", scene)
+    loaded = load_checkpoint(run)
+    assert loaded is not None
+    cloud = cloud_from_tensors(loaded[0])
+
+    start = time.perf_counter()
+    regions = find_regions(training, masks, Descriptor())
+    found = time.perf_counter()
+    cameras = {image.camera.name: image.camera for image in training}
+    assignment = assign(cloud, regions, cameras)
+    assigned = time.perf_counter()
+    behind = regions.labels.index("open water") + 1
+    union, common = np.zeros(len(regions.labels) + 1), np.zeros(len(regions.labels) + 1)
+    for name in split.test:
+        truth = np.zeros(images[name].valid.shape, int)
+        for region in masks.regions(images[name], []):
+            if region.name in regions.labels:
+                truth[region.mask] = regions.labels.index(region.name) + 1
+        shown = rendered_labels(cloud, assignment.labels, len(regions.labels), images[name].camera, behind)
+        for label in range(1, len(regions.labels) + 1):
+            common[label] += ((truth == label) & (shown == label)).sum()
+            union[label] += ((truth == label) | (shown == label)).sum()
+    iou = {name: round(float(common[i] / union[i]), 4) for i, name in enumerate(regions.labels, 1) if union[i]}
+    labelled = assignment.labels > 0
+    return {
+        "gaussians": len(cloud),
+        "width": width,
+        "iou": iou,
+        "miou": round(float(np.mean(list(iou.values()))), 4),
+        "agreement": round(float(assignment.agreement[labelled].mean()), 4),
+        "consistent_views": consistency(cloud, regions, cameras, assignment.labels),
+        "unlabelled": round(float((~labelled).float().mean()), 4),
+        "seconds": {"regions": round(found - start, 2), "assignment": round(assigned - found, 2)},
+        **cost(cloud, regions, cameras),
+    }
+
+
+def consistency(cloud: Any, regions: SceneRegions, cameras: dict[str, Camera], labels: torch.Tensor) -> float:
+    """The share of what Gaussians add to all photographs that is where the photograph has the Gaussian's label."""
+    right = total = 0.0
+    for name, drawn in regions.maps.items():
+        here, weights, _ = label_weights(cloud, cameras[name], drawn)
+        right += float((weights * (here[None] == labels[:, None])).sum())
+        total += float(weights.sum())
+    return round(right / total, 4)
+
+
+def cost(cloud: Any, regions: SceneRegions, cameras: dict[str, Camera]) -> dict[str, float]:
+    """Milliseconds of an iteration's share in semantics, and what 100 000 Gaussians more take in memory."""
+    features = torch.zeros(len(cloud), 32, requires_grad=True)
+    name = next(iter(cameras))
+    times = []
+    for _ in range(5):
+        start = time.perf_counter()
+        targets, assigned = targets_in_view(cloud, cameras[name], regions)
+        middle = time.perf_counter()
+        semantic_loss(features, targets, assigned).backward()
+        times.append((middle - start, time.perf_counter() - middle))
+    view, loss = np.median(times, axis=0) * 1000
+    # The feature, its gradient and Adam's two moments, float32.
+    return {
+        "ms_targets_of_a_view": round(view, 1),
+        "ms_loss_and_gradient": round(loss, 2),
+        "mb_per_100000": 4 * 32 * 4 * 1e5 / 1e6,
+    }
+
+
+def suim(provider: RegionProvider) -> dict[str, Any]:
+    """Per photograph: IoU of open water with SUIM's background, and of all else together with its objects."""
+    scores = {}
+    for path in sorted((SUIM / "images").iterdir()):
+        pixels = read_picture(path)[0]
+        height, width = pixels.shape[:2]
+        drawn = read_picture(SUIM / "masks" / f"{path.stem}.png")[0]
+        truth = cv2.resize(drawn, (width, height), interpolation=cv2.INTER_NEAREST).max(-1) > 127
+        camera = Camera(path.name, width, height, width, width, width / 2, height / 2, np.eye(4))
+        found = provider.regions(TrainingImage(camera, pixels, np.ones((height, width), bool)), [])
+        water, salient = found[0].mask, found[1].mask
+        scores[path.name] = {
+            "open water": iou_of(water, ~truth),
+            "all else": iou_of(~water, truth),
+            "salient alone": iou_of(salient, truth),
+        }
+    means = {kind: round(float(np.mean([score[kind] for score in scores.values()])), 4) for kind in scores[path.name]}
+    return {"provider": provider.name, "mean": means, "photographs": scores}
+
+
+def iou_of(a: np.ndarray, b: np.ndarray) -> float:
+    return round(float((a & b).sum() / max(1, (a | b).sum())), 4)
+
+
+if __name__ == "__main__":
+    main()

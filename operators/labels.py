@@ -1,0 +1,176 @@
+"""What a user does with the labels of splats: list, show, select, search, keep as masks, separate, merge."""
+
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import BoolProperty, IntProperty, StringProperty
+
+from ..swag_blender import labels, splats
+from ..swag_blender.engine_process import EngineError, run_request
+from ..swag_engine.errors import InputError
+from .train import RUN_KEY
+
+
+class _OnSplats:
+    """Mixin of operators on the active splat object: errors become one sentence, and undo takes all back."""
+
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        cls.poll_message_set("Select an object with splats first")
+        return splats.is_splats(context.active_object)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            message = self.work(context, context.active_object)
+        except (InputError, EngineError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if message:
+            self.report({"INFO"}, message)
+        return {"FINISHED"}
+
+
+class SWAG_OT_read_labels(_OnSplats, bpy.types.Operator):
+    """List the labels of the splats, with the names of the run they are from"""
+
+    bl_idname = "swag.read_labels"
+    bl_label = "Read Labels"
+
+    directory: StringProperty(
+        name="Run", description="Folder of the run; left empty: that of the splats", subtype="DIR_PATH"
+    )
+
+    def work(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        folder = bpy.path.abspath(self.directory or obj.get(RUN_KEY, "")) or context.scene.swag.run_path
+        return f"{labels.read_labels(obj, folder)} labels."
+
+
+class SWAG_OT_show_labels(_OnSplats, bpy.types.Operator):
+    """Show all labels"""
+
+    bl_idname = "swag.show_labels"
+    bl_label = "Show All"
+
+    def work(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        for entry in obj.swag_labels.entries:
+            entry["visible"] = True
+        labels.show(obj)
+        return ""
+
+
+class SWAG_OT_isolate_label(_OnSplats, bpy.types.Operator):
+    """Show this label alone; all again on a second click"""
+
+    bl_idname = "swag.isolate_label"
+    bl_label = "Isolate"
+
+    number: IntProperty(name="Label")
+
+    def work(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        labels.isolate(obj, self.number)
+        return ""
+
+
+class SWAG_OT_select_label(_OnSplats, bpy.types.Operator):
+    """Select the splats of this label; with Shift beside what is selected"""
+
+    bl_idname = "swag.select_label"
+    bl_label = "Select Label"
+
+    number: IntProperty(name="Label")
+    extend: BoolProperty(name="Extend")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.extend = event.shift
+        return self.execute(context)
+
+    def work(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        return f"{labels.select_label(obj, self.number, self.extend)} splats selected."
+
+
+class SWAG_OT_search_labels(_OnSplats, bpy.types.Operator):
+    """Find splats by words: writes swag:similarity and selects what is above the threshold"""
+
+    bl_idname = "swag.search_labels"
+    bl_label = "Search Splats"
+
+    words: StringProperty(name="Search", description="What to look for; left empty: what stands in the panel")
+
+    def work(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        words = (self.words or obj.swag_labels.words).strip()
+        if not words:
+            raise InputError("There is nothing to search for: write what to look for, such as coral.")
+        numbers = labels.called(obj, words)
+        found = labels.similarity_to_labels(obj, numbers) if numbers else self.by_meaning(obj, words)
+        obj.swag_labels.words = words
+        return f"{labels.set_similarity(obj, found)} splats selected."
+
+    @staticmethod
+    def by_meaning(obj: bpy.types.Object, words: str) -> np.ndarray:
+        """What the engine's text network says, for words that no label is called."""
+        if not obj.swag_labels.folder:
+            names = ", ".join(entry.name for entry in obj.swag_labels.entries if entry.number)
+            raise InputError(f"No label is called {words}: the labels are {names or 'not read yet'}.")
+        with tempfile.TemporaryDirectory() as folder:
+            path = str(Path(folder) / "similarity.npy")
+            run_request({"request": "search", "run": obj.swag_labels.folder, "words": words, "path": path})
+            return np.load(path)
+
+
+class SWAG_OT_keep_mask(_OnSplats, bpy.types.Operator):
+    """Keep the selection as an attribute mask:NAME, for geometry nodes"""
+
+    bl_idname = "swag.keep_mask"
+    bl_label = "Keep as Mask"
+
+    name: StringProperty(name="Name", description="Of the mask; left empty: what was searched")
+
+    def work(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        return f"Kept as {labels.keep_mask(obj, self.name or obj.swag_labels.words)}."
+
+
+class SWAG_OT_separate_splats(_OnSplats, bpy.types.Operator):
+    """Move the selected splats to an object of their own"""
+
+    bl_idname = "swag.separate_splats"
+    bl_label = "Separate Splats"
+
+    def work(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        made = labels.separate(obj)
+        for one in context.selected_objects:
+            one.select_set(False)
+        made.select_set(True)
+        context.view_layer.objects.active = made
+        return f"{len(made.data.points)} splats in {made.name}."
+
+
+class SWAG_OT_merge_splats(_OnSplats, bpy.types.Operator):
+    """Bring the splats of the other selected objects into the active one"""
+
+    bl_idname = "swag.merge_splats"
+    bl_label = "Merge Splats"
+
+    def work(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        others = [one for one in context.selected_objects if splats.is_splats(one) and one != obj]
+        if not others:
+            raise InputError("Only one object with splats is selected: select those to merge, the one to keep last.")
+        return f"{labels.merge(obj, others)} splats in {obj.name}."
+
+
+CLASSES = (
+    *labels.CLASSES,
+    SWAG_OT_read_labels,
+    SWAG_OT_show_labels,
+    SWAG_OT_isolate_label,
+    SWAG_OT_select_label,
+    SWAG_OT_search_labels,
+    SWAG_OT_keep_mask,
+    SWAG_OT_separate_splats,
+    SWAG_OT_merge_splats,
+)
+
+register, unregister = labels.register, labels.unregister

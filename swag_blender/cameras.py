@@ -1,0 +1,49 @@
+"""Blender's cameras as the engine's pinholes, for files."""
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+
+from ..swag_engine.scene.cameras import Camera
+from . import scene_import
+
+
+def cameras_of(context: bpy.types.Context, roots: Sequence[bpy.types.Object]) -> list[Camera]:
+    """The photographs' cameras under the scene roots, in Blender's world; without any, the scene's own cameras.
+
+    The scene's own are the visible ones with perspective, at the size of a render.
+    """
+    depsgraph = context.evaluated_depsgraph_get()
+    imported = [obj for root in roots for obj in root.children_recursive if scene_import.SIZE_KEY in obj]
+    if imported:
+        sizes = [obj[scene_import.SIZE_KEY] for obj in imported]
+        return [
+            _camera(obj, depsgraph, int(width), int(height), aspect)
+            for obj, (width, height, aspect) in zip(imported, sizes, strict=True)
+        ]
+    render = context.scene.render
+    width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
+    aspect = render.pixel_aspect_x / render.pixel_aspect_y
+    own = [obj for obj in context.visible_objects if obj.type == "CAMERA" and obj.data.type == "PERSP"]
+    return [_camera(obj, depsgraph, width, height, aspect) for obj in own]
+
+
+def _camera(
+    obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, width: int, height: int, pixel_aspect: float
+) -> Camera:
+    """One camera object at a picture of width x height pixels, each `pixel_aspect` times as wide as high."""
+    x, y = max(pixel_aspect, 1.0), max(1 / pixel_aspect, 1.0)
+    projection = np.array(obj.calc_matrix_camera(depsgraph, x=width, y=height, scale_x=x, scale_y=y))
+    # Parents may scale, the pose of a camera does not.
+    pose = obj.evaluated_get(depsgraph).matrix_world.normalized() @ scene_import.OPENCV_TO_BLENDER
+    return Camera(
+        name=obj.name,
+        width=width,
+        height=height,
+        fx=projection[0, 0] * width / 2,
+        fy=projection[1, 1] * height / 2,
+        cx=width / 2 * (1 - projection[0, 2]),
+        cy=height / 2 * (1 + projection[1, 2]),
+        world_to_camera=np.linalg.inv(np.array(pose, np.float64)),
+    )

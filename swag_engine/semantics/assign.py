@@ -1,0 +1,143 @@
+"""From labelled photographs to labelled Gaussians, by what each Gaussian adds to each pixel."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..gaussians.cloud import GaussianCloud
+from ..rasterize.api import contributions, rasterize
+from ..scene.cameras import Camera
+from .embed import DIMENSIONS
+from .regions import SceneRegions
+
+MIN_WEIGHT, MIN_SHARE = 0.5, 0.5
+"""Pixels, and share of all it adds to the picture, that a Gaussian needs in a region (METHOD.md section 5)."""
+AT_ONCE = 16
+"""Labels that one pass over a picture sums."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assignment:
+    """features (N, 32): mean of the embeddings of the regions that the Gaussian lay in, of length 1, 0 where none;
+    labels (N,) int64, 0 for none; agreement (N,): the share of its votes that its label has, 0 where none."""
+
+    features: Tensor
+    labels: Tensor
+    agreement: Tensor
+
+
+@torch.no_grad()
+def label_weights(
+    cloud: GaussianCloud, camera: Camera, labels: np.ndarray, backend: str = "auto"
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What each Gaussian adds to the labels of one photograph, sum of T alpha over their pixels, occlusion counted.
+
+    labels (H, W) integers, 0 for none, of the photograph that `camera` took; the camera is brought to their size.
+    Returns the labels there, (R,) int64 and rising, the weights (N, R) in pixels, and each Gaussian's sum (N,) over the
+    whole picture.
+    """
+    height, width = labels.shape
+    camera = camera.resized(width)
+    here = np.unique(labels[labels > 0]).astype(np.int64)
+    pictures = torch.from_numpy(np.stack([labels == label for label in here] + [np.ones_like(labels)], -1))
+    viewmat, intrinsics = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
+    parts = [
+        contributions(
+            cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.means.new_ones(len(cloud), 1), viewmat,
+            intrinsics, width, height, cloud.means.new_zeros(1), part.to(cloud.means).contiguous(), backend=backend,
+        ).weighted
+        for part in pictures.split(AT_ONCE, dim=-1)
+    ]  # fmt: skip
+    weights = torch.cat(parts, 1)
+    return torch.from_numpy(here).to(weights.device), weights[:, :-1], weights[:, -1]
+
+
+def labels_in_view(cloud: GaussianCloud, camera: Camera, labels: np.ndarray, backend: str = "auto") -> Tensor:
+    """(N,) int64: the label that each Gaussian lies in as this camera sees it, 0 for none.
+
+    That with the largest weight, if it has MIN_WEIGHT pixels and MIN_SHARE of all that the Gaussian adds.
+    """
+    return _surest(*label_weights(cloud, camera, labels, backend))
+
+
+def targets_in_view(
+    cloud: GaussianCloud, camera: Camera, regions: SceneRegions, backend: str = "auto"
+) -> tuple[Tensor, Tensor]:
+    """What `semantic_loss` compares with in one view: targets (N, 32) float32 and assigned (N,) bool."""
+    labels = labels_in_view(cloud, camera, regions.maps[camera.name], backend)
+    return _features(regions, camera.name, labels), labels > 0
+
+
+def semantic_loss(features: Tensor, targets: Tensor, assigned: Tensor) -> Tensor:
+    """L_s of METHOD.md section 5: the mean over the assigned Gaussians of |features - targets|^2, 0 without any.
+
+    features and targets (N, 32), assigned (N,) bool. Differentiable in features.
+    """
+    squared = (features - targets).square().sum(1)
+    return torch.where(assigned, squared, torch.zeros_like(squared)).sum() / assigned.sum().clamp(min=1)
+
+
+@torch.no_grad()
+def assign(
+    cloud: GaussianCloud, regions: SceneRegions, cameras: Mapping[str, Camera], backend: str = "auto"
+) -> Assignment:
+    """Labels and features of all Gaussians from all photographs that have regions.
+
+    cameras: by the photograph's name. A photograph votes with the weights of `label_weights` for its labels, and takes
+    part in the features of those Gaussians that `labels_in_view` gives a label. What no photograph says anything of
+    stays without a label.
+    """
+    device = cloud.means.device
+    votes = torch.zeros(len(cloud), len(regions.labels) + 1, device=device)
+    sums = torch.zeros(len(cloud), DIMENSIONS, device=device)
+    for name, labels in regions.maps.items():
+        here, weights, total = label_weights(cloud, cameras[name], labels, backend)
+        votes[:, here] += weights.float()
+        sums += _features(regions, name, _surest(here, weights, total))
+    most, labels_of_most = votes.max(1)
+    labelled = most > 0
+    agreement = torch.where(labelled, most / votes.sum(1).clamp(min=1e-12), 0)
+    return Assignment(torch.nn.functional.normalize(sums, dim=1), torch.where(labelled, labels_of_most, 0), agreement)
+
+
+@torch.no_grad()
+def rendered_labels(
+    cloud: GaussianCloud, labels: Tensor, count: int, camera: Camera, behind: int = 0, backend: str = "auto"
+) -> np.ndarray:
+    """(H, W) uint16: the label, of `count`, that most of each pixel shows; `behind` is what no Gaussian covers."""
+    shares = torch.nn.functional.one_hot(labels, count + 1).to(cloud.means)
+    viewmat, intrinsics = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
+    best = cloud.means.new_full((camera.height, camera.width), -1.0)
+    found = torch.zeros_like(best, dtype=torch.int64)
+    for start in range(0, count + 1, AT_ONCE):
+        some = shares[:, start : start + AT_ONCE].contiguous()
+        drawn = rasterize(
+            cloud.means, cloud.quats, cloud.scales, cloud.opacities, some, viewmat, intrinsics, camera.width,
+            camera.height, cloud.means.new_zeros(some.shape[1]), backend,
+        )  # fmt: skip
+        shown = drawn.channels.clone()
+        if start <= behind < start + AT_ONCE:
+            shown[..., behind - start] += 1 - drawn.alpha
+        most, place = shown.max(-1)
+        found = torch.where(most > best, place + start, found)
+        best = torch.maximum(best, most)
+    return found.cpu().numpy().astype(np.uint16)
+
+
+def _surest(here: Tensor, weights: Tensor, total: Tensor) -> Tensor:
+    if not len(here):
+        return torch.zeros_like(total, dtype=torch.int64)
+    most, best = weights.max(1)
+    sure = (most >= MIN_WEIGHT) & (most >= MIN_SHARE * total)
+    return torch.where(sure, here[best], 0)
+
+
+def _features(regions: SceneRegions, name: str, labels: Tensor) -> Tensor:
+    """(N, 32) float32: the embeddings of the photograph's regions of these labels (N,), 0 for label 0."""
+    table = torch.zeros(len(regions.labels) + 1, DIMENSIONS)
+    for label, feature in regions.features[name].items():
+        table[label] = torch.from_numpy(feature)
+    return table.to(labels.device)[labels]

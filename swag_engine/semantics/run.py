@@ -1,0 +1,183 @@
+"""Labels of a finished run: make them, search them, take one out."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ..errors import InputError
+from ..files import atomic_path
+from ..formats.gltf import write_glb
+from ..formats.ply import read_ply, write_ply
+from ..gaussians.splats import Splats
+from ..rasterize.backends import device_for
+from ..scene.colmap import Scene, load_scene
+from ..scene.images import cache_folder, load_images
+from ..scene.split import split_views
+from ..training.checkpoint import load_checkpoint
+from ..training.loop import cloud_from_tensors
+from ..training.run_folder import RunFolder
+from ..weights.registry import find_or_fetch, is_here
+from .assign import assign
+from .captions import Blip, Captioner
+from .embed import Clip, Descriptor, Embedder
+from .grounded_sam import GroundedSam, GroundingDino, Sam
+from .labels import LABEL, label_id, read_semantics, read_table, write_semantics
+from .masks import MaskFolder
+from .regions import RegionProvider, checked_words, find_regions
+from .saliency import Saliency
+from .search import similarity
+
+Provider = Literal["masks", "grounded-sam", "saliency"]
+Progress = Callable[[str, float], None]
+
+
+def label_run(
+    folder: Path,
+    words: Sequence[str] = (),
+    masks: Path | None = None,
+    provider: Provider | None = None,
+    weights_dir: Path | None = None,
+    download: bool = False,
+    with_features: bool = False,
+    progress: Progress = lambda stage, fraction: None,
+) -> dict[str, Any]:
+    """Label the Gaussians of a run from its training photographs; returns what labels.json then holds.
+
+    provider: whose regions; without it `masks` where a folder is given, grounded-sam where there are words, else
+    saliency. Region embeddings are CLIP's where its files are there or `download` allows to fetch them, else of colour
+    and texture. Writes labels into result.ply and result.glb (with_features: the features too), labels.json and
+    semantics.safetensors. progress gets (stage, fraction 0..1). Raises InputError for whatever cannot be used; the run
+    is as before then.
+    """
+    run = RunFolder(folder)
+    scene_folder, settings, up = run.read_config()
+    words = checked_words(words)
+    loaded = load_checkpoint(folder)
+    if loaded is None or not run.ply.exists():
+        raise InputError(f"The run {folder} has no result yet; continue it with train --resume.")
+    splats = read_ply(run.ply)
+    cloud = cloud_from_tensors(loaded[0]).to(device_for("auto"))
+    if len(cloud) != len(splats):
+        raise InputError(
+            f"{run.ply} holds {len(splats)} splats and the run's checkpoint {len(cloud)}: continue the run with train "
+            "--resume, which writes it again."
+        )
+    scene = load_scene(scene_folder)
+    chosen = provider or ("masks" if masks else "grounded-sam" if words else "saliency")
+    finder, captioner = region_provider(chosen, scene, masks, bool(words), weights_dir, download, progress)
+    embedder = region_embedder(weights_dir, download, progress)
+    names = set(split_views([view.camera.name for view in scene.views]).train)
+    images = load_images(scene, [view for view in scene.views if view.camera.name in names], settings.width)
+    regions = find_regions(
+        images, finder, embedder, words, captioner, cache_folder(scene, "semantics"),
+        lambda done, count: progress("Regions", done / count),
+    )  # fmt: skip
+    assignment = assign(cloud, regions, {image.camera.name: image.camera for image in images})
+    about = {"regions": chosen, "embedder": embedder.name, "words": list(words), "photographs": len(images)}
+    return write_semantics(folder, splats, up, regions, assignment, about, with_features)
+
+
+def search_run(
+    folder: Path, words: str, weights_dir: Path | None = None, download: bool = False
+) -> tuple[np.ndarray, list[str]]:
+    """How near each splat of a labelled run is to `words`: (N,) float32 in -1..1, in the order of result.ply, and the
+    labels that are called so. Raises InputError when the run has no labels, or nothing knows the words."""
+    wanted = checked_words([words])[0]
+    semantics, table = read_semantics(folder), read_table(folder)
+    count = len(read_ply(RunFolder(folder).ply))
+    if count != len(semantics.features):
+        raise InputError(
+            f"The labels in {folder} are of {len(semantics.features)} splats and not of {count}: label again."
+        )
+    embedder: Embedder = Descriptor()
+    if semantics.embedder == Clip.name and not any(entry["name"].casefold() == wanted.casefold() for entry in table):
+        embedder = region_embedder(weights_dir, download)
+    return similarity(semantics, table, wanted, embedder)
+
+
+def write_similarity(out: Path, similarity: np.ndarray) -> None:
+    """Write numbers (N,) to `out` as a .npy array. Raises InputError when that cannot be done."""
+    with atomic_path(out) as temporary, open(temporary, "wb") as file:
+        np.save(file, similarity)
+
+
+def describe(document: dict[str, Any]) -> str:
+    """The lines that `label RUN` prints: names, counts, share of pixels."""
+    lines = [f"{entry['name']}: {entry['count']} Gaussians, {entry['share']:.1%} of the pixels"
+             for entry in document["labels"]]  # fmt: skip
+    return "\n".join(lines)
+
+
+def extract_run(folder: Path, label: str, out: Path) -> int:
+    """Write the splats of one label (its name or id) to `out`, a .ply or .glb; returns how many there are.
+
+    Raises InputError for another suffix, when there is no such label, or no splat has it.
+    """
+    run = RunFolder(folder)
+    _, _, up = run.read_config()
+    number = label_id(read_table(folder), label)
+    if out.suffix.lower() not in (".ply", ".glb"):
+        raise InputError(f"{out.name} cannot be written: give the file a name that ends in .ply or .glb.")
+    splats = labelled_splats(run)
+    chosen = splats.extras[LABEL] == number
+    if not chosen.any():
+        raise InputError(f"No splat of {run.ply} has the label {label}.")
+    part = splats.subset(chosen)
+    if out.suffix.lower() == ".glb":
+        write_glb(out, part, up)
+    else:
+        write_ply(out, part)
+    return int(chosen.sum())
+
+
+def labelled_splats(run: RunFolder) -> Splats:
+    """The run's splats with their labels. Raises InputError when there are none yet."""
+    if not run.ply.exists():
+        raise InputError(f"The run {run.path} has no result yet; continue it with train --resume.")
+    splats = read_ply(run.ply)
+    if LABEL not in splats.extras:
+        raise InputError(f"The splats of {run.ply} have no labels: make them with `label`.")
+    return splats
+
+
+def region_provider(
+    provider: Provider,
+    scene: Scene,
+    masks: Path | None,
+    has_words: bool,
+    weights_dir: Path | None,
+    download: bool,
+    progress: Progress = lambda stage, fraction: None,
+) -> tuple[RegionProvider, Captioner | None]:
+    """The provider of that name, and the captioner that says what to look for where it needs words and has none."""
+    if provider == "masks":
+        if masks is None:
+            raise InputError("Masks need a folder: name it with --masks.")
+        return MaskFolder(masks, scene), None
+    if provider == "saliency":
+        return Saliency(), None
+
+    def network(name: str) -> Path:
+        return _network(name, weights_dir, download, progress)
+
+    vocabulary = network("bert-vocabulary")
+    captioner = None if has_words else Blip(network("blip-image"), network("blip-text"), vocabulary)
+    detector = GroundingDino(network("grounding-dino"), vocabulary)
+    return GroundedSam(detector, Sam(network("mobile-sam-image"), network("mobile-sam-mask"))), captioner
+
+
+def region_embedder(
+    weights_dir: Path | None, download: bool, progress: Progress = lambda stage, fraction: None
+) -> Embedder:
+    """CLIP where its files are there or may be fetched, else colour and texture. A damaged file of CLIP is refused."""
+    files = "clip-image", "clip-text", "clip-vocabulary"
+    if not download and not all(is_here(name, weights_dir) for name in files):
+        return Descriptor()
+    image, text, vocabulary = (_network(name, weights_dir, download, progress) for name in files)
+    return Clip(image, text, vocabulary)
+
+
+def _network(name: str, weights_dir: Path | None, download: bool, progress: Progress) -> Path:
+    return find_or_fetch(name, weights_dir, download, lambda fraction: progress(f"Download {name}", fraction))

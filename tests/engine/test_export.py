@@ -1,0 +1,414 @@
+"""A run leaves as the user asked: which splats, how much water, which axes, how large, and the cameras that fit."""
+
+import json
+import shutil
+
+import numpy as np
+import pycolmap
+import pytest
+import torch
+
+from swag_engine.__main__ import main
+from swag_engine.errors import InputError
+from swag_engine.formats import water
+from swag_engine.formats.cameras import Photograph, moved, write_cameras
+from swag_engine.formats.choice import Choice, box_between, label_ids
+from swag_engine.formats.export import ExportOptions, export_run
+from swag_engine.formats.gltf import glb_size, read_glb, write_glb
+from swag_engine.formats.ply import ply_size, read_ply, write_ply
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.gaussians.splats import Splats
+from swag_engine.gaussians.transform import rotation_matrices, sh_basis
+from swag_engine.rasterize.render import render
+from swag_engine.scene.cameras import Camera
+from swag_engine.scene.colmap import load_scene
+from swag_engine.training.config import TrainSettings
+from swag_engine.training.run_folder import RunFolder, write_json
+from swag_engine.water.medium import Medium, through_water
+from swag_engine.water.network import WaterNetwork
+
+UP = [0.1, -0.9, 0.3]
+
+
+def some_splats(count=400, degree=3, seed=0):
+    """A wall of splats around the origin, where the tiny scene's cameras look."""
+    random = np.random.default_rng(seed)
+    rotations = random.normal(size=(count, 4))
+    sh = random.normal(size=(count, (degree + 1) ** 2, 3)) * 0.1
+    sh[:, 0] = random.uniform(-1.5, 1.5, (count, 3))
+    columns = (
+        np.c_[random.uniform(-2, 2, (count, 2)), random.uniform(-0.5, 0.5, count)],
+        rotations / np.linalg.norm(rotations, axis=1, keepdims=True),
+        np.exp(random.uniform(-4, -1, (count, 3))),
+        random.uniform(0.05, 1, count),
+        sh,
+    )
+    label = {"label": random.integers(0, 4, count).astype(np.int32)}
+    return Splats(*(column.astype(np.float32) for column in columns), label)
+
+
+def some_medium(light="linear"):
+    medium = Medium.starting(
+        4.0, light, torch.tensor([0.2, 0.09, 0.05]), torch.tensor([0.1, 0.08, 0.07]), torch.tensor([0.05, 0.2, 0.3])
+    )
+    medium.veil[1:] = torch.randn(8, 3, generator=torch.Generator().manual_seed(0)) * 0.5
+    return medium
+
+
+@pytest.fixture(scope="module")
+def run(tiny_scene, tmp_path_factory):
+    """A run folder as training and labelling leave it."""
+    folder = RunFolder(tmp_path_factory.mktemp("run") / "Lauf 1")
+    folder.write_config(tiny_scene, TrainSettings(), UP)
+    write_ply(folder.ply, some_splats())
+    write_json(folder.water, some_medium().to_json())
+    names = [{"id": 0, "name": "sand"}, {"id": 2, "name": "Coral"}, {"id": 3, "name": "wreck"}]
+    write_json(folder.path / "labels.json", {"labels": names})
+    return folder.path
+
+
+def drawn(splats, camera, **more):
+    positions, rotations, scales, opacities, sh = (
+        torch.from_numpy(array)
+        for array in (splats.positions, splats.rotations, splats.scales, splats.opacities, splats.sh)
+    )
+    cloud = GaussianCloud(
+        positions, rotations, scales.log(), torch.logit(opacities, 1e-6), sh[:, :1], sh[:, 1:], torch.full((3,), -30.0)
+    )
+    return render(cloud, camera, **more)
+
+
+def psnr(a, b):
+    return float(-10 * torch.log10(torch.mean((a - b) ** 2)))
+
+
+# ------------------------------------------------------------------------------------------------ which splats
+
+
+@pytest.mark.parametrize("kind", ["ply", "glb"])
+@pytest.mark.parametrize("extras", [False, True])
+def test_the_forecast_is_the_size(run, tmp_path, kind, extras):
+    options = {"sh_degree": 2, "extras": extras, "min_opacity": 0.3, "cameras": True}
+    foreseen = export_run(run, kind, tmp_path / "out", ExportOptions(**options, forecast=True))
+    assert not list(tmp_path.iterdir()) and not foreseen["files"]
+    result = export_run(run, kind, tmp_path / "out", ExportOptions(**options))
+    assert foreseen["bytes"] == result["bytes"] == (tmp_path / "out").stat().st_size
+    assert foreseen["splats"] == result["splats"] < 400
+    read = (read_ply if kind == "ply" else read_glb)(tmp_path / "out")
+    assert read.degree == 2 and bool(read.extras) == extras and read.opacities.min() >= 0.3 - 1e-6
+
+
+def test_sizes_of_odd_extras(tmp_path):
+    splats = some_splats(50, 1)
+    splats.extras |= {"far": np.arange(50) * 1000, "score": np.linspace(0, 1, 50), "chosen": np.arange(50) % 2 == 0}
+    write_ply(tmp_path / "a.ply", splats)
+    write_glb(tmp_path / "a.glb", splats)
+    assert ply_size(tmp_path / "a.ply", splats) == (tmp_path / "a.ply").stat().st_size
+    assert glb_size(tmp_path / "a.glb", splats) == (tmp_path / "a.glb").stat().st_size
+
+
+def test_only_what_is_chosen_leaves(run, tmp_path):
+    whole, out = some_splats(), tmp_path / "out.ply"
+    lower, upper = (-1.0, -2.0, -0.4), (1.5, 0.5, 0.3)
+    inside = ((whole.positions >= lower) & (whole.positions <= upper)).all(axis=1)
+    labelled = np.isin(whole.extras["label"], [1, 2])
+    cases = [
+        (ExportOptions(), np.ones(400, bool)),
+        (ExportOptions(min_opacity=0.5), whole.opacities >= 0.5),
+        (ExportOptions(labels=("coral", "1")), labelled),
+        (ExportOptions(box=(*lower, *upper)), inside),
+        (ExportOptions(box=(*lower, *upper), labels=("CORAL", "1"), min_opacity=0.5),
+         inside & labelled & (whole.opacities >= 0.5)),
+    ]  # fmt: skip
+    for options, kept in cases:
+        assert 0 < export_run(run, "ply", out, options)["splats"] == kept.sum()
+        np.testing.assert_array_equal(read_ply(out).positions, whole.positions[kept])
+        np.testing.assert_array_equal(read_ply(out).extras["label"], whole.extras["label"][kept])
+
+
+def test_a_turned_box(tmp_path):
+    splats = some_splats()
+    turn = rotation_matrices(np.array([0.9, 0.1, 0.3, np.sqrt(1 - 0.91)]))
+    box = np.eye(4)
+    box[:3, :3] = np.diag([1, 2, 0.5]) @ turn.T
+    kept = Choice(box=box).of(splats)
+    inside = (np.abs(splats.positions @ turn * (1, 2, 0.5)) <= 1).all(axis=1)
+    np.testing.assert_array_equal(kept.positions, splats.positions[inside])
+
+
+def test_what_cannot_be_chosen_is_said(run, tmp_path):
+    out = tmp_path / "out.ply"
+    for options, sentence in [
+        ({"labels": ("kelp",)}, "no label named kelp; there are sand, coral, wreck"),
+        ({"labels": ("7",)}, "No splat is left"),
+        ({"min_opacity": 1.0}, "No splat is left"),
+        ({"box": (0, 0, 0, 1, 1, 0)}, "corner of the box"),
+        ({"min_opacity": 1.5}, "min opacity must be from 0 to 1"),
+        ({"water": -1}, "water must be from 0 to 1"),
+        ({"sh_degree": 4}, "sh degree must be from 0 to 3"),
+        ({"metres_per_unit": 0.0}, "metres per unit"),
+        ({"metres_per_unit": float("nan")}, "metres per unit"),
+    ]:
+        with pytest.raises(InputError, match=sentence):
+            export_run(run, "ply", out, ExportOptions(**options))
+    with pytest.raises(InputError, match="label them first"):
+        Choice(labels=frozenset([1])).of(Splats(*[getattr(some_splats(), n) for n in Splats.__annotations__][:5]))
+    for damaged in ("{}", "[1]", '{"labels": 7}', '{"labels": [{"id": "x", "name": "y"}]}', "nothing"):
+        (tmp_path / "labels.json").write_text(damaged)
+        with pytest.raises(InputError, match="labels.json"):
+            label_ids(["sand"], tmp_path / "labels.json")
+    assert not out.exists()
+
+
+def test_the_command_line(run, tmp_path, capsys):
+    out = tmp_path / "reef.glb"
+    given = ["export", str(run), "--format", "glb", "--out", str(out), "--labels", "coral", "wreck", "--water", "0.5"]
+    assert main([*given, "--cameras", "--metres-per-unit", "0.5", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["files"][0] == str(out) and result["bytes"] == out.stat().st_size
+    assert {path.name for path in (tmp_path / "reef_cameras").rglob("*.*")} == {
+        "cameras.txt", "images.txt", "points3D.txt", "transforms.json", "water.json",
+    }  # fmt: skip
+    assert main([*given, "--forecast"]) == 0
+    assert "would have" in capsys.readouterr().out
+    assert main([*given, "--sh-degree", "9"]) == 2
+    assert main([*given, "--box", "0", "0", "0", "1", "1", "-1"]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 2
+
+
+# ------------------------------------------------------------------------------------------------ water
+
+
+@pytest.mark.parametrize("light", ["linear", "srgb"])
+@pytest.mark.parametrize("amount", [1.0, 0.4])
+def test_baked_water_is_the_engines_from_where_it_was_photographed(light, amount):
+    splats, medium = some_splats(), some_medium(light)
+    camera = Camera("only", 64, 48, 58.0, 58.0, 32.0, 24.0, np.eye(4))
+    camera.world_to_camera[:3, 3] = 0.3, -0.2, 5
+    baked = water.baked(splats, medium.to_json(), [camera], amount)
+    offsets = torch.from_numpy((splats.positions - camera.centre).astype(np.float32))
+    directions = (offsets / offsets.norm(dim=1, keepdim=True)).numpy()
+    own, seen = (np.einsum("nk,nkc->nc", sh_basis(directions, 3), s.sh) + 0.5 for s in (splats, baked))
+    expected = through_water(torch.from_numpy(own).float().clamp(min=0), offsets, medium, amount=amount).numpy()
+    np.testing.assert_allclose(seen, expected, atol=2e-4)
+    assert np.abs(seen - own).mean() > 0.03
+    # A glance from the side, the water left as it is: wrong by little against what the colour changes.
+    turned = directions + np.random.default_rng(1).normal(size=(400, 3)) * 0.1
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    own_there, seen_there = (np.einsum("nk,nkc->nc", sh_basis(turned, 3), s.sh) + 0.5 for s in (splats, baked))
+    expected_there = through_water(torch.from_numpy(own_there).float(), offsets, medium, amount=amount).numpy()
+    bright = (own > 0.1) & (own_there > 0.1)
+    change = np.abs(expected_there - expected)[bright].mean()
+    assert np.abs(seen_there - expected_there)[bright].mean() < 0.1 * change
+
+
+def test_baked_water_of_a_network():
+    """Its water.json is a table: right where it has a range, between them close."""
+    network = WaterNetwork.starting(4.0, seed=1)
+    camera = Camera("only", 64, 48, 58.0, 58.0, 32.0, 24.0, np.eye(4))
+    splats = some_splats(40, degree=0)
+    splats.positions[:] = 0
+    splats.positions[:, 2] = np.linspace(1, 11.9, 40)
+    for metres, amount in ((0.0, 1.0), (2.0, 0.5)):
+        baked = water.baked(splats, network.to_json(metres), [camera], amount, metres)
+        own, seen = (0.5 + 0.28209479177387814 * each.sh[:, 0] for each in (splats, baked))
+        offsets = torch.from_numpy(splats.positions)
+        directions = torch.nn.functional.normalize(
+            torch.randn(300, 3, generator=torch.Generator().manual_seed(5)), dim=1
+        )
+        around = [network.logits(length * directions).sigmoid().mean(dim=0) for length in offsets[:, 2]]
+        expected = torch.from_numpy(own).clamp(min=0) * torch.stack(around)[:, :3] ** amount
+        expected += amount * torch.stack(around)[:, 3:]
+        np.testing.assert_allclose(seen, expected.detach().numpy(), atol=0.01)
+
+
+def test_a_table_of_the_water_is_read_between_its_ranges():
+    table = {"ranges": [0, 2, 6], "transmission": [[1] * 3, [0.64, 0.36, 0.16], [0.04, 0, 0]], "light": "srgb"}
+    table["backscatter"] = [[0] * 3, [0.1, 0.2, 0.3], [0.5, 0.6, 0.7]]
+    camera = Camera("only", 64, 48, 58.0, 58.0, 32.0, 24.0, np.eye(4))
+    splats = some_splats(2, degree=0)
+    splats.positions[:] = [[0, 0, 2], [0, 0, 4]]
+    splats.sh[:] = 0
+    seen = 0.5 + 0.28209479177387814 * water.baked(splats, table, [camera], 0.5).sh[:, 0]
+    middle = 0.5 * np.sqrt([0.34, 0.18, 0.08]) + [0.15, 0.2, 0.25]
+    np.testing.assert_allclose(seen, [[0.45, 0.4, 0.35], middle], atol=1e-6)
+
+
+def test_water_per_metre_is_the_same_water():
+    splats, medium = some_splats(50), some_medium()
+    camera = Camera("only", 64, 48, 58.0, 58.0, 32.0, 24.0, np.eye(4))
+    camera.world_to_camera[:3, 3] = 0.3, -0.2, 5
+    per_unit = water.baked(splats, medium.to_json(), [camera])
+    per_metre = water.baked(splats, medium.to_json(0.5), [camera], 1.0, 0.5)
+    np.testing.assert_allclose(per_metre.sh, per_unit.sh, atol=1e-4)
+    with pytest.raises(InputError, match="per metre"):
+        water.baked(splats, medium.to_json(0.5), [camera])
+
+
+def test_the_camera_of_the_median_range_counts():
+    """Three cameras see the splat, one looks away from close by; where none sees it, the nearest counts."""
+
+    def camera(z, look=1.0):
+        pose = np.diag([1.0, look, look, 1.0])
+        pose[:3, 3] = 0, 0, z
+        return Camera("c", 40, 40, 40.0, 40.0, 20.0, 20.0, np.linalg.inv(pose))
+
+    cameras = [camera(-9), camera(-2), camera(-4), camera(-1, -1.0)]
+    places = np.array([[0, 0, 0], [0, 90.0, 0]])
+    np.testing.assert_allclose(water._seen_from(places, cameras), [[0, 0, -4], [0, 0, -1]])
+
+
+def test_no_water_is_the_file_as_it_is(run, tmp_path):
+    export_run(run, "ply", tmp_path / "out.ply")
+    assert (tmp_path / "out.ply").read_bytes() == (run / "result.ply").read_bytes()
+
+
+def test_a_run_that_took_no_water_away(run, tmp_path):
+    shutil.copytree(run, tmp_path / "run")
+    (tmp_path / "run" / "water.json").unlink()
+    export_run(tmp_path / "run", "ply", tmp_path / "out.ply", ExportOptions(water=1))
+    assert (tmp_path / "out.ply").read_bytes() == (run / "result.ply").read_bytes()
+    with pytest.raises(InputError, match="took no water away"):
+        export_run(tmp_path / "run", "ply", tmp_path / "out.ply", ExportOptions(water=0.5))
+    (tmp_path / "run" / "water.json").write_text('{"beta_D": "blue"}')
+    for options in ({"water": 0.5}, {"cameras": True}):
+        with pytest.raises(InputError, match="coefficients"):
+            export_run(tmp_path / "run", "ply", tmp_path / "out.ply", ExportOptions(**options))
+
+
+# ------------------------------------------------------------------------------------------------ axes, scale, cameras
+
+
+@pytest.mark.parametrize("kind, up", [("ply", "scene"), ("ply", "y-down"), ("ply", "y-up"), ("ply", "z-up"),
+                                      ("glb", "scene")])  # fmt: skip
+def test_turned_splats_seen_by_the_turned_cameras_are_the_same_picture(run, tmp_path, kind, up):
+    """The cameras come back through COLMAP's own reader; so does the rotation of the harmonics, through the picture."""
+    out = tmp_path / f"out.{kind}"
+    export_run(run, kind, out, ExportOptions(up=up, metres_per_unit=2.5, cameras=True))
+    splats = read_ply(out) if kind == "ply" else read_glb(out, up=(0, 1, 0))  # as glTF says it
+    scene = load_scene(RunFolder(run).read_config()[0])
+    model = pycolmap.Reconstruction(str(tmp_path / "out_cameras" / "sparse" / "0"))
+    assert model.num_reg_images() == len(scene.views) == 10 and model.num_points3D() == 300
+    by_name = {image.name: image for image in model.images.values()}
+    for view in scene.views[::3]:
+        image = by_name[view.name]
+        lens = model.cameras[image.camera_id]
+        assert lens.model.name == "PINHOLE" and tuple(lens.params) == view.lens.params
+        pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
+        camera = Camera(view.name, lens.width, lens.height, *lens.params, pose)
+        # Sharp splats are widened by a third of a pixel: the same in both pictures.
+        same = psnr(drawn(splats, camera).color, drawn(some_splats(), view.camera).color)
+        assert same > 50, (kind, up, same)
+    axis = {"y-down": (0, -1, 0), "z-up": (0, 0, 1)}.get(up, (0, 1, 0))
+    if (kind, up) != ("ply", "scene"):
+        direction = np.array(UP) / np.linalg.norm(UP) * 2.5
+        before, after = some_splats().positions, splats.positions
+        np.testing.assert_allclose((after[1:] - after[0]) @ axis, (before[1:] - before[0]) @ direction, atol=1e-5)
+    np.testing.assert_allclose(
+        np.prod(splats.scales, axis=1), 2.5**3 * np.prod(some_splats().scales, axis=1), rtol=1e-4
+    )
+
+
+def test_the_glb_holds_the_same_cameras(run, tmp_path):
+    out = tmp_path / "out.glb"
+    export_run(run, "glb", out, ExportOptions(metres_per_unit=2.5, cameras=True))
+    data = out.read_bytes()
+    document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    model = pycolmap.Reconstruction(str(tmp_path / "out_cameras" / "sparse" / "0"))
+    root, *nodes = document["nodes"]
+
+    def rotation(node):
+        x, y, z, w = node["rotation"]
+        return rotation_matrices(np.array([w, x, y, z]))
+
+    assert root["children"] == list(range(1, 11)) and len(document["cameras"]) == 10
+    for node in nodes:
+        image = next(image for image in model.images.values() if image.name == node["name"])
+        place = rotation(root) @ node["translation"]
+        np.testing.assert_allclose(place, image.projection_center(), atol=1e-9)
+        looks = rotation(root) @ rotation(node) @ (0, 0, -1)
+        np.testing.assert_allclose(looks, image.viewing_direction(), atol=1e-9)
+        lens, camera = document["cameras"][node["camera"]]["perspective"], node["extras"]
+        assert lens["yfov"] == pytest.approx(2 * np.arctan(camera["height"] / 2 / camera["fy"]))
+        assert lens["aspectRatio"] == pytest.approx(64 / 48) and lens["znear"] > 0
+
+
+def test_transforms_json_projects_to_the_same_pixels(run, tmp_path):
+    export_run(run, "ply", tmp_path / "out.ply", ExportOptions(up="z-up", metres_per_unit=2.5, cameras=True))
+    folder = tmp_path / "out_cameras"
+    frames = json.loads((folder / "transforms.json").read_text())["frames"]
+    scene = load_scene(RunFolder(run).read_config()[0])
+    before, after = some_splats().positions[:50], read_ply(tmp_path / "out.ply").positions[:50]
+    for frame, view in zip(frames, scene.views, strict=True):
+        assert (folder / frame["file_path"]).resolve() == view.path.resolve()
+        x, y, z = np.linalg.inv(frame["transform_matrix"])[:3] @ np.c_[after, np.ones(50)].T
+        theirs = [frame["fl_x"] * x / -z + frame["cx"], frame["fl_y"] * -y / -z + frame["cy"]]
+        seen = view.camera.K @ (view.camera.world_to_camera @ np.c_[before, np.ones(50)].T)[:3]
+        np.testing.assert_allclose(theirs, seen[:2] / seen[2], atol=1e-3)
+
+
+def test_lenses_and_names_come_back(tmp_path):
+    camera = Camera("dive2/Öl#1.jpg", 90, 70, 50.0, 50.0, 45.0, 35.0, np.eye(4))
+    lenses = {
+        "SIMPLE_RADIAL": (51.5, 45.1, 35.2, -0.1),
+        "OPENCV": (51.25, 52.5, 45.1, 35.2, -0.1, 0.02, 1e-3, -2e-3),
+        "OPENCV_FISHEYE": (51.25, 52.5, 45.1, 35.2, 0.1, 0.2, 0.3, 0.4),
+        "FULL_OPENCV": (51.25, 52.5, 45.1, 35.2, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
+    }
+    photographs = [
+        Photograph(Camera(f"{i}", 90, 70, 50.0, 50.0, 45.0, 35.0, np.eye(4)), model, 100, 80, params, "x.jpg")
+        for i, (model, params) in enumerate(lenses.items())
+    ]
+    none = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    files, notes = write_cameras(tmp_path / "all", photographs, *none)
+    assert "FULL_OPENCV" in notes[0] and not (tmp_path / "all" / "transforms.json").exists()
+    model = pycolmap.Reconstruction(str(tmp_path / "all" / "sparse" / "0"))
+    assert {c.model.name: tuple(c.params) for c in model.cameras.values()} == lenses
+    files, notes = write_cameras(tmp_path / "some", photographs[:3], *none)
+    frames = json.loads((tmp_path / "some" / "transforms.json").read_text())["frames"]
+    assert not notes and len(files) == 4
+    assert [frame["camera_model"] for frame in frames] == ["OPENCV", "OPENCV", "OPENCV_FISHEYE"]
+    assert (frames[0]["fl_x"], frames[0]["fl_y"], frames[0]["k1"], frames[0]["p2"]) == (51.5, 51.5, -0.1, 0.0)
+    assert (frames[2]["k4"], frames[2]["w"]) == (0.4, 100)
+    write_cameras(tmp_path / "named", [Photograph.through_pinhole(camera)], *none)
+    images = pycolmap.Reconstruction(str(tmp_path / "named" / "sparse" / "0")).images
+    assert [image.name for image in images.values()] == [camera.name]
+    spaced = Photograph.through_pinhole(Camera("dive 2.jpg", 90, 70, 50.0, 50.0, 45.0, 35.0, np.eye(4)))
+    assert "dive 2.jpg" in write_cameras(tmp_path / "spaced", [spaced], *none)[1][0]
+    for name in ("", "two\nlines"):
+        odd = Photograph.through_pinhole(Camera(name, 9, 7, 5.0, 5.0, 4.0, 3.0, np.eye(4)))
+        with pytest.raises(InputError, match="rename"):
+            write_cameras(tmp_path / "odd", [odd], *none)
+
+
+def test_water_json_fits_the_file(run, tmp_path):
+    """Light from the same place through the same length: the coefficients follow scale and axes."""
+    export_run(run, "ply", tmp_path / "out.ply", ExportOptions(up="z-up", metres_per_unit=2.5, cameras=True))
+    ours = json.loads((tmp_path / "out_cameras" / "water.json").read_text())
+    before = json.loads((run / "water.json").read_text())
+    assert ours["per"] == "metre" and before["per"] == "unit"
+    np.testing.assert_allclose(np.array(ours["beta_D"]) * 2.5, before["beta_D"])
+    a, b = some_splats().positions.astype(float), read_ply(tmp_path / "out.ply").positions.astype(float)
+    steps = [(p[1:] - p[0]) / np.linalg.norm(p[1:] - p[0], axis=1, keepdims=True) for p in (a, b)]
+    veils = [sh_basis(step, 2) @ np.array(w["veil_sh"]) for step, w in zip(steps, (before, ours), strict=True)]
+    np.testing.assert_allclose(veils[1], veils[0], atol=1e-4)
+    network = WaterNetwork.starting(4.0, seed=1)
+    table = water.placed(network.to_json(0.5), np.eye(3), 2.0, 0.5, False)
+    np.testing.assert_allclose(table["ranges"], 2 * np.array(network.to_json()["ranges"]), atol=1e-5)
+    np.testing.assert_allclose(np.array(table["beta_D"]) * 2, network.to_json()["beta_D"], atol=1e-5)
+    assert table["per"] == "unit" and table["transmission"] == network.to_json()["transmission"]
+
+
+def test_moved_cameras_keep_their_pixels():
+    turn = np.eye(4)
+    turn[:3, :3] = 3 * rotation_matrices(np.array([0.5, 0.5, -0.5, 0.5]))
+    turn[:3, 3] = 1, 2, 3
+    camera = Camera("c", 40, 30, 35.0, 36.0, 19.0, 16.0, np.linalg.inv(turn @ np.diag([1 / 3, 1 / 3, 1 / 3, 1])))
+    point = np.array([0.2, 0.4, 9.0, 1.0])
+    pixels = [c.K @ (c.world_to_camera @ p)[:3] for c, p in ((camera, point), (moved(camera, turn), turn @ point))]
+    np.testing.assert_allclose(pixels[0][:2] / pixels[0][2], pixels[1][:2] / pixels[1][2])
+
+
+def test_an_upright_box_is_between_its_corners():
+    corners = np.array([[-1.0, 2, 5, 1], [3, 4, 9, 1]]) @ box_between((-1, 2, 5), (3, 4, 9)).T
+    np.testing.assert_allclose(corners, [[-1, -1, -1, 1], [1, 1, 1, 1]])

@@ -1,0 +1,184 @@
+"""From labelled photographs to labelled Gaussians."""
+
+import numpy as np
+import pytest
+import torch
+
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.rasterize.render import render
+from swag_engine.scene.cameras import Camera
+from swag_engine.semantics.assign import (
+    assign,
+    label_weights,
+    labels_in_view,
+    rendered_labels,
+    semantic_loss,
+    targets_in_view,
+)
+from swag_engine.semantics.guidance import gaussian_weights, kept, label_mask, open_water_loss, pixel_weights
+from swag_engine.semantics.regions import Found, SceneRegions, common_labels
+
+SIZE = 40
+BACKENDS = ["cpu", "torch"]
+
+
+def cloud_of(means: list[tuple[float, float, float]], scale: float = 0.1, opacity: float = 0.9) -> GaussianCloud:
+    """Balls that a camera at the origin, looking along z, sees."""
+    n = len(means)
+    return GaussianCloud(
+        torch.tensor(means, dtype=torch.float32),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1),
+        torch.full((n, 3), float(np.log(scale))),
+        torch.full((n,), float(np.log(opacity / (1 - opacity)))),
+        torch.zeros(n, 1, 3),
+        torch.zeros(n, 0, 3),
+        torch.zeros(3),
+    )
+
+
+def camera_at(x: float, name: str = "a") -> Camera:
+    pose = np.eye(4)
+    pose[0, 3] = -x
+    return Camera(name, SIZE, SIZE, 40.0, 40.0, SIZE / 2, SIZE / 2, pose)
+
+
+def halves(left: int, right: int) -> np.ndarray:
+    labels = np.full((SIZE, SIZE), left, np.uint16)
+    labels[:, SIZE // 2 :] = right
+    return labels
+
+
+def scene(maps: dict[str, np.ndarray], names: tuple[str, ...] = ("one", "two")) -> SceneRegions:
+    """Regions that are the labels of the maps; each has an embedding of its own in each photograph."""
+    random = np.random.default_rng(0)
+    found = {}
+    for name, labels in maps.items():
+        here = np.unique(labels[labels > 0])
+        index = np.searchsorted(here, labels) + 1
+        embeddings = np.eye(64)[here] + 0.02 * random.normal(size=(len(here), 64))
+        titles = tuple(names[label - 1] for label in here)
+        found[name] = Found(np.where(labels > 0, index, 0).astype(np.uint16), titles, embeddings.astype(np.float32))
+    return common_labels(found, names)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_hidden_gaussian_takes_no_label_from_what_hides_it(backend: str) -> None:
+    # The third lies behind the first, as seen by the camera, and is seen by nobody.
+    cloud = cloud_of([(-0.5, 0, 2), (0.5, 0, 2), (-1.0, 0, 4)], opacity=0.99)
+    cloud.log_scales[0] = np.log(0.3)
+    here, weights, total = label_weights(cloud, camera_at(0), halves(1, 2), backend)
+    assert here.tolist() == [1, 2]
+    assert torch.allclose(weights.sum(1), total, rtol=1e-4) and total[2] < 0.2 * total[1]
+    assert labels_in_view(cloud, camera_at(0), halves(1, 2), backend).tolist() == [1, 2, 0]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_weights_are_the_pixels_of_the_picture(backend: str) -> None:
+    """Summed over Gaussians, weights are the picture's alpha over each label."""
+    random = np.random.default_rng(4)
+    cloud = cloud_of([(*random.uniform(-0.8, 0.8, 2), random.uniform(2, 4)) for _ in range(60)], opacity=0.6)
+    labels = random.integers(0, 40, (SIZE, SIZE)).astype(np.uint16)  # more than one pass takes
+    here, weights, total = label_weights(cloud, camera_at(0), labels, backend)
+    alpha = render(cloud, camera_at(0), backend=backend).alpha.detach().numpy()
+    sums = [alpha[labels == label].sum() for label in here.tolist()]
+    assert np.allclose(weights.sum(0).numpy(), sums, rtol=1e-3) and here.tolist() == list(range(1, 40))
+    assert float(total.sum()) == pytest.approx(alpha.sum(), rel=1e-4)
+
+
+def test_too_little_or_too_shared_is_no_label() -> None:
+    cloud = cloud_of([(-0.5, 0, 2), (0, 0, 2), (0.5, 0, 2)])
+    thirds = np.zeros((SIZE, SIZE), np.uint16)
+    thirds[:, 19:20], thirds[:, 20:21] = 1, 2  # the middle ball is wider: neither has half of it
+    assert labels_in_view(cloud, camera_at(0), thirds)[1] == 0
+    faint = cloud_of([(-0.5, 0, 2)], scale=0.005, opacity=0.1)
+    assert labels_in_view(faint, camera_at(0), halves(1, 1)).tolist() == [0]  # less than half a pixel
+    assert labels_in_view(cloud, camera_at(0), halves(0, 0)).tolist() == [0, 0, 0]
+
+
+def test_a_map_of_another_size_is_of_the_same_view() -> None:
+    cloud = cloud_of([(-0.5, 0, 2), (0.5, 0, 2)])
+    large = np.repeat(np.repeat(halves(1, 2), 3, 0), 3, 1)
+    assert labels_in_view(cloud, camera_at(0), large).tolist() == [1, 2]
+
+
+def test_most_votes_win_and_features_are_the_regions_mean() -> None:
+    cloud = cloud_of([(-0.5, 0, 2), (0.5, 0, 2), (0, 0, -5)])
+    maps = {"a": halves(1, 2), "b": halves(1, 2), "c": halves(2, 2)}  # c is wrong about the left one
+    regions = scene(maps)
+    cameras = {name: camera_at(0, name) for name in maps}
+    made = assign(cloud, regions, cameras)
+    assert made.labels.tolist() == [1, 2, 0]
+    assert made.agreement[0] == pytest.approx(2 / 3, abs=1e-3) and made.agreement[1] == pytest.approx(1)
+    assert made.agreement[2] == 0 and not made.features[2].any()
+    mean = sum(regions.features[name][label] for name, label in (("a", 1), ("b", 1), ("c", 2)))
+    assert np.allclose(made.features[0].numpy(), mean / np.linalg.norm(mean), atol=1e-5)
+    cosines = made.features[:2].numpy() @ regions.prototypes.T
+    assert cosines[0, 0] > cosines[0, 1] and cosines[1, 1] > 0.9
+
+
+def test_the_loss_is_the_mean_over_assigned_gaussians() -> None:
+    cloud = cloud_of([(-0.5, 0, 2), (0.5, 0, 2), (0, 0, -5)])
+    regions = scene({"a": halves(1, 2)})
+    targets, assigned = targets_in_view(cloud, camera_at(0), regions)
+    assert assigned.tolist() == [True, True, False]
+    assert np.allclose(targets[1].numpy(), regions.features["a"][2])
+    features = torch.zeros(3, 32, requires_grad=True)
+    loss = semantic_loss(features, targets, assigned)
+    assert float(loss.detach()) == pytest.approx(1, abs=1e-5)  # targets have length 1
+    loss.backward()
+    assert torch.allclose(features.grad, torch.where(assigned[:, None], -targets, 0.0), atol=1e-6)
+    assert float(semantic_loss(features, targets, torch.zeros(3, dtype=torch.bool))) == 0
+
+
+def test_the_loss_pulls_features_to_their_targets_and_moves_nothing_else() -> None:
+    cloud = cloud_of([(-0.5, 0, 2), (0.5, 0, 2)])
+    for parameter in cloud.parameters().values():
+        parameter.requires_grad_()
+    regions = scene({"a": halves(1, 2)})
+    features = torch.nn.Parameter(torch.randn(2, 32, generator=torch.Generator().manual_seed(0)))
+    optimizer = torch.optim.Adam([features], 0.05)
+    targets, assigned = targets_in_view(cloud, camera_at(0), regions)
+    for _ in range(300):
+        optimizer.zero_grad()
+        semantic_loss(features, targets, assigned).backward()
+        optimizer.step()
+    assert float((features - targets).abs().max()) < 1e-3
+    assert all(parameter.grad is None for parameter in cloud.parameters().values())
+
+
+def test_labels_are_rendered_where_their_gaussians_are_seen() -> None:
+    cloud = cloud_of([(-0.5, 0, 2), (0.5, 0, 2), (0.5, 0, 3)], scale=0.25, opacity=0.99)
+    labels = torch.tensor([40, 7, 3])
+    shown = rendered_labels(cloud, labels, 40, camera_at(0), behind=5)
+    assert shown.dtype == np.uint16 and shown.shape == (SIZE, SIZE)
+    assert shown[20, 10] == 40 and shown[20, 30] == 7 and shown[0, 0] == 5
+    assert 3 not in shown[18:22, 28:32]
+    assert rendered_labels(cloud, labels, 40, camera_at(0))[0, 0] == 0
+
+
+# What labels do to a training -----------------------------------------------------------------------------------------
+
+
+def test_open_water_suppresses_what_covers_it_and_nothing_else() -> None:
+    cloud = cloud_of([(-0.5, 0, 2), (0.5, 0, 2)])
+    regions = scene({"a": halves(1, 2)}, ("open water", "coral"))
+    water = torch.from_numpy(label_mask(regions, "a"))
+    assert water[:, : SIZE // 2].all() and not water[:, SIZE // 2 :].any()
+    cloud.opacity_logits.requires_grad_()
+    alpha = render(cloud, camera_at(0)).alpha
+    loss = open_water_loss(alpha, water)
+    assert float(loss.detach()) == pytest.approx(float(alpha.detach()[:, : SIZE // 2].mean()), rel=1e-5)
+    loss.backward()
+    assert cloud.opacity_logits.grad[0] > 100 * abs(cloud.opacity_logits.grad[1])
+    assert float(open_water_loss(alpha.detach(), torch.zeros_like(water))) == 0
+    assert not label_mask(regions, "a", "eel").any()
+
+
+def test_weights_and_pruning_go_by_label() -> None:
+    regions = scene({"a": halves(1, 2)}, ("fish", "coral"))
+    weights = pixel_weights(regions, "a", {"fish": 0.25})
+    assert (weights[:, : SIZE // 2] == 0.25).all() and (weights[:, SIZE // 2 :] == 1).all()
+    labels, agreement = torch.tensor([0, 1, 2, 1]), torch.tensor([0.0, 0.9, 0.9, 0.55])
+    assert gaussian_weights(regions, labels, {"fish": 0.5, "coral": 3}).tolist() == [1, 0.5, 3, 0.5]
+    assert kept(regions, labels, agreement, ("fish", "haze")).tolist() == [True, False, True, True]
+    assert kept(regions, labels, agreement, ()).all()

@@ -1,0 +1,280 @@
+"""Hostile and damaged splat files: splats or one sentence, little memory, and nothing written anywhere."""
+
+import json
+import re
+import struct
+import time
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swag_engine.errors import InputError
+from swag_engine.formats.gltf import read_glb, write_glb
+from swag_engine.formats.ply import read_ply, write_ply
+from swag_engine.gaussians.splats import Splats
+from swag_engine.scene.cameras import Camera
+
+# Changed files a kind of file; five kinds.
+INPUTS = 1000
+NUMBERS = [0, 1, -1, 3, 255, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 10**18, 10**400, -(10**18), 1e308, float("nan"), 0.5]
+THINGS = [*NUMBERS, None, True, "", "x", "../../etc/passwd", "file:///dev/zero", [], {}, [0] * 50, [[]], {"a": {}}]
+WORDS = [b"nan", b"-inf", b"1e999", b"", b"x", b"\xff", b"uchar", b"double", b"list uchar int", b"\n", b"vertex", b"sh"]
+
+
+def some_splats(count: int = 6, degree: int = 1) -> Splats:
+    random = np.random.default_rng(degree)
+
+    def normal(*shape: int) -> np.ndarray:
+        return random.standard_normal((count, *shape), np.float32)
+
+    label = np.arange(count, dtype=np.int32)
+    return Splats(normal(3), normal(4), np.exp(normal(3)), random.random(count, np.float32),
+                  normal((degree + 1) ** 2, 3), {"label": label, "likeness": normal()})  # fmt: skip
+
+
+def binary_ply(path: Path) -> bytes:
+    write_ply(path, some_splats())
+    return path.read_bytes()
+
+
+def text_ply(path: Path) -> bytes:
+    header, _, body = binary_ply(path).partition(b"end_header\n")
+    columns = header.count(b"property")
+    rows = np.frombuffer(body, "<f4").reshape(-1, columns)
+    lines = [" ".join(f"{value:.6g}" for value in row) for row in rows.tolist()]
+    text = header.replace(b"binary_little_endian", b"ascii").replace(b"property int", b"property float")
+    return text + b"end_header\n" + "\n".join(lines).encode() + b"\n"
+
+
+def packed_ply(path: Path) -> bytes:
+    random = np.random.default_rng(2)
+    bounds = ("x", "y", "z", "scale_x", "scale_y", "scale_z", "r", "g", "b")
+    ends = [f"{end}_{name}" for end in ("min", "max") for name in bounds]
+    packed = [f"packed_{name}" for name in ("position", "rotation", "scale", "color")]
+    header = ["ply", "format binary_little_endian 1.0", "element chunk 2", *(f"property float {e}" for e in ends)]
+    header += ["element vertex 300", *(f"property uint {name}" for name in packed)]
+    header += ["element sh 300", *(f"property uchar f_rest_{i}" for i in range(9)), "end_header", ""]
+    chunks = np.sort(random.normal(size=(2, 2, 9)), axis=1).astype("<f4")
+    return "\n".join(header).encode() + chunks.tobytes() + random.bytes(300 * 16 + 300 * 9)
+
+
+def glb(path: Path) -> bytes:
+    camera = Camera("a", 64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4))
+    write_glb(path, some_splats(), cameras=[camera])
+    return path.read_bytes()
+
+
+def bytes_changed(data: bytes, random: np.random.Generator) -> bytes:
+    """Some bytes set, cut out, doubled or swapped; rather near the beginning, where what counts stands."""
+    changed = bytearray(data)
+    for _ in range(random.integers(1, 4)):
+        place = int(len(changed) * random.random() ** random.choice([0.5, 2]))
+        length = int(random.integers(1, 40))
+        match random.integers(6):
+            case 0:
+                changed[place : place + 1] = random.bytes(1)
+            case 1:
+                del changed[place : place + length]
+            case 2:
+                changed[place:place] = changed[place : place + length]
+            case 3:
+                changed[place : place + 4] = struct.pack("<I", int(random.choice([0, 1, 2**31, 2**32 - 1])))
+            case 4:
+                changed[place : place + 4] = struct.pack("<f", random.choice([np.nan, np.inf, -1e38, 1e-45]))
+            case 5:
+                del changed[place:]
+    return bytes(changed)
+
+
+def header_changed(data: bytes, random: np.random.Generator) -> bytes:
+    """A number or a word of a PLY's header is another one, or a line is gone, doubled or elsewhere."""
+    header, end, body = data.partition(b"end_header\n")
+    lines = header.splitlines()
+    for _ in range(random.integers(1, 3)):
+        place = int(random.integers(len(lines)))
+        words = lines[place].split(b" ")
+        match random.integers(5):
+            case 0:
+                words[int(random.integers(len(words)))] = str(random.choice(np.array(NUMBERS, object))).encode()
+            case 1:
+                words[int(random.integers(len(words)))] = WORDS[int(random.integers(len(WORDS)))]
+            case 2:
+                words = lines[int(random.integers(len(lines)))].split(b" ")
+            case 3:
+                words = []
+            case 4:
+                lines.insert(place, lines[int(random.integers(len(lines)))])
+                words = lines[place].split(b" ")
+        lines[place] = b" ".join(words)
+    return b"\n".join(lines) + b"\n" + end + body
+
+
+def words_changed(data: bytes, random: np.random.Generator) -> bytes:
+    """Numbers in the rows of a text PLY are other things."""
+    header, end, body = data.partition(b"end_header\n")
+    words = re.split(rb"(\s)", body)
+    for _ in range(random.integers(1, 4)):
+        words[int(random.integers(len(words)))] = WORDS[int(random.integers(len(WORDS)))]
+    return header + end + b"".join(words)
+
+
+def json_changed(data: bytes, random: np.random.Generator) -> bytes:
+    """A value somewhere in a GLB's JSON is another one, or gone; the chunks' lengths fit."""
+    (length,) = struct.unpack("<I", data[12:16])
+    document = json.loads(data[20 : 20 + length])
+    for _ in range(random.integers(1, 4)):
+        place: dict | list = document
+        while True:
+            keys = list(place) if isinstance(place, dict) else list(range(len(place)))
+            if not keys:
+                break
+            key = keys[int(random.integers(len(keys)))]
+            inner = place[key]
+            if isinstance(inner, dict | list) and inner and random.random() < 0.85:
+                place = inner
+                continue
+            if random.random() < 0.1:
+                del place[key]
+            else:
+                place[key] = THINGS[int(random.integers(len(THINGS)))]
+            break
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "make, change, read",
+    [
+        (binary_ply, (bytes_changed, header_changed), read_ply),
+        (text_ply, (words_changed, header_changed, bytes_changed), read_ply),
+        (packed_ply, (bytes_changed, header_changed), read_ply),
+        (glb, (json_changed,), read_glb),
+        (glb, (bytes_changed,), read_glb),
+    ],
+    ids=["binary PLY", "text PLY", "compressed PLY", "GLB's JSON", "GLB's bytes"],
+)
+def test_changed_files(tmp_path: Path, make: Callable, change: tuple[Callable, ...], read: Callable) -> None:
+    """1000 files each, from one seed; a failure prints the number of the file."""
+    path = tmp_path / "changed file"
+    data = make(path)
+    path.write_bytes(data)
+    assert 6 <= len(read(path)) <= 300
+    outcomes = {"refused": 0, "read": 0}
+    tracemalloc.start()
+    for number in range(INPUTS):
+        random = np.random.default_rng(number)
+        changed = change[number % len(change)](data, random)
+        path.write_bytes(changed)
+        tracemalloc.reset_peak()
+        before = tracemalloc.get_traced_memory()[0]
+        started = time.process_time()
+        try:
+            splats = read(path)
+        except InputError as error:
+            outcomes["refused"] += 1
+            assert str(path) in str(error) and "\n" not in str(error) and str(error).endswith("."), (number, str(error))
+        except Exception as error:
+            raise AssertionError(f"file {number}: {type(error).__name__}: {error}") from error
+        else:
+            outcomes["read"] += 1
+            assert np.isfinite(splats.positions).all() and np.isfinite(splats.sh).all(), number
+            assert np.allclose(np.linalg.norm(splats.rotations, axis=1), 1, atol=1e-5), number
+        used = tracemalloc.get_traced_memory()[1] - before
+        assert used < 40 * len(changed) + 2**21, (number, used, len(changed))
+        assert time.process_time() - started < 5, number
+    tracemalloc.stop()
+    print(outcomes)
+    assert min(outcomes.values()) > INPUTS / 50
+    assert [entry.name for entry in tmp_path.iterdir()] == ["changed file"]
+
+
+def refused_cheaply(path: Path, read: Callable) -> str:
+    """The sentence that `read` says of the file, and that it says it without memory for what the file promises."""
+    tracemalloc.start()
+    with pytest.raises(InputError) as caught:
+        read(path)
+    used = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert used < 4 * path.stat().st_size + 2**21, used
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("zeros", [10, 17, 30, 5000])
+@pytest.mark.parametrize("make", [binary_ply, text_ply, packed_ply])
+def test_a_ply_that_promises_more_than_it_holds(tmp_path: Path, make: Callable, zeros: int) -> None:
+    path = tmp_path / "promise.ply"
+    path.write_bytes(re.sub(rb"element vertex \d+", b"element vertex 1" + b"0" * zeros, make(path)))
+    assert re.search("cut off|damaged", refused_cheaply(path, read_ply))
+
+
+def test_a_ply_header_without_end(tmp_path: Path) -> None:
+    path = tmp_path / "endless.ply"
+    line = b"property float a%07d\n"
+    path.write_bytes(b"ply\nformat ascii 1.0\nelement vertex 1\n" + b"".join(line % i for i in range(300_000)))
+    assert "header" in refused_cheaply(path, read_ply)
+    path.write_bytes(b"ply\n" + b"comment" * 2_000_000)
+    assert "header" in refused_cheaply(path, read_ply)
+
+
+ENDLESS = {
+    "deep lists": b"[" * 10**7,
+    "deep objects": b'{"a":' * 10**6,
+    "many lists": b"[" + b"[]," * 8 * 10**6 + b"[]]",
+    "a long number": b"1" * 10**7,
+}
+
+
+@pytest.mark.parametrize("text", ENDLESS.values(), ids=ENDLESS.keys())
+def test_glb_json_that_is_deep_or_endless(tmp_path: Path, text: bytes) -> None:
+    path = tmp_path / "deep.glb"
+    text += b" " * (-len(text) % 4)
+    path.write_bytes(struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text)
+    assert "damaged" in refused_cheaply(path, read_glb)
+
+
+def test_a_glb_whose_attributes_share_their_bytes(tmp_path: Path) -> None:
+    """A small file cannot become large in memory by showing the same bytes again and again."""
+    path = tmp_path / "shared.glb"
+    data = glb(path)
+    (length,) = struct.unpack("<I", data[12:16])
+    document = json.loads(data[20 : 20 + length])
+    size = 3_000_000
+    kind = {"componentType": 5120, "count": size // 4, "bufferView": 0}
+    document["bufferViews"] = [{"buffer": 0, "byteLength": size}]
+    document["accessors"] = [kind | {"type": name, "normalized": True} for name in ("SCALAR", "VEC3", "VEC4")]
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    for name in attributes:
+        attributes[name] = 2 if "ROTATION" in name else 0 if "OPACITY" in name or name[0] == "_" else 1
+    for i in range(16):
+        attributes[f"KHR_gaussian_splatting:SH_DEGREE_{int(i**0.5)}_COEF_{i - int(i**0.5) ** 2}"] = 1
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sIIII", b"glTF", 2, 28 + len(text) + size, len(text), 0x4E4F534A)
+    path.write_bytes(head + text + struct.pack("<II", size, 0x004E4942) + bytes(size))
+    assert "damaged" in refused_cheaply(path, read_glb)
+
+
+@pytest.mark.parametrize(
+    "uri", ["../../etc/passwd", "file:///etc/passwd", "/dev/zero", "http://127.0.0.1:9/x", "%2e%2e/x"]
+)
+def test_gltf_addresses_are_never_followed(tmp_path: Path, uri: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "tricky.glb"
+    data = glb(path)
+    (length,) = struct.unpack("<I", data[12:16])
+    document = json.loads(data[20 : 20 + length])
+    document["buffers"][0]["uri"] = uri
+    document["images"] = [{"uri": uri}]
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
+    path.write_bytes(head + text + rest)
+    monkeypatch.setattr("builtins.open", lambda *_, **__: pytest.fail("a file was opened"))
+    assert "other files" in refused_cheaply(path, read_glb)
