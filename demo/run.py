@@ -103,7 +103,7 @@ def blender_with_extension(user: Path):
 
 def compare(photograph: Path, render: Path, scene_folder: Path, without_water: bool) -> str:
     """Write compare.png: photograph, render and, where the scene ships it, the truth without water; says how near."""
-    clean = scene_folder / "clean" / f"{photograph.stem}.png"
+    clean = scene_folder / "clean" / f"{photograph.stem}.webp"
     pictures = {photograph: "Photograph (never trained on)", render: "Splats in Cycles"}
     truth, name = (clean, "the truth without water") if without_water else (photograph, "the photograph")
     if without_water:

@@ -71,6 +71,25 @@ class Sfm:
 
 
 @dataclass(frozen=True)
+class Plan:
+    """Say which effects a scene calls for, why, and what each would cost; --out writes plan.json."""
+
+    scene: tyro.conf.Positional[Path]
+    """Folder of the scene: photographs and a COLMAP model."""
+    out: Path | None = None
+    """Folder for plan.json."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .effects.plan import describe, plan_scene
+
+        plan = plan_scene(self.scene, self.out)
+        show(plan.to_json(), self.json, describe(plan))
+        return 0
+
+
+@dataclass(frozen=True)
 class Train:
     """Train a scene; the run folder holds result.ply, result.glb, metrics and checkpoints."""
 
@@ -341,7 +360,7 @@ class Doctor:
         return 0
 
 
-COMMANDS = (Inspect, Sfm, Train, Evaluate, Ablate, Render, Label, Search, Extract, Export, Doctor)
+COMMANDS = (Inspect, Sfm, Plan, Train, Evaluate, Ablate, Render, Label, Search, Extract, Export, Doctor)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -42,8 +42,8 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
     """Score a run's newest checkpoint on the held-out views; write evaluation.json and evaluation.html to its folder.
 
     weights_dir: where LPIPS weights are looked for first. Without water the pictures are compared with the scene's
-    clean/NAME.png, in the views that have one. Figures that cannot be had are not a number; `notes` are sentences for
-    the user.
+    clean/NAME.png or .webp, in the views that have one. Figures that cannot be had are not a number; `notes` are
+    sentences for the user.
 
     test_psnr (dB), test_ssim and test_lpips (by backbone) are means over the views, test_psnr_joint is of the error of
     all views together; control_psnr is median_control's, floater_mass (0..1) as in metrics; restored has psnr (dB) and
@@ -130,10 +130,12 @@ def _scores(name: str, psnr: float, ssim: float, lpips: dict[str, float]) -> str
 
 def _clean_picture(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarray] | None:
     """Truth without water for a view: (H, W, 3) sRGB in 0..1, and where it holds: on surfaces, which have a range."""
-    name = Path(image.camera.name).with_suffix(".png")
-    clean, ranges = scene.folder / "clean" / name, scene.folder / "range" / name
-    if not clean.is_file():
+    name = Path(image.camera.name)
+    pictures = [(scene.folder / "clean" / name).with_suffix(suffix) for suffix in (".png", ".webp")]
+    clean = next((path for path in pictures if path.is_file()), None)
+    if clean is None:
         return None
+    ranges = (scene.folder / "range" / name).with_suffix(".png")
     height, width = image.valid.shape
     pixels = cv2.resize(read_picture(clean)[0], (width, height), interpolation=cv2.INTER_AREA)
     valid = image.valid

@@ -100,7 +100,7 @@ def _fits(picture: tuple[int, int], camera: tuple[int, int]) -> bool:
     return abs(picture[0] * camera[1] - picture[1] * camera[0]) <= max(*picture, *camera)
 
 
-def _mask_path(scene: Scene, view: View) -> Path | None:
+def mask_of(scene: Scene, view: View) -> Path | None:
     for folder in (scene.folder / "masks", scene.image_folder / "masks", scene.image_folder.parent / "masks"):
         for mask in (folder / f"{view.name}.png", (folder / view.name).with_suffix(".png")):
             if mask.is_file():
@@ -109,7 +109,7 @@ def _mask_path(scene: Scene, view: View) -> Path | None:
 
 
 def _load_image(scene: Scene, view: View, width: int | None, cache: Path) -> TrainingImage:
-    mask_path = _mask_path(scene, view)
+    mask_path = mask_of(scene, view)
     try:
         files = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in (view.path, mask_path) if path]
     except OSError as error:

@@ -1,0 +1,197 @@
+"""What the plan says of the real scenes in ../shared, with a picture of each.
+
+    python benchmarks/effects_real.py        writes benchmarks/results/effects_real.json and effects_NAME.png
+
+Pictures: a photograph; the same without what was found, at ranges interpolated between its sparse points; light
+against range with the fitted curve. flsea_rgbd is single frames with metric depth, so that no point is seen twice:
+there the quantiles of the light in bins of range stand for points, as if the same things lay near and far.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import cv2  # noqa: E402
+import matplotlib  # noqa: E402
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402
+from scipy.interpolate import griddata  # noqa: E402
+
+from swag_engine.effects import evidence  # noqa: E402
+from swag_engine.effects.fit import FIT_WIDTH, Family, Fit, Observations, Sightings, lens_terms, observe  # noqa: E402
+from swag_engine.effects.plan import describe, make_plan  # noqa: E402
+from swag_engine.scene.colmap import load_scene  # noqa: E402
+from swag_engine.scene.images import load_images  # noqa: E402
+from swag_engine.scene.split import split_views  # noqa: E402
+from swag_engine.strict_json import to_json  # noqa: E402
+
+SHARED = ROOT.parent / "shared" / "data"
+RESULTS = ROOT / "benchmarks" / "results"
+SCENES = {
+    "aqualoc_amphorae": "photographs",
+    "sparus_seabed": "photographs",
+    "japanese_gardens": "rendered by a NeRF",
+}
+QUANTILES, BINS = np.linspace(0.05, 0.95, 19), 16
+COLORS = ("tab:red", "tab:green", "tab:blue")
+
+
+def linear(display: np.ndarray) -> np.ndarray:
+    return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+
+
+def displayed(light: np.ndarray) -> np.ndarray:
+    light = light.clip(0, 1)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def lamp_light(ranges: np.ndarray, fit: Fit, unit: float) -> np.ndarray:
+    return (fit.tau + unit**2) / (fit.tau + ranges**2) if np.isfinite(fit.tau) else np.ones_like(ranges)
+
+
+def restored(pixels: np.ndarray, ranges: np.ndarray, fit: Fit, unit: float, usual: float) -> np.ndarray:
+    """The photograph without the water and the lamp's fall-off, as bright at the `usual` range as it was."""
+    r = ranges[..., None]
+    light = linear(pixels / 255.0) + fit.B * np.expm1(-fit.beta_B * r)
+    J = light.clip(0) * np.exp(fit.beta_D * (r - usual)) / lamp_light(r, fit, unit)
+    return displayed(J * np.quantile(linear(pixels / 255.0), 0.98) / max(np.quantile(J, 0.98), 1e-6))
+
+
+def curve(axis, ranges: np.ndarray, light: np.ndarray, track: np.ndarray, fit: Fit, unit: float, title: str) -> None:
+    """Light against range: every point's own colour is set to the scene's median, so that all lie on one curve."""
+    order = np.linspace(*np.quantile(ranges, (0.01, 0.99)), 100)
+    for c in range(3):
+        direct = np.exp(-fit.beta_D[c] * ranges) * lamp_light(ranges, fit, unit)
+        veil = fit.B[c] * -np.expm1(-fit.beta_B[c] * ranges)
+        J = np.bincount(track, direct * (light[:, c] - veil)) / np.bincount(track, direct**2)
+        usual = np.median(J)
+        shown = light[:, c] - direct * (J[track] - usual)
+        some = np.random.default_rng(0).permutation(len(ranges))[:1500]
+        axis.plot(ranges[some], shown[some], ".", color=COLORS[c], ms=1.5, alpha=0.35)
+        at = usual * np.exp(-fit.beta_D[c] * order) * lamp_light(order, fit, unit)
+        axis.plot(order, at - fit.B[c] * np.expm1(-fit.beta_B[c] * order), color=COLORS[c], lw=2)
+    axis.set_xlabel("range")
+    axis.set_ylabel("linear light, points at the median colour")
+    axis.set_ylim(0, None)
+    axis.set_title(title, fontsize=7, loc="left")
+
+
+def picture(path: Path, rows: list[tuple]) -> None:
+    figure, axes = plt.subplots(len(rows), 3, figsize=(15, 3.6 * len(rows)), squeeze=False)
+    for row, (photograph, clean, plot, title) in zip(axes, rows, strict=True):
+        row[0].imshow(photograph)
+        row[0].set_title(title, fontsize=9)
+        row[1].imshow(clean)
+        row[1].set_title("without what was found", fontsize=9)
+        for axis in row[:2]:
+            axis.axis("off")
+        plot(row[2])
+    figure.tight_layout()
+    figure.savefig(path, dpi=80)
+    plt.close(figure)
+
+
+def scene_with_points(name: str, kind: str) -> dict:
+    scene = load_scene(SHARED / name)
+    held_out = set(split_views([view.name for view in scene.views]).test)
+    views = [view for view in scene.views if view.name not in held_out]
+    images = load_images(scene, views, FIT_WIDTH)
+    plan = make_plan(scene, images)
+    print(f"\n{name} ({kind})\n{describe(plan)}", flush=True)
+    observations = observe(images, [view.point_indices for view in views], scene.points)
+    found = evidence.water_findings(observations, evidence.open_water_light(images, scene))
+    fit, unit = found.fit, float(np.median(observations.ranges))
+    assert fit is not None
+    index = {image: k for k, image in enumerate(found.images)}
+    gains = np.exp(
+        fit.log_gains[[index.get(k, 0) for k in observations.image]] + lens_terms(observations.place) @ fit.lens
+    )
+    _, track = np.unique(observations.track, return_inverse=True)
+    image, view = images[len(images) // 2], views[len(views) // 2]
+    places = scene.points.positions[view.point_indices] @ image.camera.world_to_camera[:3, :3].T
+    places = places + image.camera.world_to_camera[:3, 3]
+    pixel = (places @ image.camera.K.T)[:, :2] / places[:, 2:]
+    y, x = np.mgrid[: image.camera.height, : image.camera.width]
+    distance = np.linalg.norm(places, axis=1)
+    dense = griddata(pixel, distance, (x, y), method="nearest")
+    dense = cv2.GaussianBlur(dense.astype(np.float32), (0, 0), 6)
+    clean = restored(image.pixels, dense, fit, unit, float(np.median(dense)))
+    words = "; ".join(
+        f"{title}: {', '.join(key.replace('_', ' ') for key, effect in plan.effects.items() if effect.state == state)}"
+        for state, title in (("on", "on"), ("unknown", "cannot tell"))
+    )
+    picture(
+        RESULTS / f"effects_{name}.png",
+        [
+            (
+                image.pixels,
+                clean,
+                lambda axis: curve(
+                    axis, observations.ranges, observations.light / gains[:, None], track, fit, unit, words
+                ),
+                f"{name} ({kind}): {image.camera.name}",
+            )
+        ],
+    )
+    return {"kind": kind, "plan": plan.to_json()}
+
+
+def frames_with_depth() -> dict:
+    """Coefficients per metre of each frame of flsea_rgbd."""
+    folder, rows, figures = SHARED / "flsea_rgbd", [], {}
+    for path in sorted((folder / "images").iterdir()):
+        pixels = cv2.imread(str(path))[..., ::-1]
+        with np.load(next((folder / "depth").glob(f"{path.stem}*.npz"))) as arrays:
+            depth = next(iter(arrays.values())).astype(np.float64)
+        depth = cv2.resize(depth, pixels.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+        known = depth > 0
+        light = linear(pixels / 255.0)
+        edges = np.quantile(depth[known], np.linspace(0.02, 0.98, BINS + 1))
+        parts = []
+        for k in range(BINS):
+            chosen = known & (depth >= edges[k]) & (depth < edges[k + 1])
+            if chosen.sum() < 200:
+                continue
+            levels = np.quantile(light[chosen], QUANTILES, axis=0)
+            middle = np.full(len(QUANTILES), depth[chosen].mean())
+            parts.append((np.arange(len(QUANTILES)), middle, levels))
+        track, ranges, levels = (np.concatenate(column) for column in zip(*parts, strict=True))
+        zero = np.zeros(len(track))
+        observations = Observations(track, ranges, levels, zero.astype(int), np.zeros((len(track), 2)), levels)
+        fit = Sightings(observations).fit(Family(True, True, True))
+        figures[path.name] = {
+            "beta_D": fit.beta_D.tolist(), "beta_B": fit.beta_B.tolist(), "B": fit.B.tolist(),
+            "metres": [float(edges[0]), float(edges[-1])],
+        }  # fmt: skip
+        print(
+            path.name, np.round(fit.beta_D, 3), np.round(fit.beta_B, 3), np.round(fit.B, 3), np.round(edges[[0, -1]], 2)
+        )
+        clean = restored(
+            pixels, np.where(known, depth, np.median(depth[known])), fit, 1.0, float(np.median(depth[known]))
+        )
+        title = f"{path.name[:24]}: beta_D {np.round(fit.beta_D, 2)} per metre"
+        rows.append(
+            (
+                pixels,
+                clean,
+                lambda axis, v=(ranges, levels, track, fit, title): curve(axis, *v[:4], 1.0, v[4]),
+                path.name,
+            )
+        )
+    picture(RESULTS / "effects_flsea_rgbd.png", rows)
+    return {"kind": "photographs with metric depth", "per": "metre", "frames": figures}
+
+
+def main() -> None:
+    document = {name: scene_with_points(name, kind) for name, kind in SCENES.items()}
+    document["flsea_rgbd"] = frames_with_depth()
+    (RESULTS / "effects_real.json").write_text(to_json(document, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,501 @@
+"""What a scene's photographs and sparse points say about each effect, before anything is trained (METHOD.md section 9).
+
+Colours are taken in linear light. Every finding carries the figures it rests on, each with its threshold, and says in
+one sentence why; "unknown" is an answer, for where the photographs cannot tell.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..priors.interpolate import Admission
+from ..scene.colmap import Scene
+from ..scene.images import TrainingImage
+from .fit import (
+    LEAST_CHANGE,
+    LEAST_OBSERVATIONS,
+    LEAST_RANGE_RATIO,
+    LEAST_VEIL,
+    MOST_SIGHTINGS,
+    Family,
+    Fit,
+    Observations,
+    Sightings,
+    independent_channels,
+    lens_terms,
+    track_ratio,
+)
+
+State = Literal["on", "off", "unknown"]
+
+LEAST_BIC_GAIN = 10.0
+LEAST_FALLOFF = 0.15
+"""Share of its light that a lamp must lose over the scene's range beyond what water takes."""
+LAMP_ERROR = 0.2
+"""Share of a lamp's fall-off that its formula may be wrong by: water under a lamp must take so much more."""
+GREY = 0.2
+"""Spread of beta_D over the channels, as a share of the largest, below which the loss has no colour: water has one."""
+LEAST_GAIN_SD, LEAST_GAIN_BIC = 0.03, 50.0
+"""Of the log gains; a lamp's or the waves' own light, which the formula misses, gains a BIC of some tens by them."""
+FLICKER_GAIN = 0.2
+"""Share of the caustics' flicker that the mean light of a photograph may differ by without any exposure."""
+LEAST_LENS = 0.05
+WIDEST_INTERVAL = 0.5
+"""Of the largest beta_D: half of its 95 % interval, as a share of it."""
+MOST_RADIUS_CORRELATION = 0.9
+HALVES = 8
+"""Random halves of the points that the intervals are taken from."""
+LEAST_DARK_RISE, LEAST_DARK = 0.2, 0.003
+"""By how much the darkest light must rise with range, as a share of what the fitted backscatter would raise it, and in
+light. Colours that grow alike with range, as they do where far texture is blurred, look like a veil without it."""
+DARKEST = 0.01
+RANGE_BINS = 8
+
+LEAST_FLICKER, LEAST_NEIGHBOUR_CORRELATION = 0.10, 0.2
+PAIR_ANGLE, PAIR_RANGE, LEAST_PAIR = 10.0, 0.05, 30
+
+MOST_FRAMES, MOST_SHARED = 40, 0.5
+CELLS, LEAST_CELLS, LEAST_POINTS, LEAST_ACCEPTED = 16, 0.5, 500, 0.8
+LEAST_OPEN_WATER, LEAST_CELLS_OF_WATER, FLAT = 0.05, 0.01, 1.5
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect: whether it is there, the figures behind that, and why in a sentence."""
+
+    state: State
+    evidence: dict[str, Any]
+    reason: str
+
+
+@dataclass(frozen=True)
+class WaterFindings:
+    """What the sightings say of the effects that change a point's colour with range or photograph.
+
+    effects: attenuation, backscatter, separate_backscatter, lamp, exposure. fit: the values of the family that was
+    chosen (None where nothing could be fitted), and which `images` its log gains are of, by index. intervals: for
+    beta_D, beta_B and B the lower and upper 95 % bounds, each (2, 3).
+    """
+
+    effects: dict[str, Finding]
+    fit: Fit | None = None
+    images: Sequence[int] = ()
+    intervals: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+# Water, lamp and exposure ---------------------------------------------------------------------------------------------
+
+
+def water_findings(
+    observations: Observations, open_water: np.ndarray | None = None, flicker: float = 0.0, seed: int = 0
+) -> WaterFindings:
+    """Attenuation, backscatter, its own coefficient, lamp and exposure, of all sightings of a scene.
+
+    open_water (3,): linear light where the photographs show nothing but water, as open_water_light gives it. flicker:
+    sd of the log light of caustics, 0 where there are none.
+    """
+    names = ("attenuation", "backscatter", "separate_backscatter", "lamp", "exposure")
+    if len(observations) < LEAST_OBSERVATIONS:
+        reason = f"It cannot be told: only {len(observations)} sightings of points can be used."
+        figures = {"sightings": len(observations), "sightings_least": LEAST_OBSERVATIONS}
+        return WaterFindings({name: Finding("unknown", figures, reason) for name in names})
+    random = np.random.default_rng(seed)
+    ratio = float(np.quantile(track_ratio(observations), 0.95))
+    correlation = float(abs(np.corrcoef(observations.ranges, observations.radius)[0, 1]))
+    points = random.permutation(np.unique(observations.track))
+    most = max(2, int(len(points) * MOST_SIGHTINGS / len(observations)))
+    sightings = Sightings(observations.take(np.isin(observations.track, points[:most])), open_water=open_water)
+    rich = Family(attenuation=True, backscatter=True, separate=True, lamp=True, lens=True, gains=True)
+    first = sightings.fit(rich)
+    sightings = sightings.without_outliers(first)
+    independent = independent_channels(first.residual)
+
+    def bic(fit: Fit) -> float:
+        return fit.bic(sightings.count, independent)
+
+    # Gains and lens are decided with every other term in the model, so that neither can stand for water.
+    apart = {
+        (lens, gains): sightings.fit(replace(rich, lens=lens, gains=gains))
+        for lens in (False, True)
+        for gains in (False, True)
+    }
+    gained = min((fit for (_, gains), fit in apart.items() if gains), key=bic)
+    plain = min((fit for (_, gains), fit in apart.items() if not gains), key=bic)
+    variance = float(np.var(gained.log_gains) - np.mean(gained.gain_errors**2))
+    spread = float(np.sqrt(max(variance, 0)))
+    gain_bic = bic(plain) - bic(gained)
+    least_spread = LEAST_GAIN_SD + FLICKER_GAIN * flicker
+    gains = gain_bic > LEAST_GAIN_BIC and spread > least_spread
+    lens_bic = bic(apart[False, gains]) - bic(apart[True, gains])
+    lens = lens_bic > LEAST_BIC_GAIN and _unevenness(apart[True, gains]) > LEAST_LENS
+    exposure = Finding(
+        "on" if gains else "off",
+        {"gain_sd": spread, "gain_sd_least": least_spread, "bic_gain": gain_bic, "bic_gain_least": LEAST_GAIN_BIC},
+        f"The photographs' brightness differs by {spread:.1%} (sd; more than {least_spread:.1%} counts).",
+    )
+
+    fits = {
+        family: sightings.fit(family)
+        for lamp in (False, True)
+        for family in (
+            Family(lamp=lamp, lens=lens, gains=gains),
+            Family(True, lamp=lamp, lens=lens, gains=gains),
+            Family(True, True, lamp=lamp, lens=lens, gains=gains),
+            Family(True, True, True, lamp=lamp, lens=lens, gains=gains),
+        )
+    }
+    near, far = np.quantile(observations.ranges, (0.05, 0.95))
+    veiled = fits[Family(True, True, True, lens=lens, gains=gains)]
+    expected = veiled.B * (np.exp(-veiled.beta_B * near) - np.exp(-veiled.beta_B * far))
+    channel = int(np.argmax(expected))
+    rise, least_rise = dark_rise(observations)[channel], max(LEAST_DARK_RISE * expected[channel], LEAST_DARK)
+    witness = rise >= least_rise
+    believed = [fit for family, fit in fits.items() if witness or not family.backscatter]
+    lamp = _lamp(believed, bic, observations.ranges)
+    none, direct, tied, separate = (fit for family, fit in fits.items() if family.lamp == (lamp.state == "on"))
+    veil = separate.B * (1 - np.exp(-separate.beta_B * far))
+    veil_bic = bic(direct) - min(bic(tied), bic(separate))
+    veils = witness and veil_bic > LEAST_BIC_GAIN and veil.max() >= LEAST_VEIL
+
+    best = min((direct, tied, separate) if veils else (direct,), key=bic)
+    change = 1 - np.exp(-best.beta_D * (far - near))
+    strongest = int(np.argmax(change))
+    attenuation_bic = bic(none) - bic(best)
+    least_change = LEAST_CHANGE + (LAMP_ERROR * lamp.evidence["falloff"] if lamp.state == "on" else 0.0)
+    dims = attenuation_bic > LEAST_BIC_GAIN and change.max() >= least_change
+    veils = veils and dims
+    # The coefficients are those of the widest family that was accepted: what need not be separate is nearly tied.
+    fit = separate if veils else direct if dims else none
+    intervals = _intervals(sightings, fit, random) if dims else {}
+    width = float(np.ptp(intervals["beta_D"], axis=0)[strongest] / 2 / fit.beta_D[strongest]) if dims else float("nan")
+
+    color = ("red", "green", "blue")[strongest]
+    effects = {
+        "attenuation": Finding(
+            "on" if dims else "off",
+            {
+                "bic_gain": attenuation_bic,
+                "bic_gain_least": LEAST_BIC_GAIN,
+                "change": change.tolist(),
+                "change_least": least_change,
+                "interval": width,
+                "interval_most": WIDEST_INTERVAL,
+            },
+            f"{color.capitalize()} loses {change.max():.0%} between {near:.3g} and {far:.3g} scene units "
+            f"({least_change:.0%} at least); BIC gain {attenuation_bic:,.0f} ({LEAST_BIC_GAIN:.0f} at least).",
+        ),
+        "backscatter": Finding(
+            "on" if veils else "off",
+            {
+                "bic_gain": veil_bic,
+                "bic_gain_least": LEAST_BIC_GAIN,
+                "veil": veil.tolist(),
+                "veil_least": LEAST_VEIL,
+                "dark_rise": float(rise),
+                "dark_rise_least": float(least_rise),
+            },
+            f"The water adds {veil.max():.3f} of light at the far end ({LEAST_VEIL} at least), BIC gain "
+            f"{veil_bic:,.0f} ({LEAST_BIC_GAIN:.0f} at least); the darkest light rises with range by {rise:.3f} "
+            f"({least_rise:.3f} at least)" + ("." if dims else "; without attenuation it is no water."),
+        ),
+        "separate_backscatter": _separate(tied, separate, bic(tied) - bic(separate), bool(veils)),
+        "lamp": lamp,
+        "exposure": exposure,
+    }
+    if dims and width > WIDEST_INTERVAL:
+        effects["attenuation"] = _untold(
+            effects["attenuation"],
+            f"The water cannot be told: the loss of {color} is known to +-{width:.0%} only (+-{WIDEST_INTERVAL:.0%} at "
+            "most).",
+        )
+        effects["backscatter"] = replace(effects["backscatter"], state="unknown" if veils else "off")
+    for name in ("attenuation", "backscatter", "lamp"):
+        finding = effects[name]
+        finding.evidence.update(
+            range_ratio=ratio,
+            range_ratio_least=LEAST_RANGE_RATIO,
+            radius_correlation=correlation,
+            radius_correlation_most=MOST_RADIUS_CORRELATION,
+        )
+        if ratio < LEAST_RANGE_RATIO:
+            effects[name] = _untold(
+                finding,
+                f"It cannot be told: points are seen from ranges of ratio {ratio:.2f} at most ({LEAST_RANGE_RATIO} at "
+                "least).",
+            )
+        elif correlation > MOST_RADIUS_CORRELATION:
+            effects[name] = _untold(
+                finding,
+                f"It cannot be told from the lens' fall-off: range and distance from the picture's middle go together "
+                f"(correlation {correlation:.2f}, {MOST_RADIUS_CORRELATION} at most).",
+            )
+    return WaterFindings(effects, fit, np.unique(sightings.observations.image).tolist(), intervals)
+
+
+def _unevenness(fit: Fit) -> float:
+    """Log ratio of the brightest and the darkest of a photograph's middle, edges and corners."""
+    places = np.stack(np.meshgrid([-0.8, 0, 0.8], [-0.6, 0, 0.6]), -1).reshape(-1, 2)
+    return float(np.ptp(lens_terms(places) @ fit.lens))
+
+
+def _untold(finding: Finding, reason: str) -> Finding:
+    return Finding("unknown", finding.evidence, reason)
+
+
+def _lamp(fits: Sequence[Fit], bic: Callable[[Fit], float], ranges: np.ndarray) -> Finding:
+    """A lamp where light falls off as 1 / (tau + r^2) beyond what water takes, or where the loss has no colour."""
+    near, far = np.quantile(ranges, (0.05, 0.95))
+    ambient = min((fit for fit in fits if not fit.family.lamp), key=bic)
+    lit = min((fit for fit in fits if fit.family.lamp), key=bic)
+    gain = bic(ambient) - bic(lit)
+    falloff = 1 - (lit.tau + near**2) / (lit.tau + far**2)
+    loss = 1 - np.exp(-ambient.beta_D * (far - near))
+    grey = float(1 - ambient.beta_D.min() / max(ambient.beta_D.max(), 1e-12)) if ambient.family.attenuation else 1.0
+    colorless = grey < GREY and loss.max() >= LEAST_FALLOFF
+    found = colorless or (falloff >= LEAST_FALLOFF and gain > LEAST_BIC_GAIN)
+    figures = {
+        "bic_gain": gain,
+        "bic_gain_least": LEAST_BIC_GAIN,
+        "falloff": float(falloff),
+        "falloff_least": LEAST_FALLOFF,
+        "color_of_loss": grey,
+        "color_of_loss_most": GREY,
+    }
+    reason = (
+        f"Light falls off from the camera by {falloff:.0%} over the scene's range ({LEAST_FALLOFF:.0%} at least) "
+        f"beyond what water takes; BIC gain {gain:,.0f} ({LEAST_BIC_GAIN:.0f} at least)"
+        + (f", and the loss has no colour (spread {grey:.0%}, {GREY:.0%} at most)." if colorless else ".")
+    )
+    return Finding("on" if found else "off", figures, reason)
+
+
+def _separate(tied: Fit, separate: Fit, gain: float, veiled: bool) -> Finding:
+    ratio = separate.beta_B / np.maximum(separate.beta_D, 1e-12)
+    found = veiled and gain > LEAST_BIC_GAIN
+    reason = (
+        f"A coefficient of its own explains the colours better by a BIC of {gain:,.0f} ({LEAST_BIC_GAIN:.0f} at least)"
+    )
+    return Finding(
+        "on" if found else "off",
+        {"bic_gain": gain, "bic_gain_least": LEAST_BIC_GAIN, "ratio": ratio.tolist()},
+        reason + ("." if veiled else "; there is no backscatter."),
+    )
+
+
+def _intervals(sightings: Sightings, fit: Fit, random: np.random.Generator) -> dict[str, np.ndarray]:
+    """95 % bounds (2, 3): the spread over halves drawn without putting back is that of the whole."""
+    halves = [sightings.half(random).fit(fit.family, fit, steps=10) for _ in range(HALVES)]
+    bounds = {}
+    for name in ("beta_D", "beta_B", "B"):
+        value = getattr(fit, name)
+        sd = np.std([getattr(half, name) for half in halves], axis=0, ddof=1)
+        bounds[name] = np.stack([np.maximum(value - 1.96 * sd, 0), value + 1.96 * sd])
+    return bounds
+
+
+def dark_rise(observations: Observations) -> np.ndarray:
+    """By how much light the darkest percent around the points is brighter at the far end of the ranges, (3,)."""
+    edges = np.quantile(observations.ranges, np.linspace(0, 1, RANGE_BINS + 1))
+    bins = np.clip(np.searchsorted(edges, observations.ranges) - 1, 0, RANGE_BINS - 1)
+    dark = np.stack([np.quantile(observations.darkest[bins == k], DARKEST, axis=0) for k in np.unique(bins)])
+    return dark[-2:].mean(0) - dark[:2].mean(0)
+
+
+# Caustics -------------------------------------------------------------------------------------------------------------
+
+
+def caustics_finding(observations: Observations, centres: np.ndarray, positions: np.ndarray) -> Finding:
+    """Whether light flickers on the ground: the same point, seen from nearly the same place, brighter or darker, and
+    its neighbours with it. centres (V, 3) of the cameras, positions (P, 3) of the points.
+
+    Only the changes that whole photographs do not share count, and those of lone points are errors of matching.
+    """
+    views = len(centres)
+    grey = np.log(observations.light.mean(1) + 1e-3)
+    changes: list[np.ndarray] = []
+    alike: list[np.ndarray] = []
+    by_image = [np.flatnonzero(observations.image == k) for k in range(views)]
+    for a in range(views):
+        tracks_a = observations.track[by_image[a]]
+        for b in range(a + 1, views):
+            _, left, right = np.intersect1d(tracks_a, observations.track[by_image[b]], return_indices=True)
+            left, right = by_image[a][left], by_image[b][right]
+            places = positions[observations.track[left]]
+            rays = [places - centres[k] for k in (a, b)]
+            cosine = (rays[0] * rays[1]).sum(1) / np.maximum(
+                observations.ranges[left] * observations.ranges[right], 1e-12
+            )
+            same = (cosine > np.cos(np.radians(PAIR_ANGLE))) & (
+                np.abs(np.log(observations.ranges[left] / observations.ranges[right])) < PAIR_RANGE
+            )
+            if same.sum() < LEAST_PAIR:
+                continue
+            change = (grey[right] - grey[left])[same]
+            change = change - np.median(change)
+            places = places[same]
+            near = cKDTree(places).query(places, k=2)[1][:, 1]
+            changes.append(change)
+            alike.append(change[near])
+    figures: dict[str, Any] = {"flicker_least": LEAST_FLICKER, "neighbours_least": LEAST_NEIGHBOUR_CORRELATION}
+    if not changes:
+        return Finding(
+            "unknown",
+            figures,
+            f"It cannot be told: no two photographs see {LEAST_PAIR} points from nearly the same place "
+            f"(within {PAIR_ANGLE:.0f} degrees, range within {PAIR_RANGE:.0%}).",
+        )
+    change, neighbour = np.concatenate(changes), np.concatenate(alike)
+    usual = 3 * max(_robust_sd(change), 1e-6)
+    bounded = np.clip(change, -usual, usual), np.clip(neighbour, -usual, usual)
+    correlation = float(np.corrcoef(*bounded)[0, 1])
+    # What neighbours share is light; the rest is error of the colours.
+    flicker = _robust_sd(change) * float(np.sqrt(max(correlation, 0)))
+    found = flicker > LEAST_FLICKER and correlation > LEAST_NEIGHBOUR_CORRELATION
+    figures |= {"flicker": flicker, "neighbours": correlation, "pairs": len(change)}
+    return Finding(
+        "on" if found else "off",
+        figures,
+        f"Seen again from nearly the same place, light on the ground differs by {flicker:.1%} (sd; more than "
+        f"{LEAST_FLICKER:.0%} counts) and alike for neighbours (correlation {correlation:.2f}, more than "
+        f"{LEAST_NEIGHBOUR_CORRELATION} counts).",
+    )
+
+
+def _robust_sd(values: np.ndarray) -> float:
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))
+
+
+# What is asked of whole photographs -----------------------------------------------------------------------------------
+
+
+def moving_objects_finding(masked: Sequence[str]) -> Finding:
+    """masked: names of the photographs that the user gave masks for."""
+    figures = {"masked_images": len(masked)}
+    if masked:
+        return Finding("on", figures, f"Masks were given for {len(masked)} photographs; what they cover is left out.")
+    return Finding(
+        "unknown", figures, "Only training shows it: what moves stays unexplained when everything else is learned."
+    )
+
+
+def interpolation_finding(pairs: Sequence[tuple[str, str]], scene: Scene, admission: Admission | None) -> Finding:
+    """pairs of training neighbours as priors.interpolate.neighbour_pairs gives them; admission: None without a
+    network."""
+    seen = {view.name: view.point_indices for view in scene.views}
+    shared = [len(np.intersect1d(seen[a], seen[b])) / max(min(len(seen[a]), len(seen[b])), 1) for a, b in pairs]
+    share = float(np.median(shared)) if shared else float("nan")
+    figures: dict[str, Any] = {
+        "images": len(scene.views),
+        "images_most": MOST_FRAMES,
+        "shared_points": share,
+        "shared_points_most": MOST_SHARED,
+    }
+    if not pairs:
+        return Finding("off", figures, "No two training photographs follow each other.")
+    if len(scene.views) > MOST_FRAMES:
+        return Finding(
+            "off", figures, f"There are {len(scene.views)} photographs (up to {MOST_FRAMES} may be too few)."
+        )
+    if share >= MOST_SHARED:
+        return Finding(
+            "off",
+            figures,
+            f"Neighbouring photographs share {share:.0%} of their points (less than {MOST_SHARED:.0%} would be few).",
+        )
+    sparse = f"Neighbouring photographs share only {share:.0%} of their points ({MOST_SHARED:.0%} would do)"
+    if admission is None:
+        return Finding("unknown", figures, f"{sparse}; whether made frames help needs an interpolation network.")
+    figures |= {"psnr": admission.psnr, "gain": admission.gain, "consistent": admission.consistent}
+    if admission.admitted:
+        return Finding("on", figures, f"{sparse}, and made frames match left-out ones with {admission.psnr:.1f} dB.")
+    return Finding("off", figures, admission.reason)
+
+
+def open_water_light(images: Sequence[TrainingImage], scene: Scene) -> np.ndarray | None:
+    """Median linear light (3,) of the flat cells without points, None where they are less than a hundredth."""
+    empty = _empty_and_flat(images, scene)
+    if empty.mean() < LEAST_CELLS_OF_WATER:
+        return None
+    colors = np.concatenate(
+        [
+            cv2.resize(image.pixels, (CELLS, CELLS), interpolation=cv2.INTER_AREA)[cells]
+            for image, cells in zip(images, empty, strict=True)
+        ]
+    )
+    display = np.median(colors, axis=0) / 255
+    return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+
+
+def semantics_finding(wanted: bool, images: Sequence[TrainingImage], scene: Scene, veiled: bool) -> Finding:
+    """wanted: the user asked for labels. Open water: flat cells without points, counted where there is backscatter."""
+    share = float(np.mean(_empty_and_flat(images, scene))) if veiled else 0.0
+    figures: dict[str, Any] = {"wanted": wanted, "open_water": share, "open_water_least": LEAST_OPEN_WATER}
+    if wanted:
+        return Finding("on", figures, "Labels were asked for.")
+    return Finding(
+        "on" if share > LEAST_OPEN_WATER else "off",
+        figures,
+        f"Open water covers {share:.0%} of the photographs (more than {LEAST_OPEN_WATER:.0%} counts)"
+        + ("." if veiled else ": there is no backscatter to fill it."),
+    )
+
+
+def depth_prior_finding(images: Sequence[TrainingImage], scene: Scene, accepted: float | None) -> Finding:
+    """accepted: share of the photographs whose predicted depth passes section 3's gate, None without a network."""
+    counts = _cells(images, scene)
+    cells, points = float((counts > 0).mean()), float(np.median(counts.sum((1, 2))))
+    figures: dict[str, Any] = {
+        "cells": cells,
+        "cells_least": LEAST_CELLS,
+        "points": points,
+        "points_least": LEAST_POINTS,
+    }
+    if cells >= LEAST_CELLS and points >= LEAST_POINTS:
+        return Finding(
+            "off",
+            figures,
+            f"Sparse points suffice: {points:.0f} a photograph ({LEAST_POINTS} at least) in {cells:.0%} of its cells "
+            f"({LEAST_CELLS:.0%} at least).",
+        )
+    few = (
+        f"Sparse points are few: {points:.0f} a photograph ({LEAST_POINTS} would do) in {cells:.0%} of its cells "
+        f"({LEAST_CELLS:.0%} would do)"
+    )
+    if accepted is None:
+        return Finding("unknown", figures, f"{few}; a depth network would have to be named.")
+    figures |= {"accepted": accepted, "accepted_least": LEAST_ACCEPTED}
+    return Finding(
+        "on" if accepted >= LEAST_ACCEPTED else "off",
+        figures,
+        f"{few}; predicted depth fits them in {accepted:.0%} of the photographs ({LEAST_ACCEPTED:.0%} at least).",
+    )
+
+
+def _cells(images: Sequence[TrainingImage], scene: Scene) -> np.ndarray:
+    """Sparse points in each of CELLS x CELLS cells of each photograph, (V, CELLS, CELLS)."""
+    seen = {view.name: view.point_indices for view in scene.views}
+    counts = []
+    for image in images:
+        camera = image.camera
+        places = scene.points.positions[seen[camera.name]] @ camera.world_to_camera[:3, :3].T
+        places = (places + camera.world_to_camera[:3, 3]) @ camera.K.T
+        x, y = (places[places[:, 2] > 0, :2] / places[places[:, 2] > 0, 2:]).T
+        box = [[0, camera.height], [0, camera.width]]
+        counts.append(np.histogram2d(y, x, bins=CELLS, range=box)[0])
+    return np.stack(counts)
+
+
+def _empty_and_flat(images: Sequence[TrainingImage], scene: Scene) -> np.ndarray:
+    """Cells (V, CELLS, CELLS) that have no point in or beside them, and no contrast."""
+    counts = _cells(images, scene)
+    flat = []
+    for image in images:
+        grey = cv2.GaussianBlur(cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1)
+        rough = cv2.absdiff(grey, cv2.GaussianBlur(grey, (0, 0), 4))
+        flat.append(cv2.resize(rough, (CELLS, CELLS), interpolation=cv2.INTER_AREA) < FLAT)
+    beside = np.stack([cv2.dilate(count, np.ones((3, 3))) for count in counts])
+    return (beside == 0) & np.stack(flat)

@@ -1,0 +1,352 @@
+"""Which effects a run simulates: each on, off or unknown, why, what it starts from, and what it costs.
+
+plan = plan_scene(Path("SCENE"), out=Path("FOLDER"))    writes FOLDER/plan.json
+print(describe(plan))
+"""
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..errors import InputError
+from ..files import atomic_path
+from ..priors.depth import depth_loss, depth_priors
+from ..priors.interpolate import admission, neighbour_pairs
+from ..rasterize.backends import device_for
+from ..scene.colmap import Scene, load_scene
+from ..scene.images import TrainingImage, load_images, mask_of
+from ..scene.split import split_views
+from ..strict_json import strict, to_json
+from ..water.medium import Medium, open_water, through_water
+from . import evidence
+from .caustics import Illumination, illuminated
+from .evidence import Finding, State, WaterFindings
+from .exposure import Exposure, exposed
+from .fit import FIT_WIDTH, observe
+from .lamp import Lamp, lit
+
+EFFECTS = (
+    "attenuation",
+    "backscatter",
+    "separate_backscatter",
+    "lamp",
+    "exposure",
+    "caustics",
+    "moving_objects",
+    "interpolation",
+    "semantics",
+    "depth_prior",
+)
+DepthNetwork = Callable[[TrainingImage], np.ndarray]
+FrameNetwork = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
+TIMED_GAUSSIANS = 30_000
+TIMINGS = 5
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One line of the plan.
+
+    evidence: figures, each beside its threshold (NAME_least, NAME_most). cost_ms: of one iteration on this machine.
+    start: fitted values that training begins with. overruled: the user has decided, whatever the evidence says.
+    """
+
+    state: State
+    evidence: dict[str, Any]
+    reason: str
+    cost_ms: float
+    start: dict[str, Any] = field(default_factory=dict)
+    overruled: bool = False
+
+
+@dataclass(frozen=True)
+class Plan:
+    """effects by name, in the order of EFFECTS; water: fitted beta_D, beta_B, B_inf with what they are `per` and in
+    which `light`, and their 95 % intervals; None where there is no water to begin with."""
+
+    effects: dict[str, Effect]
+    water: dict[str, Any] | None
+
+    def on(self, name: str) -> bool:
+        """Whether a run simulates the effect: what is unknown stays off."""
+        return self.effects[name].state == "on"
+
+    def overruled(self, choices: Mapping[str, bool]) -> "Plan":
+        """The plan with the user's choices in place of its own."""
+        changed = {
+            name: replace(
+                self.effects[name], state="on" if chosen else "off", reason="The user's choice.", overruled=True
+            )
+            for name, chosen in choices.items()
+        }
+        return replace(self, effects=self.effects | changed)
+
+    def to_json(self) -> dict[str, Any]:
+        """As plan.json has it."""
+        return {
+            "effects": {
+                name: {
+                    "state": effect.state,
+                    "evidence": effect.evidence,
+                    "reason": effect.reason,
+                    "cost_ms": effect.cost_ms,
+                    "start": effect.start,
+                    "overruled": effect.overruled,
+                }
+                for name, effect in self.effects.items()
+            },
+            "water": self.water,
+        }
+
+    @classmethod
+    def from_json(cls, document: dict[str, Any]) -> "Plan":
+        """What to_json gave. Raises InputError for anything else."""
+        try:
+            return cls({name: Effect(**document["effects"][name]) for name in EFFECTS}, document["water"])
+        except (KeyError, TypeError) as error:
+            raise InputError(f"This is no plan: {error} is missing or wrong; make it again.") from error
+
+
+def read_plan(path: Path) -> Plan:
+    """The plan in a plan.json. Raises InputError when it cannot be read."""
+    try:
+        return Plan.from_json(json.loads(path.read_text()))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path} cannot be read as a plan: {error}.") from error
+
+
+def parse_effects(text: str) -> dict[str, bool]:
+    """What `--effects attenuation=off,lamp=on` says. Raises InputError naming the word that is wrong."""
+    choices = {}
+    for part in filter(None, (piece.strip() for piece in text.split(","))):
+        name, _, state = part.partition("=")
+        if name not in EFFECTS:
+            raise InputError(f"There is no effect {name!r}; there are {', '.join(EFFECTS)}.")
+        if state not in ("on", "off"):
+            raise InputError(f"The effect {name} can be on or off, not {state!r}: write {name}=on or {name}=off.")
+        choices[name] = state == "on"
+    return choices
+
+
+# Making it ------------------------------------------------------------------------------------------------------------
+
+
+def plan_scene(
+    scene_folder: Path,
+    out: Path | None = None,
+    *,
+    labels: bool = False,
+    depth: DepthNetwork | None = None,
+    interpolator: FrameNetwork | None = None,
+    backend: str = "auto",
+) -> Plan:
+    """Look at a scene and decide; written to out/plan.json where `out` is given.
+
+    labels: the user wants names for things. depth and interpolator: as depth_priors and admission take them; without
+    them it stays unknown whether they would help.
+    Raises InputError as load_scene and load_images do.
+    """
+    scene = load_scene(scene_folder)
+    split = split_views([view.name for view in scene.views])
+    seen = [view for view in scene.views if view.name not in set(split.test)]
+    images = load_images(scene, seen, FIT_WIDTH)
+    plan = make_plan(
+        scene,
+        images,
+        labels=labels,
+        depth=depth,
+        interpolator=interpolator,
+        backend=backend,
+    )
+    if out is not None:
+        write_plan(out / "plan.json", plan)
+    return plan
+
+
+def write_plan(path: Path, plan: Plan) -> None:
+    """plan.json, whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(to_json(plan.to_json(), indent=2) + "\n")
+
+
+def make_plan(
+    scene: Scene,
+    images: Sequence[TrainingImage],
+    *,
+    labels: bool = False,
+    depth: DepthNetwork | None = None,
+    interpolator: FrameNetwork | None = None,
+    backend: str = "auto",
+) -> Plan:
+    """Decide from photographs of the scene that are not for testing, FIT_WIDTH wide or as wide as they are."""
+    names = [image.camera.name for image in images]
+    views = {view.name: view for view in scene.views}
+    observations = observe(images, [views[name].point_indices for name in names], scene.points)
+    centres = np.stack([image.camera.centre for image in images])
+    caustics = evidence.caustics_finding(observations, centres, scene.points.positions)
+    flicker = caustics.evidence["flicker"] if caustics.state == "on" else 0.0
+    water = evidence.water_findings(observations, evidence.open_water_light(images, scene), flicker)
+    findings = water.effects | {"caustics": caustics}
+    findings["moving_objects"] = evidence.moving_objects_finding(
+        [name for name in names if mask_of(scene, views[name])]
+    )
+    findings["interpolation"] = _interpolation(scene, images, interpolator)
+    findings["semantics"] = evidence.semantics_finding(labels, images, scene, findings["backscatter"].state == "on")
+    findings["depth_prior"] = _depth_prior(scene, images, depth)
+    costs = measured_costs(images[0].camera.width, images[0].camera.height, backend)
+    starts = _starts(water, names)
+    effects = {
+        name: Effect(
+            findings[name].state,
+            strict(findings[name].evidence),
+            findings[name].reason,
+            round(costs[name], 3),
+            starts.get(name, {}),
+        )
+        for name in EFFECTS
+    }
+    return Plan(effects, _water(water))
+
+
+def _interpolation(scene: Scene, images: Sequence[TrainingImage], network: FrameNetwork | None) -> Finding:
+    """The network is only asked where the photographs call for it: it takes seconds a frame."""
+    training = split_views([view.name for view in scene.views]).train
+    pairs = neighbour_pairs([view.name for view in scene.views], training)
+    finding = evidence.interpolation_finding(pairs, scene, None)
+    if network is None or finding.state != "unknown":
+        return finding
+    by_name = {image.camera.name: image for image in images}
+    return evidence.interpolation_finding(pairs, scene, admission(network, by_name, pairs))
+
+
+def _depth_prior(scene: Scene, images: Sequence[TrainingImage], network: DepthNetwork | None) -> Finding:
+    finding = evidence.depth_prior_finding(images, scene, None)
+    if network is None or finding.state != "unknown":
+        return finding
+    _, alignments = depth_priors(network, images, scene)
+    accepted = float(np.mean([alignment.accepted for alignment in alignments.values()]))
+    return evidence.depth_prior_finding(images, scene, accepted)
+
+
+def _starts(water: WaterFindings, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    fit = water.fit
+    if fit is None:
+        return {}
+    starts: dict[str, dict[str, Any]] = {}
+    if water.effects["lamp"].state == "on":
+        starts["lamp"] = {"tau": fit.tau}
+    if water.effects["exposure"].state == "on":
+        gains = dict.fromkeys(names, 0.0)
+        gains.update(
+            {names[image]: round(float(gain), 5) for image, gain in zip(water.images, fit.log_gains, strict=True)}
+        )
+        starts["exposure"] = {"log_gains": gains}
+    return starts
+
+
+def _water(water: WaterFindings) -> dict[str, Any] | None:
+    fit = water.fit
+    if fit is None or water.effects["attenuation"].state != "on":
+        return None
+
+    def rounded(values: np.ndarray) -> list[Any]:
+        return np.round(values, 6).tolist()
+
+    return {
+        "beta_D": rounded(fit.beta_D),
+        "beta_B": rounded(fit.beta_B),
+        "B_inf": rounded(fit.B),
+        "light": "linear",
+        "per": "unit",
+        "intervals": {
+            name: rounded(water.intervals[own])
+            for name, own in (("beta_D", "beta_D"), ("beta_B", "beta_B"), ("B_inf", "B"))
+        },
+    }
+
+
+# What it costs --------------------------------------------------------------------------------------------------------
+
+
+def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, float]:
+    """Milliseconds that each effect adds to an iteration, forward and backward, at TIMED_GAUSSIANS Gaussians and
+    pictures of width x height; 0 for what changes only which photographs there are, or what is known already."""
+    device = device_for(backend)
+    generator = torch.Generator().manual_seed(0)
+
+    def random(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=generator).to(device).requires_grad_()
+
+    colors, picture, distances = random(TIMED_GAUSSIANS, 3), random(height, width, 3), random(height, width)
+    offsets = random(TIMED_GAUSSIANS, 3).detach() + 1
+    features, targets = random(TIMED_GAUSSIANS, 32), random(TIMED_GAUSSIANS, 32).detach()
+    weights = random(height, width, 3).detach()
+    medium = Medium.starting(2.0).to(device)
+    lamp, exposure = Lamp(torch.zeros((), device=device), 2.0), Exposure(torch.zeros(1, 1, device=device))
+    illumination = Illumination.starting(1, width, height)
+    illumination.log_light = illumination.log_light.to(device)
+    for tensor in (*medium.parameters().values(), lamp.log_tau, exposure.raw, illumination.log_light):
+        tensor.requires_grad_()
+    viewmat = torch.eye(4, device=device)
+    K = torch.tensor([[width, 0.0, width / 2], [0, width, height / 2], [0, 0, 1]], device=device)
+    solid = torch.ones(height, width, device=device)
+
+    def prior() -> Tensor:
+        return depth_loss(distances + 1, solid, solid * 0.5, 2.0)
+
+    work: dict[str, Callable[[], Tensor]] = {
+        "attenuation": lambda: through_water(colors, offsets, medium, backend=backend).sum(),
+        "backscatter": lambda: (open_water(medium, viewmat, K, width, height, backend=backend) * weights).sum(),
+        "lamp": lambda: lit(colors, offsets.norm(dim=1), lamp).sum(),
+        "exposure": lambda: (exposed(picture, exposure, 0) * weights).sum(),
+        "caustics": lambda: (illuminated(picture, illumination, 0) * weights).sum(),
+        "semantics": lambda: (features - targets).square().mean(),
+        "depth_prior": prior,
+    }
+    return dict.fromkeys(EFFECTS, 0.0) | {name: _milliseconds(once, device) for name, once in work.items()}
+
+
+def _milliseconds(once: Callable[[], Tensor], device: torch.device) -> float:
+    """Least time of a forward and backward pass: what else the machine does is not the effect's."""
+    times = []
+    for _ in range(TIMINGS + 1):
+        started = time.perf_counter()
+        once().backward()
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        times.append(time.perf_counter() - started)
+    return 1000 * min(times[1:])
+
+
+# Showing it -----------------------------------------------------------------------------------------------------------
+
+STATES = {"on": "on", "off": "off", "unknown": "cannot tell"}
+
+
+def describe(plan: Plan) -> str:
+    """The plan as a table for a terminal: effect, state, cost, reason; then the water that training starts from."""
+    lines = []
+    for name, effect in plan.effects.items():
+        title = name.replace("_", " ")
+        lines.append(f"{title:<21}{STATES[effect.state]:<13}{effect.cost_ms:6.2f} ms  {effect.reason}")
+    if plan.water:
+        lines.append("")
+        titles = {"beta_D": "attenuation per unit"}
+        if plan.on("backscatter"):
+            titles |= {"beta_B": "backscatter per unit", "B_inf": "open water"}
+        for key, title in titles.items():
+            figures = "  ".join(
+                f"{color} {value:.4f} ({low:.4f} to {high:.4f})"
+                for color, value, low, high in zip(
+                    ("red", "green", "blue"), plan.water[key], *plan.water["intervals"][key], strict=True
+                )
+            )
+            lines.append(f"{title:<21}{figures}")
+    return "\n".join(lines)

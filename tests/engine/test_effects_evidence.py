@@ -1,0 +1,259 @@
+"""Which effects are found in sightings whose truth is known, and in the demo scene."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swag_engine.effects.evidence import (
+    caustics_finding,
+    depth_prior_finding,
+    interpolation_finding,
+    moving_objects_finding,
+    semantics_finding,
+    water_findings,
+)
+from swag_engine.effects.fit import GAINS, LENS, Family, Observations, Sightings, observe
+from swag_engine.priors.interpolate import Admission
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.images import load_images
+
+REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
+VIEWS = 20
+BLUE = {"beta_D": (0.17, 0.06, 0.04), "beta_B": (0.14, 0.08, 0.06), "B": (0.03, 0.17, 0.25)}
+
+
+def sightings(
+    beta_D=(0, 0, 0),
+    beta_B=(0, 0, 0),
+    B=(0, 0, 0),
+    tau=None,
+    gain_sd=0.0,
+    lens=0.0,
+    spread=3.0,
+    noise=0.06,
+    grey=False,
+    count=600,
+    seed=0,
+):
+    """`count` points, each seen in five of VIEWS photographs at ranges between 2 and 2 `spread`, with errors as large
+    as photographs have (mostly alike in all channels), and a dark pixel beside each."""
+    r = np.random.default_rng(seed)
+    track = np.repeat(np.arange(count), 5)
+    image = np.concatenate([r.choice(VIEWS, 5, replace=False) for _ in range(count)])
+    ranges = 2 * spread ** r.uniform(0, 1, len(track))
+    place = r.uniform(-0.7, 0.7, (len(track), 2))
+    radius = np.linalg.norm(place, axis=1)
+    J = r.uniform(0.05, 0.7, (count, 3))
+    if grey:
+        J = np.repeat(J[:, :1], 3, 1)
+    gains = np.exp(r.normal(0, gain_sd, VIEWS))[image] * (1 - lens * radius**2)
+    direct = np.exp(-np.array(beta_D) * ranges[:, None])
+    if tau is not None:
+        direct = direct * ((tau + 9) / (tau + ranges**2))[:, None]
+    veil = np.array(B) * (1 - np.exp(-np.array(beta_B) * ranges[:, None]))
+    error = (
+        1 + noise * r.standard_normal((len(track), 1)) + 0.3 * noise * r.standard_normal((len(track), 3)) * (not grey)
+    )
+    light = gains[:, None] * (J[track] * direct * error + veil)
+    darkest = gains[:, None] * (r.uniform(0.02, 0.3, (len(track), 1)) * J[track] * direct + veil)
+    return Observations(track, ranges, light, image, place, darkest)
+
+
+def states(observations):
+    return {name: finding.state for name, finding in water_findings(observations).effects.items()}
+
+
+EXPECTED = {"attenuation": "off", "backscatter": "off", "lamp": "off", "exposure": "off"}
+
+
+@pytest.mark.parametrize(
+    "scene, on",
+    [
+        ({}, ()),
+        ({"seed": 1, "noise": 0.15}, ()),
+        ({"lens": 0.4}, ()),
+        ({"gain_sd": 0.12}, ("exposure",)),
+        (BLUE, ("attenuation", "backscatter")),
+        ({**BLUE, "gain_sd": 0.12, "lens": 0.3}, ("attenuation", "backscatter", "exposure")),
+        ({"beta_D": BLUE["beta_D"]}, ("attenuation",)),
+        ({"tau": 1.0}, ("lamp",)),
+        ({**BLUE, "tau": 1.0}, ("attenuation", "backscatter", "lamp")),
+    ],
+)
+def test_what_is_there_is_found_and_nothing_else(scene, on):
+    found = states(sightings(**scene))
+    found.pop("separate_backscatter")
+    assert found == EXPECTED | dict.fromkeys(on, "on")
+
+
+def test_figures_come_with_their_thresholds_and_words():
+    findings = water_findings(sightings(**BLUE)).effects
+    for finding in findings.values():
+        for name in finding.evidence:
+            pair = {f"{name}_least", f"{name}_most"} & set(finding.evidence)
+            assert pair or name.endswith(("_least", "_most")) or name == "ratio", name
+        assert finding.reason.endswith(".")
+    assert "Red loses 4" in findings["attenuation"].reason and "10% at least" in findings["attenuation"].reason
+
+
+def test_values_and_intervals_hold_the_truth():
+    found = water_findings(sightings(**BLUE, count=2000))
+    np.testing.assert_allclose(found.fit.beta_D, BLUE["beta_D"], rtol=0.15)
+    veil, truth = (
+        B * -np.expm1(-5 * np.array(b))
+        for B, b in ((found.fit.B, found.fit.beta_B), (np.array(BLUE["B"]), BLUE["beta_B"]))
+    )
+    np.testing.assert_allclose(veil, truth, rtol=0.15)
+    low, high = found.intervals["beta_D"]
+    assert (low < high).all() and (low[0] < 0.17 * 1.05) and (high[0] > 0.17 * 0.95)
+    assert (high - low)[0] < 0.06
+
+
+def test_gains_are_those_of_the_photographs():
+    observations = sightings(gain_sd=0.15)
+    found = water_findings(observations)
+    # What the gains explain is gone from the residuals of a second look.
+    index = {image: k for k, image in enumerate(found.images)}
+    gains = np.exp(found.fit.log_gains[[index[k] for k in observations.image]])
+    again = water_findings(replace(observations, light=observations.light / gains[:, None]))
+    assert found.effects["exposure"].evidence["gain_sd"] == pytest.approx(0.15, abs=0.06)
+    assert again.effects["exposure"].evidence["gain_sd"] < 0.01
+
+
+@pytest.mark.parametrize(
+    "scene, words",
+    [
+        ({**BLUE, "spread": 1.06}, "ranges of ratio 1.0"),
+        ({**BLUE, "count": 20}, "only 100 sightings"),
+    ],
+)
+def test_it_says_when_it_cannot_tell(scene, words):
+    for name, finding in water_findings(sightings(**scene)).effects.items():
+        if name in ("attenuation", "backscatter", "lamp"):
+            assert finding.state == "unknown" and words in finding.reason
+
+
+def test_fall_off_to_the_corners_in_a_survey_cannot_be_told_from_water():
+    observations = sightings(lens=0.4, noise=0.03)
+    straight_down = replace(observations, ranges=4 / np.cos(0.65 * observations.radius))
+    light = observations.light * np.exp(-0.17 * straight_down.ranges[:, None])
+    found = water_findings(replace(straight_down, light=light)).effects
+    assert found["attenuation"].state == found["lamp"].state == "unknown"
+    assert "middle go together" in found["attenuation"].reason
+
+
+def test_a_veil_that_the_darkest_light_does_not_show_is_no_backscatter():
+    observations = sightings(**BLUE)
+    assert states(observations)["backscatter"] == "on"
+    assert states(replace(observations, darkest=0 * observations.darkest))["backscatter"] == "off"
+
+
+def test_grey_loss_is_a_lamp():
+    """Water has a colour: what all channels lose alike is the lamp's light."""
+    found = water_findings(sightings(grey=True, tau=0.5, beta_D=(0.1, 0.1, 0.1))).effects
+    assert found["lamp"].state == "on" and "no colour" in found["lamp"].reason
+
+
+@pytest.mark.parametrize("separate", [True, False])
+def test_derivatives_by_finite_differences(separate):
+    ready = Sightings(sightings(**BLUE, tau=2.0, gain_sd=0.1, lens=0.2, count=60))
+    family = Family(True, True, separate, lamp=True, lens=True, gains=True)
+    values = ready._start(family)
+    values[6:9], values[LENS], values[GAINS:] = (0.05, 0.1, 0.2), 0.1, 0.05 * np.arange(VIEWS)
+    _, gradient, _ = ready._linearised(family, values)
+    for index in (0, 1, 4, 6, 9, 10, 13, 15, 25):
+        step = np.zeros_like(values)
+        step[index] = 1e-5
+        ends = []
+        for sign in (1, -1):
+            moved = values + sign * step
+            if not separate:
+                moved[3:6] = moved[:3]  # one coefficient for both
+            ends.append(ready._linearised(family, moved)[0])
+        assert gradient[index] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-6)
+
+
+# -- caustics ----------------------------------------------------------------------------------------------------------
+
+
+def flickering(strength, together=True, seed=0):
+    """400 points on a floor seen from ten near places, lit by patterns that neighbours share or not."""
+    r = np.random.default_rng(seed)
+    positions = np.column_stack([r.uniform(-2, 2, (400, 2)), np.zeros(400)])
+    centres = np.column_stack([np.linspace(-0.3, 0.3, 10), np.zeros(10), np.full(10, 4.0)])
+    parts = []
+    for k, centre in enumerate(centres):
+        ranges = np.linalg.norm(positions - centre, axis=1)
+        waves = np.sin(positions @ [6, 4, 0] + 40 * k) if together else r.standard_normal(400)
+        light = np.exp(strength * waves)[:, None] * np.full((400, 3), 0.3) * np.exp(0.02 * r.standard_normal((400, 3)))
+        parts.append((np.arange(400), ranges, light, np.full(400, k), np.zeros((400, 2)), light))
+    return Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True))), centres, positions
+
+
+@pytest.mark.parametrize("strength, together, state", [(0.0, True, "off"), (0.3, True, "on"), (0.3, False, "off")])
+def test_caustics_are_light_that_flickers_on_whole_patches(strength, together, state):
+    finding = caustics_finding(*flickering(strength, together))
+    assert finding.state == state
+    if state == "on":
+        assert finding.evidence["flicker"] == pytest.approx(0.3, rel=0.5)
+
+
+def test_caustics_cannot_be_told_without_near_views():
+    observations, centres, positions = flickering(0.3)
+    assert caustics_finding(observations.take(observations.image == 0), centres, positions).state == "unknown"
+
+
+# -- whole photographs -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def reef():
+    scene = load_scene(REEF)
+    return scene, load_images(scene, scene.views, 640)
+
+
+def test_the_demo_scene_has_water_and_nothing_else(reef):
+    scene, images = reef
+    observations = observe(images, [view.point_indices for view in scene.views], scene.points)
+    found = states(observations)
+    found.pop("separate_backscatter")
+    assert found == EXPECTED | {"attenuation": "on", "backscatter": "on"}
+    centres = np.stack([image.camera.centre for image in images])
+    assert caustics_finding(observations, centres, scene.points.positions).state == "off"
+
+
+def test_open_water_calls_for_names(reef):
+    scene, images = reef
+    finding = semantics_finding(False, images, scene, True)
+    assert finding.state == "on" and 0.05 < finding.evidence["open_water"] < 0.4
+    assert semantics_finding(False, images, scene, False).state == "off"
+    assert semantics_finding(True, images, scene, False).state == "on"
+
+
+def test_depth_is_only_asked_for_where_points_are_few(reef):
+    scene, images = reef
+    assert depth_prior_finding(images, scene, None).state == "off"
+    few = replace(scene, views=tuple(replace(view, point_indices=view.point_indices[::4]) for view in scene.views))
+    assert depth_prior_finding(images, few, None).state == "unknown"
+    assert depth_prior_finding(images, few, 0.9).state == "on"
+    assert depth_prior_finding(images, few, 0.5).state == "off"
+
+
+def test_made_frames_are_for_few_photographs_far_apart(reef):
+    scene, _ = reef
+    near = [("reef_001.jpg", "reef_002.jpg")]
+    far = [("reef_001.jpg", "reef_014.jpg")]
+    good = Admission(3, 27.0, 2.0, 0.9, True, "")
+    bad = Admission(3, 20.0, 2.0, 0.9, False, "Interpolated frames miss the photographs.")
+    assert interpolation_finding([], scene, good).state == "off"
+    assert interpolation_finding(near, scene, good).evidence["shared_points"] > 0.2
+    assert interpolation_finding(far, scene, None).state == "unknown"
+    assert interpolation_finding(far, scene, good).state == "on"
+    assert interpolation_finding(far, scene, bad).reason == bad.reason
+
+
+def test_moving_objects_wait_for_training_or_masks():
+    assert moving_objects_finding([]).state == "unknown"
+    assert moving_objects_finding(["a.jpg"]).state == "on"

@@ -1,0 +1,173 @@
+"""The effects that training can simulate: what they do, and their gradients by finite differences."""
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from swag_engine.effects.caustics import Illumination, illuminated
+from swag_engine.effects.exposure import Exposure, exposed
+from swag_engine.effects.lamp import Lamp, lit
+from swag_engine.effects.moving_objects import moving_mask, share_with_objects
+from swag_engine.water.medium import to_display, to_light
+
+
+def random(*shape, seed=0):
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+# -- lamp --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_lamp_leaves_the_median_range_as_it_is_and_falls_off_with_its_square():
+    lamp = Lamp.starting(unit_range=5.0, tau=1e-4)
+    ranges = torch.tensor([2.5, 5.0, 10.0])
+    torch.testing.assert_close(lamp.light(ranges), torch.tensor([4.0, 1.0, 0.25]), rtol=1e-3, atol=0)
+    assert lamp.tau == pytest.approx(1e-4)
+    day = Lamp.starting(5.0, 1e6)
+    torch.testing.assert_close(day.light(ranges), torch.ones(3), rtol=1e-3, atol=0)
+    colors = random(3, 3).float()
+    light = to_light(colors) * lamp.light(ranges)[:, None]
+    torch.testing.assert_close(to_light(lit(colors, ranges, lamp)), light)
+
+
+def test_gradients_of_the_lamp():
+    def function(colors, ranges, log_tau):
+        return lit(colors, ranges, Lamp(log_tau, 3.0))
+
+    inputs = (random(6, 3), 1 + 4 * random(6, seed=1), torch.tensor(0.3, dtype=torch.float64))
+    assert torch.autograd.gradcheck(function, [value.requires_grad_() for value in inputs])
+
+
+@pytest.mark.parametrize("log_tau", [-1e4, 0.0, 1e4])
+@pytest.mark.parametrize("range_", [0.0, 1e-20, 1e6])
+def test_a_lamp_at_extremes_stays_finite(log_tau, range_):
+    colors, ranges = torch.tensor([[0.0, 0.5, 1.3]]), torch.tensor([range_])
+    raw = torch.tensor(log_tau)
+    inputs = [value.requires_grad_() for value in (colors, ranges, raw)]
+    seen = lit(colors, ranges, Lamp(raw, 1.0))
+    assert seen.isfinite().all()
+    assert all(gradient.isfinite().all() for gradient in torch.autograd.grad(seen.sum(), inputs))
+
+
+# -- exposure ----------------------------------------------------------------------------------------------------------
+
+
+def test_gains_have_no_common_part():
+    exposure = Exposure.starting(torch.tensor([0.1, 0.3, 0.5]), channels=3)
+    assert exposure.raw.shape == (3, 3)
+    torch.testing.assert_close(exposure.log_gains.mean(0), torch.zeros(3))
+    picture = random(4, 5, 3).float()
+    torch.testing.assert_close(exposed(picture, exposure, 1), picture)
+    twice = to_light(exposed(picture, exposure, 2)) / to_light(picture)
+    torch.testing.assert_close(twice, torch.full_like(twice, 0.2).exp())
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_gradients_of_the_exposure(channels):
+    def function(picture, raw):
+        return exposed(picture, Exposure(raw), 1)
+
+    inputs = (random(3, 4, 3), random(4, channels, seed=1))
+    assert torch.autograd.gradcheck(function, [value.requires_grad_() for value in inputs])
+
+
+def test_gains_are_learned():
+    truth = torch.tensor([0.2, -0.3, 0.1])
+    picture = random(8, 9, 3).float()
+    photographs = [exposed(picture, Exposure.starting(truth), view) for view in range(3)]
+    exposure = Exposure.starting(torch.zeros(3))
+    exposure.raw.requires_grad_()
+    optimizer = torch.optim.Adam([exposure.raw], lr=0.03)
+    for step in range(150):
+        optimizer.zero_grad()
+        (exposed(picture, exposure, step % 3) - photographs[step % 3]).square().mean().backward()
+        optimizer.step()
+    torch.testing.assert_close(exposure.log_gains[:, 0].detach(), truth, atol=0.02, rtol=0)
+
+
+# -- caustics ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_field_of_light_is_even_at_first_and_keeps_the_brightness():
+    illumination = Illumination.starting(2, 64, 36)
+    assert illumination.log_light.shape == (2, 18, 32)
+    picture = random(36, 64, 3).float() + 0.1
+    torch.testing.assert_close(illuminated(picture, illumination, 0), picture)
+    illumination.log_light[1] += 0.5  # the exposure's, not the field's
+    torch.testing.assert_close(illuminated(picture, illumination, 1), picture)
+    illumination.log_light[0, :, :16] += 1.0
+    ratio = to_light(illuminated(picture, illumination, 0)) / to_light(picture)
+    torch.testing.assert_close(ratio[:, 0].log(), torch.full((36, 3), 0.5))
+    torch.testing.assert_close(ratio[:, -1].log(), torch.full((36, 3), -0.5))
+
+
+def test_gradients_of_the_field():
+    def function(picture, log_light):
+        return illuminated(picture, Illumination(log_light), 1)
+
+    inputs = (random(6, 8, 3), random(2, 3, 4, seed=1))
+    assert torch.autograd.gradcheck(function, [value.requires_grad_() for value in inputs])
+
+
+def test_flicker_stays_out_of_the_colours_that_are_learned():
+    """The same wall under sixteen light patterns: with a field for each, what is learned is nearer to the wall."""
+    r, (rows, columns) = np.random.default_rng(0), (36, 64)
+    wall = torch.from_numpy(cv2.GaussianBlur(r.uniform(0, 1, (rows, columns, 3)), (0, 0), 1.2)).float().clamp(0.2, 0.8)
+    waves = [cv2.GaussianBlur(r.standard_normal((rows, columns)), (0, 0), 4) for _ in range(16)]
+    light = [1 / np.maximum(np.abs(1 + 0.4 * wave / wave.std()), 0.3) for wave in waves]  # as waves focus it
+    photographs = [
+        to_display(to_light(wall) * torch.from_numpy(focus / focus.mean()).float()[..., None]).clamp(0, 1)
+        for focus in light
+    ]
+    errors = {}
+    for modelled in (False, True):
+        learned = torch.stack(photographs).mean(0).requires_grad_()
+        field = Illumination.starting(16, columns, rows)
+        field.log_light.requires_grad_()
+        optimizer = torch.optim.Adam([{"params": [learned]}, {"params": [field.log_light]}])
+        for step in range(400):
+            for group, rate in zip(optimizer.param_groups, (5e-3, 2e-2), strict=True):
+                group["lr"] = rate * (1 - step / 400)
+            shown = illuminated(learned, field, step % 16) if modelled else learned
+            optimizer.zero_grad()
+            (shown - photographs[step % 16]).abs().mean().backward()
+            optimizer.step()
+        ratio = to_light(learned.detach()) / to_light(wall)
+        errors[modelled] = float((ratio / ratio.median()).log().std())
+    assert errors[True] < 0.9 * errors[False], errors
+
+
+# -- moving objects ----------------------------------------------------------------------------------------------------
+
+
+def a_photograph(noise=0.02):
+    r = np.random.default_rng(0)
+    picture = cv2.GaussianBlur(r.uniform(0, 1, (90, 160, 3)), (0, 0), 3)
+    return picture, picture + noise * r.standard_normal(picture.shape)
+
+
+def test_a_fish_is_found_whole_and_noise_is_not():
+    picture, photograph = a_photograph()
+    valid = np.ones((90, 160), bool)
+    assert not moving_mask(photograph, picture, valid).any()
+    fish = np.zeros((90, 160), np.uint8)
+    cv2.ellipse(fish, (60, 40), (20, 8), 20, 0, 360, 1, -1)
+    swum = np.where(fish[..., None] > 0, 0.9, photograph)
+    mask = moving_mask(swum, picture, valid)
+    assert (mask & (fish > 0)).sum() / fish.sum() > 0.95
+    assert (mask & (fish > 0)).sum() / mask.sum() > 0.6
+    assert share_with_objects([mask, np.zeros_like(mask)]) == 0.5
+
+
+def test_brightness_edges_and_invalid_pixels_are_no_objects():
+    picture, photograph = a_photograph()
+    valid = np.ones((90, 160), bool)
+    assert not moving_mask(photograph + 0.3, picture, valid).any()
+    shifted = np.where((np.arange(160) // 20 % 2)[None, :, None], 0.8, 0.2) * np.ones((90, 1, 3))
+    assert not moving_mask(np.roll(shifted, 1, 1), shifted, valid).any()
+    valid[20:60, 20:60] = False
+    outside = photograph.copy()
+    outside[20:60, 20:60] = 1.0
+    assert not moving_mask(outside, picture, valid).any()
+    assert not moving_mask(photograph, picture, np.zeros_like(valid)).any()

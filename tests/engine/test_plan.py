@@ -1,0 +1,126 @@
+"""The plan: what it decides, what plan.json holds, what a user may change, and what a terminal shows."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from swag_engine.effects import plan as planning
+from swag_engine.effects.plan import EFFECTS, Plan, describe, parse_effects, plan_scene, read_plan
+from swag_engine.errors import InputError
+from swag_engine.scene.images import load_images
+from swag_engine.scene.split import split_views
+
+REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plan")
+    return plan_scene(REEF, folder), folder / "plan.json"
+
+
+def test_the_demo_scene_is_planned(planned):
+    plan, _ = planned
+    assert tuple(plan.effects) == EFFECTS
+    assert [name for name in EFFECTS if plan.on(name)] == ["attenuation", "backscatter", "semantics"]
+    truth = json.loads((REEF / "truth.json").read_text())["water"]
+    for name in ("beta_D", "B_inf"):
+        assert plan.water[name] == pytest.approx(truth[name], rel=0.35)
+    assert plan.water["light"] == "linear" and plan.water["per"] == "unit"
+    low, high = plan.water["intervals"]["beta_D"]
+    assert all(a <= value <= b for a, value, b in zip(low, plan.water["beta_D"], high, strict=True))
+
+
+def test_costs_are_measured_on_this_machine(planned):
+    plan, _ = planned
+    costs = {name: effect.cost_ms for name, effect in plan.effects.items()}
+    assert all(
+        costs[name] > 0 for name in ("attenuation", "backscatter", "lamp", "exposure", "caustics", "depth_prior")
+    )
+    assert costs["interpolation"] == costs["separate_backscatter"] == 0
+    small = planning.measured_costs(80, 45)
+    assert small["exposure"] < costs["exposure"] and small["caustics"] < costs["caustics"]
+
+
+def test_plan_json_is_read_back(planned):
+    plan, path = planned
+    document = json.loads(path.read_text())
+    assert set(document) == {"effects", "water"}
+    assert {"state", "evidence", "reason", "cost_ms"} <= set(document["effects"]["lamp"])
+    assert read_plan(path) == plan
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"effects": {}}', '{"effects": {"lamp": 1}, "water": null}'])
+def test_what_is_no_plan_is_said_to_be_none(tmp_path, content):
+    path = tmp_path / "plan.json"
+    path.write_text(content)
+    with pytest.raises(InputError):
+        read_plan(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_plan(tmp_path / "absent.json")
+
+
+def test_no_test_view_is_looked_at(monkeypatch, tmp_path):
+    looked = []
+
+    def watched(scene, views, *rest):
+        looked.extend(view.name for view in views)
+        return load_images(scene, views, *rest)
+
+    monkeypatch.setattr(planning, "load_images", watched)
+    plan_scene(REEF)
+    split = split_views(looked + list(split_views([path.name for path in (REEF / "images").iterdir()]).test))
+    assert looked and not set(looked) & set(split.test)
+
+
+def test_the_user_decides():
+    assert parse_effects("attenuation=off, lamp=on") == {"attenuation": False, "lamp": True}
+    assert parse_effects("") == {}
+    for text, words in (("fog=on", "no effect 'fog'"), ("lamp=maybe", "not 'maybe'"), ("lamp", "lamp=on or lamp=off")):
+        with pytest.raises(InputError, match=words):
+            parse_effects(text)
+
+
+def test_choices_stand_in_the_plan(planned):
+    plan, _ = planned
+    changed = plan.overruled({"attenuation": False, "lamp": True})
+    assert not changed.on("attenuation") and changed.on("lamp") and changed.on("backscatter")
+    assert changed.effects["lamp"].overruled and not changed.effects["backscatter"].overruled
+    assert changed.effects["attenuation"].evidence == plan.effects["attenuation"].evidence
+    assert Plan.from_json(changed.to_json()) == changed
+
+
+def test_it_can_be_read(planned):
+    text = describe(planned[0])
+    lines = text.splitlines()
+    assert len(lines) == len(EFFECTS) + 4
+    assert lines[0].startswith("attenuation") and "Red loses 7" in lines[0] and " ms " in lines[0]
+    assert any(line.startswith("moving objects") and "cannot tell" in line for line in lines)
+    assert lines[-3].startswith("attenuation per unit") and "red 0.1" in lines[-3]
+
+
+def test_masks_are_what_the_user_says_of_moving_objects(tmp_path):
+    for part in ("images", "sparse"):
+        shutil.copytree(REEF / part, tmp_path / part)
+    (tmp_path / "masks").mkdir()
+    mask = np.full((360, 640), 255, np.uint8)
+    mask[100:200, 100:200] = 0
+    cv2.imwrite(str(tmp_path / "masks" / "reef_001.png"), mask)
+    effect = plan_scene(tmp_path).effects["moving_objects"]
+    assert effect.state == "on" and effect.evidence["masked_images"] == 1
+
+
+def test_the_command_prints_and_writes_the_plan(tiny_scene, tmp_path):
+    line = [sys.executable, "-m", "swag_engine", "plan", str(tiny_scene), "--out", str(tmp_path / "plan")]
+    done = subprocess.run([*line, "--json"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    written = json.loads((tmp_path / "plan" / "plan.json").read_text())
+    assert json.loads(done.stdout) == written and set(written["effects"]) == set(EFFECTS)
+    shown = subprocess.run(line, capture_output=True, text=True)
+    assert shown.returncode == 0 and shown.stdout.count("\n") >= len(EFFECTS)
