@@ -84,7 +84,7 @@ PAPER_LOSS = Photometric(l1=(0.56, 0.96), ssim=0.2, l2=(0.0, 0.1))
 PAPER_LOSS_TWO = Photometric(l1=(0.7, 1.2), ssim=0.0, l2=(0.9, 0.9))
 
 RECIPES: dict[str, Recipe] = {
-    "swag": Recipe(water=True, water_rate=1e-3, stage_two_from=0.9, reallocation="balanced"),
+    "swag": Recipe(water=True, water_rate=1e-3, stage_two_from=0.9),
     "3dgs": Recipe(),
     "seasplat": Recipe(
         water=True, light="srgb", fitted=False, water_from=0.33, veil_degrees_from=1.0, grey_world=0.02, smoothness=0.05
