@@ -96,9 +96,9 @@ def made(case: Case, clean: Path):
 def run_case(case: Case, clean: Path) -> dict:
     """Make the scene, look at it as a plan does, and put truth and findings side by side."""
     from swag_engine.effects import evidence
-    from swag_engine.effects.fit import FIT_WIDTH, observe
     from swag_engine.scene.colmap import load_scene
     from swag_engine.scene.images import load_images
+    from swag_engine.water.identify import FIT_WIDTH, observe
 
     settings, passes, truth = made(case, clean)
     os.environ["SWAG_CACHE_DIR"] = str(clean / "cache")

@@ -23,12 +23,13 @@ import matplotlib.pyplot as plt  # noqa: E402
 from scipy.interpolate import griddata  # noqa: E402
 
 from swag_engine.effects import evidence  # noqa: E402
-from swag_engine.effects.fit import FIT_WIDTH, Family, Fit, Observations, Sightings, lens_terms, observe  # noqa: E402
+from swag_engine.effects.fit import Family, Fit, Sightings, lens_terms  # noqa: E402
 from swag_engine.effects.plan import describe, make_plan  # noqa: E402
 from swag_engine.scene.colmap import load_scene  # noqa: E402
 from swag_engine.scene.images import load_images  # noqa: E402
 from swag_engine.scene.split import split_views  # noqa: E402
 from swag_engine.strict_json import to_json  # noqa: E402
+from swag_engine.water.identify import FIT_WIDTH, Observations, observe  # noqa: E402
 
 SHARED = ROOT.parent / "shared" / "data"
 RESULTS = ROOT / "benchmarks" / "results"

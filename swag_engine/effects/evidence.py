@@ -15,20 +15,15 @@ from scipy.spatial import cKDTree
 from ..priors.interpolate import Admission
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage
-from .fit import (
+from ..water.identify import (
     LEAST_CHANGE,
     LEAST_OBSERVATIONS,
     LEAST_RANGE_RATIO,
     LEAST_VEIL,
-    MOST_SIGHTINGS,
-    Family,
-    Fit,
     Observations,
-    Sightings,
-    independent_channels,
-    lens_terms,
     track_ratio,
 )
+from .fit import MOST_SIGHTINGS, Family, Fit, Sightings, independent_channels, lens_terms
 
 State = Literal["on", "off", "unknown"]
 

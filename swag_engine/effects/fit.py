@@ -9,30 +9,13 @@ lamp's beam has it. J is projected out (variable projection, Golub and Pereyra 1
 then refined by damped Gauss-Newton steps. Families of fewer terms are compared by the Bayesian information criterion.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..scene.colmap import Points
-from ..scene.images import TrainingImage
+from ..water.identify import LEAST_VEIL, Observations
 
-FIT_WIDTH = 640
-"""Pixels that the photographs should at least be wide."""
-FAR_WINDOW = 0.75
-"""Half the width in pixels of the patch that a colour is averaged over in the farthest view of a point."""
-MAX_WINDOW = 40
-DARK_WINDOW = 9
-"""Pixels of the square that the darkest light around a point is taken from."""
-LEAST_OBSERVATIONS = 200
-LEAST_RANGE_RATIO = 1.15
-"""Of a point's farthest sighting to its nearest, that one point in twenty must have."""
-LEAST_CHANGE = 0.10
-"""Share of its colour that the scene's range must take from a channel."""
-LEAST_VEIL = 0.02
-"""Light that the water must add at the far end of the scene."""
 OPEN_WATER_SD = 0.2
 """Share by which B may differ from the light of what looks like open water."""
 MOST_SIGHTINGS = 6_000
@@ -51,100 +34,6 @@ LENS, GAINS = slice(10, 15), 15
 """Where the parameters of a fit have those of the photographs."""
 PRIOR_SD = 2.0
 """Of log gains and of the lens' fall-off: so wide that it only decides what the photographs leave open."""
-
-
-@dataclass(frozen=True)
-class Observations:
-    """M sightings of points: track (M,) index of the point, ranges (M,) in scene units, light (M, 3) linear.
-
-    image (M,) index of the photograph; place (M, 2) where in it, from its middle to the right and down, the corners
-    being at distance 1; darkest (M, 3) least light in a square of DARK_WINDOW pixels around the point.
-    """
-
-    track: np.ndarray
-    ranges: np.ndarray
-    light: np.ndarray
-    image: np.ndarray
-    place: np.ndarray
-    darkest: np.ndarray
-
-    @property
-    def radius(self) -> np.ndarray:
-        """(M,) distance from the photograph's middle, 1 at the corners."""
-        return np.linalg.norm(self.place, axis=1)
-
-    def __len__(self) -> int:
-        return len(self.track)
-
-    def take(self, chosen: np.ndarray) -> "Observations":
-        """Those of an index or a mask (M,)."""
-        return Observations(
-            *(values[chosen] for values in (self.track, self.ranges, self.light, self.image, self.place, self.darkest))
-        )
-
-
-# Sightings ------------------------------------------------------------------------------------------------------------
-
-
-def observe(images: Sequence[TrainingImage], point_indices: Sequence[np.ndarray], points: Points) -> Observations:
-    """Linear light of the points where each image saw them; point_indices (P,) an image: which points.
-
-    A colour is the mean over a patch whose width goes with 1 / range, so that all views average the same part of the
-    world: a fixed window would wash far texture out and leave near texture, which looks like water. Points that fewer
-    than two images see, and patches that reach beyond the image or over invalid pixels, are left out.
-    """
-    located = [_project(image, indices, points) for image, indices in zip(images, point_indices, strict=True)]
-    farthest = np.zeros(len(points.positions))
-    for indices, _, ranges in located:
-        np.maximum.at(farthest, indices, ranges)
-    parts = []
-    for number, (image, (indices, pixels, ranges)) in enumerate(zip(images, located, strict=True)):
-        half = np.minimum(FAR_WINDOW * farthest[indices] / ranges, MAX_WINDOW)
-        colors, darkest, whole = _patches(image, pixels, half)
-        size = np.array(image.valid.shape[::-1])
-        place = (pixels - size / 2) / (np.linalg.norm(size) / 2)
-        values = (indices, ranges, colors, np.full(len(indices), number), place, darkest)
-        parts.append([value[whole] for value in values])
-    together = Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-    seen = np.bincount(together.track, minlength=len(points.positions))
-    return together.take(seen[together.track] > 1)
-
-
-def _project(image: TrainingImage, indices: np.ndarray, points: Points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the points in front of the camera: index (P,), pixel (P, 2), Euclidean range (P,)."""
-    camera = image.camera
-    places = points.positions[indices] @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    front = places[:, 2] > 0
-    indices, places = indices[front], places[front]
-    homogeneous = places @ camera.K.T
-    return indices, homogeneous[:, :2] / homogeneous[:, 2:], np.linalg.norm(places, axis=1)
-
-
-def _patches(image: TrainingImage, pixels: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean linear light (P, 3) of squares of half width `half` (P,) around pixels (P, 2), the darkest (P, 3) around
-    them, and which squares (P,) lie whole in valid pixels."""
-    height, width = image.valid.shape
-    display = np.arange(256) / 255
-    to_light = np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
-    planes = np.concatenate([to_light[image.pixels], image.valid[..., None]], axis=2)
-    sums = cv2.integral(planes)
-    low = np.round(pixels - half[:, None]).astype(int)
-    high = np.maximum(np.round(pixels + half[:, None]).astype(int), low + 1)
-    whole = (low >= 0).all(1) & (high[:, 0] <= width) & (high[:, 1] <= height)
-    (x0, y0), (x1, y1) = np.where(whole, low.T, 0), np.where(whole, high.T, 1)
-    means = (sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]) / ((x1 - x0) * (y1 - y0))[:, None]
-    least = to_light[cv2.erode(image.pixels, np.ones((DARK_WINDOW, DARK_WINDOW), np.uint8))]
-    column, row = (np.clip(pixels.astype(int), 0, [width - 1, height - 1])).T
-    return means[:, :3], least[row, column], whole & (means[:, 3] > 0.999)
-
-
-def track_ratio(observations: Observations) -> np.ndarray:
-    """Farthest over nearest range of each point that has sightings."""
-    _, track = np.unique(observations.track, return_inverse=True)
-    nearest, farthest = np.full(track.max() + 1, np.inf), np.zeros(track.max() + 1)
-    np.minimum.at(nearest, track, observations.ranges)
-    np.maximum.at(farthest, track, observations.ranges)
-    return farthest / nearest
 
 
 # Families of models ---------------------------------------------------------------------------------------------------

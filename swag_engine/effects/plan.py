@@ -24,12 +24,12 @@ from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images, mask_of
 from ..scene.split import split_views
 from ..strict_json import strict, to_json
+from ..water.identify import FIT_WIDTH, observe
 from ..water.medium import Medium, open_water, through_water
 from . import evidence
 from .caustics import Illumination, illuminated
 from .evidence import Finding, State, WaterFindings
 from .exposure import Exposure, exposed
-from .fit import FIT_WIDTH, observe
 from .lamp import Lamp, lit
 
 EFFECTS = (

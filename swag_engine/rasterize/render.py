@@ -16,12 +16,14 @@ from .api import Rendering, rasterize
 class Picture:
     """color (H, W, 3) display values; alpha (H, W) in 0..1; range (H, W) Euclidean distance to the camera in scene
     units, alpha-weighted and normalised, 0 where alpha is 0; restored (H, W, 3): the same without water, black where
-    nothing is (both None unless asked for); rendering: what made it."""
+    nothing is (both None unless asked for); offsets (N, 3): from the camera to the Gaussians, scene units, without a
+    gradient; rendering: what made it."""
 
     color: Tensor
     alpha: Tensor
     range: Tensor | None
     restored: Tensor | None
+    offsets: Tensor
     rendering: Rendering
 
 
@@ -45,10 +47,10 @@ def render(
     centre, viewmat, intrinsics = (
         torch.from_numpy(array).to(cloud.means) for array in (camera.centre, camera.world_to_camera, camera.K)
     )
+    offsets = cloud.means.detach() - centre
     colors = channels = cloud.colors(centre, sh_degree, backend)
     background = cloud.background.sigmoid()
     if medium is not None:
-        offsets = cloud.means.detach() - centre
         if isinstance(medium, Medium):
             channels = through_water(channels, offsets, medium, water_degree, amount, backend)
             background = torch.zeros_like(background)
@@ -83,4 +85,4 @@ def render(
         # The denominator is chosen before dividing: 0/0 behind a mask is NaN in the backward pass.
         covered = torch.where(rendering.alpha > 0, rendering.alpha, torch.ones_like(rendering.alpha))
         seen = rendering.channels[..., -1] / covered
-    return Picture(color, rendering.alpha, seen, restored, rendering)
+    return Picture(color, rendering.alpha, seen, restored, offsets, rendering)

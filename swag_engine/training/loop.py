@@ -180,15 +180,14 @@ class Trainer:
             with_restored=self.objective.needs_restored(medium, fraction),
             backend=self.settings.backend,
         )
-        offsets = self.cloud.means.detach() - torch.from_numpy(target.camera.centre).to(self.cloud.means)
-        loss = self.objective(picture, target, medium, offsets, fraction)
+        loss = self.objective(picture, target, medium, fraction)
         if (regularisation := self.growth.regularisation(self.cloud, self.median_range)) is not None:
             loss = loss + regularisation
         loss.backward()
         gradient = picture.rendering.means2d.grad
         if gradient is not None and target.weight == 1:
             if self.recipe.undimmed_growth and medium is not None:
-                gradient = gradient / visibility(medium, offsets).detach()[:, None]
+                gradient = gradient / visibility(medium, picture.offsets).detach()[:, None]
             self.statistics.add(gradient, picture.rendering.radii, target.camera.width)
         rates = self.learning_rates(fraction)
         self.optimizer.step(rates)
@@ -222,6 +221,13 @@ class Trainer:
 
     def next_target(self, fraction: float) -> Target:
         """The photograph of this iteration: every epoch in its own order, which depends on the seed alone."""
+        targets = self.targets_at(fraction)
+        epoch, position = divmod(self.iteration, len(targets))
+        order = np.random.default_rng((self.settings.seed, epoch)).permutation(len(targets))
+        return targets[order[position]]
+
+    def targets_at(self, fraction: float) -> list[Target]:
+        """All photographs, and frames made between them, at the size that is trained at then."""
         factor = next((factor for until, factor in self.schedule.coarse if fraction < until), 1)
         if factor not in self.levels:
             photographs = [
@@ -229,10 +235,7 @@ class Trainer:
             ]
             made = [Target.shrunk(image, factor, self.device, None, self.recipe.interpolation) for image in self.frames]
             self.levels = {factor: photographs + made}
-        targets = self.levels[factor]
-        epoch, position = divmod(self.iteration, len(targets))
-        order = np.random.default_rng((self.settings.seed, epoch)).permutation(len(targets))
-        return targets[order[position]]
+        return self.levels[factor]
 
     def grow(self, random: torch.Generator) -> None:
         schedule, total = self.schedule, self.settings.iterations
@@ -258,11 +261,9 @@ class Trainer:
             or not self.recipe.grow_until <= fraction <= last
         ):
             return
-        self.next_target(fraction)  # makes the photographs at this size
-        (targets,) = self.levels.values()
         views = [
             (target.camera, lambda color, target=target: self.objective.reconstruction(color, target, fraction))
-            for target in targets
+            for target in self.targets_at(fraction)
             if target.weight == 1
         ]
         degree = self.sh_degree(fraction)

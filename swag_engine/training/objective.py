@@ -54,12 +54,9 @@ class Objective:
         )
 
     def __call__(
-        self, picture: Picture, target: Target, medium: Medium | WaterNetwork | None, offsets: Tensor, fraction: float
+        self, picture: Picture, target: Target, medium: Medium | WaterNetwork | None, fraction: float
     ) -> Tensor:
-        """The loss of one picture, `fraction` of the way through; `picture` has what needs_* asked for.
-
-        offsets (N, 3): from the camera to the Gaussians.
-        """
+        """The loss of one picture, `fraction` of the way through; `picture` has what needs_* asked for."""
         recipe, two = self.recipe, self.in_stage_two(fraction)
         loss = self.reconstruction(picture.color, target, fraction)
         if target.weight != 1:
@@ -78,7 +75,7 @@ class Objective:
             # The coefficients that render, per median range, so that the margin means the same in every scene.
             loss = loss + recipe.hinge * attenuation_order(medium.beta_D * self.median_range, self.order)
         if recipe.range_consistency and isinstance(medium, WaterNetwork):
-            loss = loss + recipe.range_consistency * medium.range_consistency(offsets[::SAMPLED].detach())
+            loss = loss + recipe.range_consistency * medium.range_consistency(picture.offsets[::SAMPLED])
         return loss
 
 

@@ -21,6 +21,8 @@ FIT_WIDTH = 640
 FAR_WINDOW = 0.75
 """Half the width in pixels of the patch that a colour is averaged over in the farthest view of a point."""
 MAX_WINDOW = 40
+DARK_WINDOW = 9
+"""Pixels of the square that the darkest light around a point is taken from."""
 LEAST_OBSERVATIONS = 200
 LEAST_RANGE_RATIO = 1.15
 """Of a point's farthest sighting to its nearest, that one point in twenty must have."""
@@ -34,11 +36,32 @@ GRID = np.geomspace(0.02, 6.0, 10)
 
 @dataclass(frozen=True)
 class Observations:
-    """M sightings of points: track (M,) index of the point, ranges (M,) in scene units, light (M, 3)."""
+    """M sightings of points: track (M,) index of the point, ranges (M,) in scene units, light (M, 3) linear.
+
+    image (M,) index of the photograph; place (M, 2) where in it, from its middle to the right and down, the corners
+    being at distance 1; darkest (M, 3) least light in a square of DARK_WINDOW pixels around the point.
+    """
 
     track: np.ndarray
     ranges: np.ndarray
     light: np.ndarray
+    image: np.ndarray
+    place: np.ndarray
+    darkest: np.ndarray
+
+    @property
+    def radius(self) -> np.ndarray:
+        """(M,) distance from the photograph's middle, 1 at the corners."""
+        return np.linalg.norm(self.place, axis=1)
+
+    def __len__(self) -> int:
+        return len(self.track)
+
+    def take(self, chosen: np.ndarray) -> "Observations":
+        """Those of an index or a mask (M,)."""
+        return Observations(
+            *(values[chosen] for values in (self.track, self.ranges, self.light, self.image, self.place, self.darkest))
+        )
 
 
 @dataclass(frozen=True)
@@ -66,17 +89,17 @@ def observe(images: Sequence[TrainingImage], point_indices: Sequence[np.ndarray]
     farthest = np.zeros(len(points.positions))
     for indices, _, ranges in located:
         np.maximum.at(farthest, indices, ranges)
-    tracks, all_ranges, lights = [], [], []
-    for image, (indices, pixels, ranges) in zip(images, located, strict=True):
+    parts = []
+    for number, (image, (indices, pixels, ranges)) in enumerate(zip(images, located, strict=True)):
         half = np.minimum(FAR_WINDOW * farthest[indices] / ranges, MAX_WINDOW)
-        colors, whole = _patch_means(image, pixels, half)
-        tracks.append(indices[whole])
-        all_ranges.append(ranges[whole])
-        lights.append(colors[whole])
-    track, ranges, light = (np.concatenate(parts) for parts in (tracks, all_ranges, lights))
-    seen = np.bincount(track, minlength=len(points.positions))
-    keep = seen[track] > 1
-    return Observations(track[keep], ranges[keep], light[keep])
+        colors, darkest, whole = _patches(image, pixels, half)
+        size = np.array(image.valid.shape[::-1])
+        place = (pixels - size / 2) / (np.linalg.norm(size) / 2)
+        values = (indices, ranges, colors, np.full(len(indices), number), place, darkest)
+        parts.append([value[whole] for value in values])
+    together = Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    seen = np.bincount(together.track, minlength=len(points.positions))
+    return together.take(seen[together.track] > 1)
 
 
 def _project(image: TrainingImage, indices: np.ndarray, points: Points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -89,8 +112,9 @@ def _project(image: TrainingImage, indices: np.ndarray, points: Points) -> tuple
     return indices, homogeneous[:, :2] / homogeneous[:, 2:], np.linalg.norm(places, axis=1)
 
 
-def _patch_means(image: TrainingImage, pixels: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean linear light (P, 3) of squares of half width `half` (P,), and which (P,) lie whole in valid pixels."""
+def _patches(image: TrainingImage, pixels: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean linear light (P, 3) of squares of half width `half` (P,) around pixels (P, 2), the darkest (P, 3) around
+    them, and which squares (P,) lie whole in valid pixels."""
     height, width = image.valid.shape
     display = np.arange(256) / 255
     to_light = np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
@@ -101,7 +125,18 @@ def _patch_means(image: TrainingImage, pixels: np.ndarray, half: np.ndarray) -> 
     whole = (low >= 0).all(1) & (high[:, 0] <= width) & (high[:, 1] <= height)
     (x0, y0), (x1, y1) = np.where(whole, low.T, 0), np.where(whole, high.T, 1)
     means = (sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]) / ((x1 - x0) * (y1 - y0))[:, None]
-    return means[:, :3], whole & (means[:, 3] > 0.999)
+    least = to_light[cv2.erode(image.pixels, np.ones((DARK_WINDOW, DARK_WINDOW), np.uint8))]
+    column, row = (np.clip(pixels.astype(int), 0, [width - 1, height - 1])).T
+    return means[:, :3], least[row, column], whole & (means[:, 3] > 0.999)
+
+
+def track_ratio(observations: Observations) -> np.ndarray:
+    """Farthest over nearest range of each point that has sightings."""
+    _, track = np.unique(observations.track, return_inverse=True)
+    nearest, farthest = np.full(track.max() + 1, np.inf), np.zeros(track.max() + 1)
+    np.minimum.at(nearest, track, observations.ranges)
+    np.maximum.at(farthest, track, observations.ranges)
+    return farthest / nearest
 
 
 def fit_water(observations: Observations) -> WaterFit:
@@ -114,7 +149,7 @@ def fit_water(observations: Observations) -> WaterFit:
         return _nothing(f"The water cannot be told: only {len(observations.track)} sightings of points can be used.")
     ranges, light = observations.ranges, observations.light
     near, unit, far = np.quantile(ranges, (0.05, 0.5, 0.95))
-    ratio = np.quantile(_track_ratio(observations), 0.95)
+    ratio = np.quantile(track_ratio(observations), 0.95)
     if ratio < LEAST_RANGE_RATIO:
         return _nothing(
             f"The water cannot be told: points are seen from ranges of ratio {ratio:.2f} at most "
@@ -140,15 +175,6 @@ def fit_water(observations: Observations) -> WaterFit:
 
 def _nothing(reason: str) -> WaterFit:
     return WaterFit(np.zeros(3), np.zeros(3), np.zeros(3), False, reason)
-
-
-def _track_ratio(observations: Observations) -> np.ndarray:
-    """Farthest over nearest range of each point."""
-    _, track = np.unique(observations.track, return_inverse=True)
-    nearest, farthest = np.full(track.max() + 1, np.inf), np.zeros(track.max() + 1)
-    np.minimum.at(nearest, track, observations.ranges)
-    np.maximum.at(farthest, track, observations.ranges)
-    return farthest / nearest
 
 
 def _fit_channel(track: np.ndarray, ranges: np.ndarray, light: np.ndarray) -> tuple[float, float, float, np.ndarray]:

@@ -14,10 +14,11 @@ from swag_engine.effects.evidence import (
     semantics_finding,
     water_findings,
 )
-from swag_engine.effects.fit import GAINS, LENS, Family, Observations, Sightings, observe
+from swag_engine.effects.fit import GAINS, LENS, Family, Sightings
 from swag_engine.priors.interpolate import Admission
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
+from swag_engine.water.identify import Observations, observe
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
 VIEWS = 20

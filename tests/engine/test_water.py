@@ -173,7 +173,9 @@ def sightings(beta_D, beta_B, B, count=400, noise=0.0, spread=3.0, seed=0):
     J = r.uniform(0.05, 0.9, (count, 1, 3))
     light = J * np.exp(-beta_D * ranges[..., None]) + B * (1 - np.exp(-beta_B * ranges[..., None]))
     light = light * (1 + noise * r.standard_normal(light.shape))
-    return Observations(np.repeat(np.arange(count), 4), ranges.ravel(), light.reshape(-1, 3))
+    light = light.reshape(-1, 3)
+    image, place = np.zeros(len(light), int), np.zeros((len(light), 2))
+    return Observations(np.repeat(np.arange(count), 4), ranges.ravel(), light, image, place, light)
 
 
 def test_exact_sightings_give_the_water_exactly():
