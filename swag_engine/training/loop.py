@@ -201,8 +201,7 @@ class Trainer:
 
     def sh_degree(self, fraction: float) -> int:
         """SH degree of the Gaussians' colours, `fraction` (0..1) of the way through the run."""
-        degree = min(self.settings.sh_degree, sum(fraction >= start for start in self.schedule.sh_degrees))
-        return min(degree, 1) if self.medium and fraction < self.recipe.plain_colours_until else degree
+        return min(self.settings.sh_degree, sum(fraction >= start for start in self.schedule.sh_degrees))
 
     @property
     def water_degree(self) -> int:

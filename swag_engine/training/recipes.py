@@ -40,8 +40,6 @@ class Recipe:
     """Adam's step size for the water's raw parameters at the start; falls to 0 as a cosine."""
     veil_degrees_from: float = 0.4
     """Share of the run after which the water's colour may change with direction."""
-    plain_colours_until: float = 0.0
-    """Share of the run in which colour is of SH degree 1 at most where there is water, or SH would imitate it."""
 
     photometric: Photometric = Photometric()
     relative: bool = False
