@@ -52,7 +52,7 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in ("recipe", "iterations", "width", "max_gaussians"):
+        for name in ("recipe", "preset", "time_budget", "stop_when_flat", "iterations", "width", "max_gaussians"):
             column.prop(swag, name)
         try:
             engine_process.engine_python()

@@ -20,13 +20,16 @@ SETTINGS = tuple(field.name for field in dataclasses.fields(TrainSettings))
 def _mirrored(name: str, label: str, description: str) -> Any:
     """A property for one field of the engine's TrainSettings; the engine knows its limits and its default."""
     default = getattr(TrainSettings(), name)
+    if isinstance(default, bool):
+        return BoolProperty(name=label, description=description, default=default)
     if isinstance(default, int):
         return IntProperty(name=label, description=description, default=default, min=0)
     if isinstance(default, float):
         return FloatProperty(name=label, description=description, default=default, min=0, precision=4)
-    if TrainSettings.__dataclass_fields__[name].type is str:
+    kind = TrainSettings.__dataclass_fields__[name].type
+    if kind is str:
         return StringProperty(name=label, description=description, default=default)
-    choices = typing.get_args(TrainSettings.__dataclass_fields__[name].type)
+    choices = typing.get_args(kind)
     return EnumProperty(
         name=label, description=description, items=[(choice, choice, "") for choice in choices], default=default
     )
@@ -60,9 +63,28 @@ class SwagScene(PropertyGroup):
     metres_per_unit: _mirrored(
         "metres_per_unit", "Metres per Unit", "Metres that one unit of the COLMAP scene is; 0 where that is not known"
     )
-    iterations: _mirrored("iterations", "Iterations", "Number of optimisation steps; each looks at one photograph")
-    width: _mirrored("width", "Width", "Width in pixels that the photographs are trained at")
-    max_gaussians: _mirrored("max_gaussians", "Max Gaussians", "Most Gaussians that the scene may grow to")
+    preset: _mirrored(
+        "preset", "Quality", "draft to see whether it works, standard, or high for the result that you keep"
+    )
+    time_budget: _mirrored(
+        "time_budget",
+        "Time Budget",
+        "Time that the training may take, as in 90s, 10m or 1h30m; empty: as long as the quality needs",
+    )
+    iterations: _mirrored(
+        "iterations",
+        "Iterations",
+        "Number of optimisation steps, each looks at one photograph; 0: as the quality has it",
+    )
+    width: _mirrored("width", "Width", "Width in pixels that the photographs are trained at; 0: as the quality has it")
+    max_gaussians: _mirrored(
+        "max_gaussians", "Max Gaussians", "Most Gaussians that the scene may grow to; 0: as the quality has it"
+    )
+    stop_when_flat: _mirrored(
+        "stop_when_flat",
+        "Stop When Flat",
+        "End early when more time brings next to nothing on the validation photographs",
+    )
     sh_degree: _mirrored("sh_degree", "SH Degree", "How finely colour may change with the view: 0 (not at all) to 3")
     seed: _mirrored("seed", "Seed", "The same seed on the same machine gives the same result")
     backend: _mirrored("backend", "Backend", "What draws the Gaussians during training")

@@ -9,6 +9,7 @@ import operator
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +26,8 @@ from .threads import wait_politely
 from .training.config import TrainSettings
 
 INTERRUPTED = 130
+STARTED = time.monotonic()
+"""What a time budget counts from: starting Python and its packages is the user's time too."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +115,9 @@ class Train:
         should_stop = stop_on_interrupt()
         with training_progress() as on_event:
             result = train(
-                self.scene, self.out, self.settings, self.resume, on_event, should_stop, weights_dir=self.weights_dir
-            )
+                self.scene, self.out, self.settings, self.resume, on_event, should_stop,
+                weights_dir=self.weights_dir, started=STARTED,
+            )  # fmt: skip
         metrics = result["metrics"]
         quality = (
             f"Held-out views: PSNR {metrics['test_psnr']:.2f} dB, SSIM {metrics['test_ssim']:.3f} "

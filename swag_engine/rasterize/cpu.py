@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..timing import part
 from .cpu_library import constant, library, run, run_parts
 from .projection import Projection, check_pairs
 
@@ -30,6 +31,7 @@ def reason() -> str | None:
 
 class _Project(torch.autograd.Function):
     @staticmethod
+    @part("project")
     def forward(
         ctx: Any,
         means: Tensor,
@@ -55,6 +57,7 @@ class _Project(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("project backward")
     def backward(ctx: Any, by_means2d: Tensor, by_conics: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
         saved = ctx.saved_tensors
         results = [torch.empty_like(tensor) for tensor in saved[2:5]]
@@ -121,6 +124,7 @@ def _blend(
 
 class _Blend(torch.autograd.Function):
     @staticmethod
+    @part("rasterise")
     def forward(
         ctx: Any,
         means2d: Tensor,
@@ -143,6 +147,7 @@ class _Blend(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("rasterise backward")
     def backward(ctx: Any, out_gradient: Tensor, alpha_gradient: Tensor) -> tuple[Tensor | None, ...]:
         saved = ctx.saved_tensors
         splats, channels, order, rank_starts, ids, slots, tile_starts, background, transmittance, endings = saved
@@ -237,6 +242,7 @@ def contributions(
 
 class _Colors(torch.autograd.Function):
     @staticmethod
+    @part("colours")
     def forward(ctx: Any, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
         sh0, shN, directions = sh0.contiguous(), shN.contiguous(), directions.contiguous()
         colors = torch.empty_like(directions)
@@ -247,6 +253,7 @@ class _Colors(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("colours backward")
     def backward(ctx: Any, by_colors: Tensor) -> tuple[Tensor | None, ...]:
         directions, colors = ctx.saved_tensors
         n, (higher, degree) = len(directions), ctx.sizes
@@ -262,6 +269,7 @@ def sh_colors(sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tens
 
 class _L1Ssim(torch.autograd.Function):
     @staticmethod
+    @part("loss L1 and SSIM")
     def forward(ctx: Any, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         image, target = image.contiguous(), target.contiguous()
         height, width, _ = image.shape
@@ -274,6 +282,7 @@ class _L1Ssim(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("loss L1 and SSIM backward")
     def backward(ctx: Any, by_l1: Tensor, by_ssim: Tensor) -> tuple[Tensor, None]:
         image, target, derivatives = ctx.saved_tensors
         height, width, _ = image.shape
@@ -308,6 +317,7 @@ def adam_step(
 
 class _Water(torch.autograd.Function):
     @staticmethod
+    @part("water")
     def forward(ctx: Any, colors: Tensor, offsets: Tensor, values: Tensor, degree: int, linear: bool) -> Tensor:
         colors, offsets, values = colors.contiguous(), offsets.contiguous(), values.contiguous()
         shown = torch.empty_like(colors)
@@ -318,6 +328,7 @@ class _Water(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("water backward")
     def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
         colors, offsets, values = ctx.saved_tensors
         by_colors, by_offsets = torch.empty_like(colors), torch.empty_like(offsets)
@@ -334,6 +345,7 @@ def through_water(colors: Tensor, offsets: Tensor, values: Tensor, degree: int, 
 
 class _OpenWater(torch.autograd.Function):
     @staticmethod
+    @part("water")
     def forward(
         ctx: Any, values: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int, degree: int, linear: bool
     ) -> Tensor:
@@ -346,6 +358,7 @@ class _OpenWater(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("water backward")
     def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
         values, viewmat, K = ctx.saved_tensors
         sums = torch.empty(WATER_PARTS, values.numel(), dtype=torch.float64)

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..timing import part
 from .cuda_driver import Argument, CudaUnavailable, Driver
 from .projection import Projection, check_pairs
 
@@ -55,6 +56,7 @@ def _run(kernel: str, threads: int, *arguments: Argument) -> None:
 
 class _Project(torch.autograd.Function):
     @staticmethod
+    @part("project")
     def forward(
         ctx: Any,
         means: Tensor,
@@ -81,6 +83,7 @@ class _Project(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("project backward")
     def backward(ctx: Any, by_means2d: Tensor, by_conics: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
         saved = ctx.saved_tensors
         results = [torch.empty_like(tensor) for tensor in saved[2:5]]
@@ -164,6 +167,7 @@ def _blend(
 
 class _Blend(torch.autograd.Function):
     @staticmethod
+    @part("rasterise")
     def forward(
         ctx: Any,
         means2d: Tensor,
@@ -185,6 +189,7 @@ class _Blend(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("rasterise backward")
     def backward(ctx: Any, by_out: Tensor, by_alpha: Tensor) -> tuple[Tensor | None, ...]:
         *lists, channels, background, transmittance, endings = ctx.saved_tensors
         p = _Pairs(*lists)
@@ -251,6 +256,7 @@ def contributions(
 
 class _Colors(torch.autograd.Function):
     @staticmethod
+    @part("colours")
     def forward(ctx: Any, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
         sh0, shN, directions = sh0.contiguous(), shN.contiguous(), directions.contiguous()
         colors = torch.empty_like(directions)
@@ -262,6 +268,7 @@ class _Colors(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("colours backward")
     def backward(ctx: Any, by_colors: Tensor) -> tuple[Tensor | None, ...]:
         directions, colors = ctx.saved_tensors
         n, higher, degree = ctx.sizes
@@ -278,6 +285,7 @@ def sh_colors(sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tens
 
 class _L1Ssim(torch.autograd.Function):
     @staticmethod
+    @part("loss L1 and SSIM")
     def forward(ctx: Any, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         image, target = image.contiguous(), target.contiguous()
         height, width, _ = image.shape
@@ -290,6 +298,7 @@ class _L1Ssim(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("loss L1 and SSIM backward")
     def backward(ctx: Any, by_l1: Tensor, by_ssim: Tensor) -> tuple[Tensor, None]:
         image, target, derivatives = ctx.saved_tensors
         height, width, _ = image.shape
@@ -326,6 +335,7 @@ def adam_step(
 
 class _Water(torch.autograd.Function):
     @staticmethod
+    @part("water")
     def forward(ctx: Any, colors: Tensor, offsets: Tensor, values: Tensor, degree: int, linear: bool) -> Tensor:
         colors, offsets, values = colors.contiguous(), offsets.contiguous(), values.contiguous()
         shown, n = torch.empty_like(colors), len(colors)
@@ -336,6 +346,7 @@ class _Water(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("water backward")
     def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
         colors, offsets, values = ctx.saved_tensors
         n, by_colors, by_offsets = len(colors), torch.empty_like(colors), torch.empty_like(offsets)
@@ -352,6 +363,7 @@ def through_water(colors: Tensor, offsets: Tensor, values: Tensor, degree: int, 
 
 class _OpenWater(torch.autograd.Function):
     @staticmethod
+    @part("water")
     def forward(
         ctx: Any, values: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int, degree: int, linear: bool
     ) -> Tensor:
@@ -364,6 +376,7 @@ class _OpenWater(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
+    @part("water backward")
     def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
         values, viewmat, K = ctx.saved_tensors
         pixels = by_shown.numel() // 3

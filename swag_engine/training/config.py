@@ -1,13 +1,16 @@
 """The one configuration of a training run. Command line and Blender mirror it; nothing else defines a setting."""
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
 from ..errors import InputError
 from ..water.presets import water_of_type
+from .presets import PRESETS, Preset, seconds_of
 from .recipes import RECIPES, recipe_of
 
 BACKENDS = ("auto", "cpu", "cuda", "torch")
+SIZES = ("iterations", "width", "max_gaussians")
+"""What a preset or a time budget chooses, where the user does not."""
 
 
 @dataclass(frozen=True)
@@ -24,12 +27,19 @@ class TrainSettings:
     red, green and blue per metre as in 0.3,0.1,0.06."""
     metres_per_unit: float = 0.0
     """Metres that one unit of the scene's coordinates is; 0 where that is not known."""
-    iterations: int = 3000
-    """Number of optimisation steps; each looks at one photograph."""
-    width: int = 640
-    """Width in pixels that the photographs are trained at; smaller photographs keep their size."""
-    max_gaussians: int = 60_000
-    """Most Gaussians that the scene may grow to."""
+    preset: Preset = "standard"
+    """How fine: draft to see whether it works, standard, or high for the result to keep."""
+    time_budget: str = ""
+    """Time that the whole run may take, as in 90s, 10m or 1h30m, in place of a preset: what this machine can do in it
+    is found by measuring."""
+    iterations: int = 0
+    """Number of optimisation steps, each looks at one photograph; 0: as many as the preset has."""
+    width: int = 0
+    """Width in pixels that the photographs are trained at, smaller ones keep their size; 0: as the preset has it."""
+    max_gaussians: int = 0
+    """Most Gaussians that the scene may grow to; 0: as many as the preset has."""
+    stop_when_flat: bool = False
+    """End early when a fifth of the run has gained less than .05 dB on the validation photographs."""
     sh_degree: int = 3
     """Degree of the spherical harmonics that let colour change with direction, 0 to 3."""
     seed: int = 0
@@ -45,15 +55,23 @@ class TrainSettings:
             "sh_degree": (0, 3),
             "seed": (0, 2**31 - 1),
         }
-        for name, (least, most) in limits.items():
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
-                title = name.replace("_", " ")
-                raise InputError(f"The setting {title} must be a whole number from {least} to {most}, not {value!r}.")
-        for name, choices in (("recipe", RECIPES), ("backend", BACKENDS)):
+        for name, choices in (("recipe", RECIPES), ("backend", BACKENDS), ("preset", PRESETS)):
             value = getattr(self, name)
             if value not in choices:
                 raise InputError(f"The setting {name} must be one of {', '.join(choices)}, not {value!r}.")
+        if not isinstance(self.time_budget, str):
+            raise InputError(f"The time budget must be a text such as 10m, not {self.time_budget!r}.")
+        if not isinstance(self.stop_when_flat, bool):
+            raise InputError(f"The setting stop when flat must be true or false, not {self.stop_when_flat!r}.")
+        if self.budget and self.iterations:
+            raise InputError("Give a number of iterations or a time budget, not both.")
+        for name, (least, most) in limits.items():
+            value = getattr(self, name)
+            if name in SIZES and value == 0 and not isinstance(value, bool):
+                continue
+            if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= most:
+                title = name.replace("_", " ")
+                raise InputError(f"The setting {title} must be a whole number from {least} to {most}, not {value!r}.")
         recipe_of(self.recipe, self.effects)
         if not (isinstance(self.metres_per_unit, int | float) and 0 <= self.metres_per_unit < 1e9):
             raise InputError(
@@ -62,6 +80,18 @@ class TrainSettings:
             )
         if self.water_type != "auto":
             water_of_type(self.water_type, self.metres_per_unit)
+
+    def sized(self) -> "TrainSettings":
+        """With the preset's numbers where none are given, and no time budget takes their place."""
+        if self.budget:
+            return self
+        preset = PRESETS[self.preset]
+        return replace(self, **{name: getattr(self, name) or getattr(preset, name) for name in SIZES})
+
+    @property
+    def budget(self) -> float:
+        """Seconds that the run may take; 0 where only its iterations limit it."""
+        return seconds_of(self.time_budget)
 
     def to_json(self) -> dict[str, Any]:
         """A plain dict that `from_json` reads back."""
@@ -76,11 +106,14 @@ class TrainSettings:
         return cls(**values)
 
 
+FULL_RATES = 1000
+
+
 @dataclass(frozen=True)
 class LearningRates:
     """Adam's step sizes per group of parameters; means in units of the median range.
 
-    Up to eight times those of 3DGS (arXiv 2308.04079), whose runs are ten times as long.
+    Up to eight times those of 3DGS (arXiv 2308.04079), for runs of up to FULL_RATES iterations; `scaled` for longer.
     """
 
     means: float = 1.28e-3
@@ -91,6 +124,11 @@ class LearningRates:
     sh0: float = 1.5e-2
     shN: float = 5e-4
     background: float = 1e-2
+
+    def scaled(self, iterations: float) -> dict[str, float]:
+        """By name, for a run of so many iterations: long runs gain more from small steps than from going far."""
+        factor = min(1.0, (FULL_RATES / iterations) ** 0.5)
+        return {name: factor * rate for name, rate in asdict(self).items()}
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,12 @@ from ..rasterize.render import render
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
+from ..timing import Ledger, part
 from ..water.medium import MAX_DEGREE, SETTINGS, Medium
 from ..water.network import WaterNetwork
+from .budget import Budget, fit_budget
 from .checkpoint import load_checkpoint, save_checkpoint
+from .clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, is_flat
 from .config import LearningRates, Schedule, TrainSettings
 from .objective import Objective
 from .optimizer import Optimizer
@@ -49,47 +52,59 @@ def train(
     should_stop: Callable[[], bool] = lambda: False,
     preview: bool = False,
     weights_dir: Path | None = None,
+    started: float | None = None,
 ) -> Event:
     """Train a scene to a run folder and return the `result` event.
 
     on_event gets `progress`, `preview` and `checkpoint` events as they happen. When should_stop() turns true the run
     ends after the iteration at hand, with everything written and "interrupted" true in the result. With `resume` the
     run goes on from its newest checkpoint with the settings it was started with, bit-equal to a run that never
-    stopped (same machine, same backend). weights_dir: where networks are looked for before the user's cache. Raises
-    InputError for anything wrong with the scene, the folder or the disk.
+    stopped (same machine, same backend), unless time limits it. Resumed with more iterations or a time budget, a
+    finished run goes on for so long. weights_dir: where networks are looked for before the user's cache. started:
+    time.monotonic() that a time budget counts from, now without it. Raises InputError for anything wrong with the
+    scene, the folder or the disk.
     """
+    started = time.monotonic() if started is None else started
     run = RunFolder(out)
+    longer = False
     if resume:
-        settings = resumed_settings(run, scene_folder, settings)
-        if run.finished():
-            raise InputError(f"The run {out} is finished already; its result is {run.ply.name}.")
+        settings, longer = resumed_settings(run, scene_folder, settings)
     elif run.config.exists():
         raise InputError(f"{out} holds a training run already; continue it with --resume or choose another folder.")
     scene = load_scene(scene_folder)
-    if not resume:
-        run.write_config(scene.folder, settings, scene.up.tolist())
+    settings, budget = fit_budget(scene, settings.sized(), started)
+    run.write_config(scene.folder, settings, scene.up.tolist())
     try:
-        trainer = Trainer(scene, run, settings, on_event, weights_dir)
+        trainer = Trainer(scene, run, settings, on_event, weights_dir, budget)
     except InputError:
         if not resume:
             run.discard()
         raise
     if resume:
-        trainer.resume()
+        trainer.resume(longer)
     return trainer.run_to_end(should_stop, preview)
 
 
-def resumed_settings(run: RunFolder, scene_folder: Path, asked: TrainSettings) -> TrainSettings:
-    """The settings that the run was started with. Raises InputError where the request names others."""
+def resumed_settings(run: RunFolder, scene_folder: Path, asked: TrainSettings) -> tuple[TrainSettings, bool]:
+    """The settings that the run was started with, and whether it is to go on for longer than these say: with more
+    iterations, or for a further time budget. Raises InputError where the request names others, or nothing is left."""
     scene, settings, _ = run.read_config()
     if scene.resolve() != scene_folder.resolve():
         raise InputError(f"The run {run.path} belongs to the scene {scene}, not to {scene_folder}.")
+    longer = asked.iterations > max(settings.iterations, run.iterations()) or bool(asked.budget and run.finished())
+    if longer:
+        settings = replace(settings, iterations=asked.iterations, time_budget=asked.time_budget)
+    elif run.finished():
+        raise InputError(
+            f"The run {run.path} is finished already; its result is {run.ply.name}. More --iterations than "
+            f"{run.iterations()}, or a --time-budget, make it go on."
+        )
     default, kept = TrainSettings().to_json(), settings.to_json()
     for name, value in asked.to_json().items():
         if value not in (default[name], kept[name]):
             title = name.replace("_", " ")
             raise InputError(f"The run {run.path} was started with {title} {kept[name]}; it cannot go on with {value}.")
-    return settings
+    return settings, longer
 
 
 class Trainer:
@@ -102,11 +117,15 @@ class Trainer:
         settings: TrainSettings,
         on_event: Callable[[Event], None],
         weights_dir: Path | None,
+        budget: Budget | None = None,
     ) -> None:
         self.run, self.settings, self.on_event, self.scene = run, settings, on_event, scene
-        self.rates, self.schedule = LearningRates(), Schedule()
+        self.schedule = Schedule()
         self.device = device_for(settings.backend)
         self.iteration, self.seconds_before = 0, 0.0
+        self.budget = budget
+        self.clock = Clock(settings.iterations or (budget.iterations if budget else 1))
+        self.ledger = Ledger(torch.cuda.synchronize if self.device.type == "cuda" else None)
         self.psnr: float | None = None
         self.ssim: float | None = None
         self.images = self.load_photographs()
@@ -134,6 +153,7 @@ class Trainer:
             take_water_away(cloud, medium, self.training)
         self.objective = Objective(recipe, self.median_range, order, settings.backend)
         self.notes: list[str] = []
+        self.curve: list[tuple[float, float]] = []
         self.depth: dict[str, np.ndarray] = {}
         self.frames: list[TrainingImage] = []
         if recipe.depth:
@@ -164,7 +184,7 @@ class Trainer:
 
     def step(self) -> float:
         """One iteration; returns its loss."""
-        fraction = self.iteration / self.settings.iterations
+        fraction = self.clock.fraction
         if self.objective.in_stage_two(fraction):
             for name in GEOMETRY:
                 getattr(self.cloud, name).requires_grad_(False)
@@ -180,23 +200,28 @@ class Trainer:
             with_restored=self.objective.needs_restored(medium, fraction),
             backend=self.settings.backend,
         )
-        loss = self.objective(picture, target, medium, fraction)
+        with part("losses"):
+            loss = self.objective(picture, target, medium, fraction)
         if (regularisation := self.growth.regularisation(self.cloud, self.median_range)) is not None:
             loss = loss + regularisation
-        loss.backward()
+        with part("backward between kernels"):
+            loss.backward()
         gradient = picture.rendering.means2d.grad
         if gradient is not None and target.weight == 1:
             if self.recipe.undimmed_growth and medium is not None:
                 gradient = gradient / visibility(medium, picture.offsets).detach()[:, None]
             self.statistics.add(gradient, picture.rendering.radii, target.camera.width)
         rates = self.learning_rates(fraction)
-        self.optimizer.step(rates)
+        with part("optimiser"):
+            self.optimizer.step(rates)
         self.iteration += 1
+        self.clock.advance(self.iteration)
         if not self.objective.in_stage_two(fraction):
             random = random_of(self.settings.seed, self.iteration)
-            self.growth.perturb(self.cloud, rates["means"], self.median_range, random)
-            self.grow(random)
-            self.reallocate()
+            with part("growth"):
+                self.growth.perturb(self.cloud, rates["means"], self.median_range, random)
+                self.grow(random)
+                self.reallocate()
         return float(loss.detach())
 
     def sh_degree(self, fraction: float) -> int:
@@ -206,13 +231,13 @@ class Trainer:
     @property
     def water_degree(self) -> int:
         """SH degree of the water's colour at this iteration."""
-        return MAX_DEGREE if self.iteration >= self.recipe.veil_degrees_from * self.settings.iterations else 0
+        return MAX_DEGREE if self.clock.fraction >= self.recipe.veil_degrees_from else 0
 
     def learning_rates(self, fraction: float) -> dict[str, float]:
         """Step size by name, `fraction` (0..1) of the way through the run."""
-        rates = asdict(self.rates)
+        rates = LearningRates().scaled(self.clock.iterations)
         end = rates.pop("means_end")
-        rates["means"] *= (end / self.rates.means) ** fraction * self.median_range
+        rates["means"] *= (end / rates["means"]) ** fraction * self.median_range
         if self.objective.in_stage_two(fraction):
             return {name: rate for name, rate in rates.items() if name not in GEOMETRY}
         water = self.recipe.water_rate * 0.5 * (1 + math.cos(math.pi * fraction))
@@ -237,8 +262,7 @@ class Trainer:
         return self.levels[factor]
 
     def grow(self, random: torch.Generator) -> None:
-        schedule, total = self.schedule, self.settings.iterations
-        fraction = self.iteration / total
+        schedule, fraction = self.schedule, self.clock.fraction
         if self.iteration % schedule.grow_every or not schedule.grow_from <= fraction <= self.recipe.grow_until:
             return
         progress = (fraction - schedule.grow_from) / (self.recipe.grow_until - schedule.grow_from)
@@ -251,8 +275,8 @@ class Trainer:
 
     def reallocate(self) -> None:
         """Move Gaussians to where the error is, a few times between the end of growth and stage two."""
-        every = max(1, round(self.schedule.reallocate_every * self.settings.iterations))
-        fraction = self.iteration / self.settings.iterations
+        every = max(1, round(self.schedule.reallocate_every * self.clock.iterations))
+        fraction = self.clock.fraction
         last = self.recipe.stage_two_from - self.schedule.reallocate_every
         if (
             self.recipe.reallocation == "off"
@@ -275,44 +299,70 @@ class Trainer:
 
     def run_to_end(self, should_stop: Callable[[], bool], preview: bool) -> Event:
         settings, schedule = self.settings, self.schedule
-        started = saved = shown = reported = time.monotonic()
-        first = self.iteration
-        every = max(1, round(settings.iterations * schedule.validate))
+        self.resumed_at = self.iteration
+        self.began = saved = shown = reported = planned = time.monotonic()
+        validations = self.validations_due
         interrupted = False
         loss = float("nan")
-        while self.iteration < settings.iterations:
+        while not self.clock.done:
             if should_stop():
                 interrupted = True
                 break
-            loss = self.step()
+            with self.ledger.iteration():
+                loss = self.step()
+            if self.validation and self.validations_due > validations and not self.clock.done:
+                validations = self.validations_due
+                self.validate(loss)
+                if settings.stop_when_flat:
+                    self.stop_when_flat()
             now = time.monotonic()
-            seconds = self.seconds_before + now - started
-            if self.iteration % every == 0 and self.validation and self.iteration < settings.iterations:
-                self.validate(loss, seconds)
-            if now - reported > 0.2 or self.iteration == settings.iterations:
+            if self.budget and self.iteration % REPLANNED == 0:
+                self.clock.replan(self.iteration, now - planned, self.budget.left(), self.budget.predicted)
+                planned = now
+            if now - reported > 0.2 or self.clock.done:
                 reported = now
-                speed = (self.iteration - first) / max(now - started, 1e-9)
-                self.on_event(self.progress(loss, seconds, speed))
+                self.on_event(self.progress(loss))
             if preview and now - shown > schedule.preview_seconds:
                 write_ply(self.run.preview, self.cloud.to_splats(sh_degree=0))
                 self.on_event({"event": "preview", "path": str(self.run.preview), "iteration": self.iteration})
                 shown = time.monotonic()
             if now - saved > schedule.checkpoint_seconds:
-                self.save(seconds)
+                self.save()
                 saved = time.monotonic()
-        seconds = self.seconds_before + time.monotonic() - started
-        self.save(seconds)
-        return self.finish(loss, seconds, interrupted)
+        self.save()
+        return self.finish(loss, interrupted)
 
-    def progress(self, loss: float, seconds: float, speed: float) -> Event:
-        left = self.settings.iterations - self.iteration
+    @property
+    def validations_due(self) -> int:
+        """How many validations the run should have had by now."""
+        return int(self.clock.fraction / self.schedule.validate + 1e-6)
+
+    @property
+    def seconds(self) -> float:
+        """Time trained so far, earlier parts of a resumed run included."""
+        return self.seconds_before + time.monotonic() - self.began
+
+    def stop_when_flat(self) -> None:
+        """Go to the last stage once the curve is flat and the Gaussians have had time to settle."""
+        fraction, last = self.clock.fraction, self.recipe.stage_two_from
+        if not (self.recipe.grow_until + FLAT_SHARE <= fraction < last and is_flat(self.curve)):
+            return
+        self.notes.append(f"Ended early: a fifth of the run gained less than {FLAT_DB} dB on the validation views.")
+        self.clock.skip_to(last, self.iteration)
+        if self.budget:
+            self.budget.shorten(self.seconds * (1 - last) / last)
+
+    def progress(self, loss: float) -> Event:
+        speed = (self.iteration - self.resumed_at) / max(time.monotonic() - self.began, 1e-9)
+        planned = self.clock.planned(self.iteration)
+        left = max(0.0, self.budget.left()) if self.budget else (planned - self.iteration) / max(speed, 1e-9)
         return {
             "event": "progress",
             "stage": "train",
             "iteration": self.iteration,
-            "iterations": self.settings.iterations,
-            "seconds": round(seconds, 2),
-            "seconds_left": round(self.seconds_left(left, speed), 1),
+            "iterations": planned,
+            "seconds": round(self.seconds, 2),
+            "seconds_left": round(left, 1),
             "loss": loss,
             "psnr": self.psnr,
             "ssim": self.ssim,
@@ -320,13 +370,15 @@ class Trainer:
             "iterations_per_second": round(speed, 2),
         }
 
-    def seconds_left(self, iterations: int, speed: float) -> float:
-        return iterations / max(speed, 1e-9)
-
-    def validate(self, loss: float, seconds: float) -> None:
+    def validate(self, loss: float) -> None:
         """Score the validation views and log it. Test views are never looked at here."""
+        started, seconds = time.monotonic(), self.seconds
         scores = score_views(self.cloud, self.validation, self.settings.sh_degree, self.settings.backend, self.medium)
         self.psnr, self.ssim = mean_score(scores)
+        self.curve.append((self.clock.fraction, self.psnr))
+        if self.budget:
+            each = (time.monotonic() - started) / len(self.validation)
+            self.budget.held_out = each * (len(self.validation) + len(self.test))
         self.run.log(
             {
                 "iteration": self.iteration,
@@ -335,14 +387,15 @@ class Trainer:
                 "psnr": self.psnr,
                 "ssim": self.ssim,
                 "gaussians": len(self.cloud),
-                "ms": round(1000 * seconds / self.iteration, 2),
+                "ms": round(1000 * seconds / max(1, self.iteration), 2),
             }
         )
 
-    def finish(self, loss: float, seconds: float, interrupted: bool) -> Event:
+    def finish(self, loss: float, interrupted: bool) -> Event:
         """Write results and figures; returns the result event."""
+        seconds = self.seconds
         if self.validation and self.iteration:
-            self.validate(loss, seconds)
+            self.validate(loss)
         splats = self.cloud.to_splats()
         write_ply(self.run.ply, splats)
         write_glb(self.run.glb, splats, self.scene.up)
@@ -355,9 +408,10 @@ class Trainer:
             "psnr": self.psnr,
             "ssim": self.ssim,
             "iteration": self.iteration,
-            "iterations": self.settings.iterations,
+            "iterations": self.clock.planned(self.iteration),
             "gaussians": len(self.cloud),
             "seconds": round(seconds, 2),
+            "ledger": self.ledger.milliseconds(),
             "interrupted": interrupted,
             "background": self.background(),
             "water": self.water_note,
@@ -391,7 +445,7 @@ class Trainer:
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
-    def save(self, seconds: float) -> None:
+    def save(self) -> None:
         tensors = {f"cloud.{name}": tensor.detach() for name, tensor in self.cloud.parameters().items()}
         if self.medium:
             tensors |= {f"medium.{name}": tensor.detach() for name, tensor in self.medium.parameters().items()}
@@ -399,7 +453,10 @@ class Trainer:
         tensors |= {"growth.gradient": self.statistics.gradient, "growth.views": self.statistics.views}
         state = {
             "iteration": self.iteration,
-            "seconds": seconds,
+            "seconds": self.seconds,
+            "clock": asdict(self.clock),
+            "curve": self.curve,
+            "spent": time.monotonic() - self.budget.started if self.budget else 0.0,
             "start_count": self.start_count,
             "psnr": self.psnr,
             "ssim": self.ssim,
@@ -408,8 +465,11 @@ class Trainer:
         path = save_checkpoint(self.run.path, self.iteration, tensors, state)
         self.on_event({"event": "checkpoint", "path": str(path)})
 
-    def resume(self) -> None:
-        """Go on from the newest checkpoint; from the start when the run was stopped before its first."""
+    def resume(self, longer: bool = False) -> None:
+        """Go on from the newest checkpoint; from the start when the run was stopped before its first.
+
+        longer: the run goes on past the end that it was planned to have.
+        """
         loaded = load_checkpoint(self.run.path)
         if loaded is None:
             self.run.log_until(0)
@@ -421,6 +481,14 @@ class Trainer:
         sums = (tensors[name].to(self.device, copy=True) for name in ("growth.gradient", "growth.views"))
         self.statistics = GrowthStatistics(*sums)
         self.iteration, self.seconds_before = state["iteration"], state["seconds"]
+        if not longer:
+            self.clock = Clock(**state["clock"])
+            if self.budget:
+                self.budget.started -= state["spent"]
+        elif self.budget:
+            self.clock = Clock(self.iteration + self.budget.iterations)
+        self.clock.advance(self.iteration)
+        self.curve = [tuple(point) for point in state["curve"]]
         self.start_count, self.psnr, self.ssim = state["start_count"], state["psnr"], state["ssim"]
         self.run.log_until(self.iteration)
 

@@ -72,6 +72,10 @@ class RunFolder:
         """Whether the run came to its end and not merely to a stop."""
         return self.metrics.exists() and not read_json(self.metrics, "")["interrupted"]
 
+    def iterations(self) -> int:
+        """How many iterations a run that ended has; 0 for others."""
+        return read_json(self.metrics, "")["iteration"] if self.metrics.exists() else 0
+
     def log_until(self, iteration: int) -> None:
         """Drop lines of metrics.jsonl past `iteration`: a resumed run writes them again."""
         if not self.metrics_log.exists():

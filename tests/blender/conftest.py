@@ -38,7 +38,7 @@ class Blender:
         done = subprocess.run(
             [sys.executable, "-c", script, *map(str, arguments)],
             env=os.environ | own | {key: str(value) for key, value in environment.items()},
-            capture_output=True, encoding="utf-8", timeout=100, cwd=self.user,
+            capture_output=True, encoding="utf-8", timeout=600, cwd=self.user,
         )  # fmt: skip
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout + done.stderr

@@ -175,7 +175,7 @@ def test_a_full_disk_is_one_sentence_and_nothing_half_written(tiny_scene, tmp_pa
 
 
 @pytest.mark.parametrize(
-    "values", [{"iterations": 0}, {"width": "640"}, {"backend": "gpu"}, {"colour": 3}, {"seed": True}]
+    "values", [{"iterations": -1}, {"width": "640"}, {"backend": "gpu"}, {"colour": 3}, {"seed": True}]
 )
 def test_settings_are_checked(values):
     with pytest.raises(InputError):

@@ -1,0 +1,158 @@
+"""A run that is limited by time: what it chooses, that it ends when it should, and what may follow."""
+
+from dataclasses import replace
+
+import pytest
+
+from swag_engine import timing
+from swag_engine.errors import InputError
+from swag_engine.training import clock as clock_module
+from swag_engine.training import loop
+from swag_engine.training.clock import REPLANNED, Clock, is_flat
+from swag_engine.training.config import LearningRates, TrainSettings
+from swag_engine.training.loop import train
+from swag_engine.training.presets import LADDER, PRESETS, seconds_of, size_at
+from swag_engine.training.speed import Extent, Speed, predicted_seconds
+
+SHORT = TrainSettings(iterations=60, width=64, max_gaussians=300, sh_degree=1)
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("", 0), ("90", 90), ("90s", 90), ("10m", 600), ("1h30m", 5400), ("1.5m", 90), ("2min", 120), ("1h 5s", 3605)],
+)
+def test_a_time_budget_in_words(text, seconds):
+    assert seconds_of(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["soon", "0", "10 parsecs", "-3m", "m", "3000h", "s10"])
+def test_no_time_budget(text):
+    with pytest.raises(InputError, match="90s, 10m or 1h30m"):
+        TrainSettings(time_budget=text)
+
+
+def test_what_a_preset_has_and_what_the_user_says_instead():
+    assert TrainSettings(preset="draft").sized().iterations == PRESETS["draft"].iterations
+    mixed = TrainSettings(preset="high", width=200).sized()
+    assert (mixed.width, mixed.max_gaussians) == (200, PRESETS["high"].max_gaussians)
+    assert TrainSettings(time_budget="5m").sized().width == 0  # the machine's speed decides
+    with pytest.raises(InputError, match="not both"):
+        TrainSettings(time_budget="5m", iterations=10)
+
+
+def test_sizes_between_presets_grow_in_everything():
+    sizes = [size_at(rung / 4) for rung in range(4 * len(LADDER) - 3)]
+    assert sizes[::4] == list(LADDER)
+    for smaller, larger in zip(sizes, sizes[1:], strict=False):
+        assert smaller.iterations < larger.iterations
+        assert smaller.width < larger.width
+        assert smaller.max_gaussians < larger.max_gaussians
+
+
+def test_long_runs_take_smaller_steps():
+    rates = LearningRates()
+    assert LearningRates().scaled(500)["sh0"] == rates.sh0
+    assert rates.scaled(4000)["sh0"] == pytest.approx(rates.sh0 / 2)
+    assert rates.scaled(4000)["means"] / rates.scaled(4000)["means_end"] == pytest.approx(100)
+
+
+@pytest.mark.parametrize("slowness", [0.3, 1.0, 5.0])
+def test_a_budget_is_kept_by_a_machine_that_is_not_as_predicted_and_changes_its_pace(slowness):
+    def predicted(fraction):
+        return 0.01 if fraction < 0.3 else 0.03
+
+    clock, now, iteration, took, budget = Clock(2000), 0.0, 0, 0.0, 50.0
+    fractions = []
+    while not clock.done:
+        step = slowness * predicted(clock.fraction) * (2 if 20 < now < 30 else 1)  # something else wants the machine
+        now, took, iteration = now + step, took + step, iteration + 1
+        clock.advance(iteration)
+        if iteration % REPLANNED == 0:
+            clock.replan(iteration, took, budget - now, predicted)
+            took = 0.0
+        fractions.append(clock.fraction)
+    assert now == pytest.approx(budget, rel=0.02)
+    assert fractions == sorted(fractions)
+    assert max(b - a for a, b in zip(fractions, fractions[1:], strict=False)) < 0.05  # no stage is jumped over
+    assert clock.planned(iteration) == iteration
+
+
+def test_a_faster_machine_or_a_longer_budget_gives_a_larger_run(tiny_scene, tmp_path):
+    small = train(tiny_scene, tmp_path / "small", TrainSettings(time_budget="6s", sh_degree=1, width=48))["metrics"]
+    config = loop.RunFolder(tmp_path / "small").read_config()[1]
+    assert config.width == 48 and 0 < config.max_gaussians < LADDER[-1].max_gaussians
+    assert not small["interrupted"] and small["iteration"] == small["iterations"] > REPLANNED
+    extent, slow, fast = Extent(10, 2, 1000, 640, 480), Speed(5, 2e-4, 4e-5, 0.1), Speed(1, 4e-5, 8e-6, 0.02)
+    assert predicted_seconds(fast, extent, LADDER[1], 0.5) < predicted_seconds(slow, extent, LADDER[1], 0.5) / 4
+
+
+def test_too_little_time_is_said_with_how_much_it_takes(tiny_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("swag_engine.training.budget.CLOSING", 100.0)
+    with pytest.raises(InputError, match=r"2s is too short for this scene on this machine: it needs 10\ds at least"):
+        train(tiny_scene, tmp_path / "run", TrainSettings(time_budget="2s"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_finished_run_goes_on_for_longer(tiny_scene, tmp_path):
+    run = tmp_path / "run"
+    train(tiny_scene, run, SHORT)
+    with pytest.raises(InputError, match="finished already.*More --iterations than 60"):
+        train(tiny_scene, run, SHORT, resume=True)
+    longer = train(tiny_scene, run, replace(SHORT, iterations=90), resume=True)["metrics"]
+    assert (longer["iteration"], longer["interrupted"]) == (90, False)
+    further = train(tiny_scene, run, TrainSettings(time_budget="5s"), resume=True)["metrics"]
+    assert further["iteration"] > 90
+    assert loop.RunFolder(run).read_config()[1].width == SHORT.width
+
+
+def test_a_flat_curve():
+    rising = [(0.1 * step, 20 + 0.1 * step) for step in range(1, 9)]
+    assert not is_flat(rising)
+    assert not is_flat(rising[:1])
+    assert is_flat([*rising, (0.9, 20.8), (1.0, 20.81)])
+
+
+def test_a_run_ends_early_when_its_curve_is_flat(tiny_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(clock_module, "FLAT_DB", 100.0)
+    settings = replace(SHORT, iterations=100, stop_when_flat=True)
+    metrics = train(tiny_scene, tmp_path / "run", settings)["metrics"]
+    # Flat at 70 %, the earliest that is looked at; the frozen last tenth still follows.
+    assert 78 <= metrics["iteration"] <= 82
+    assert not metrics["interrupted"] and "Ended early" in metrics["notes"][-1]
+    stopped = train(tiny_scene, tmp_path / "parts", settings, should_stop=iter([False] * 40 + [True]).__next__)[
+        "metrics"
+    ]
+    assert stopped["interrupted"]
+    resumed = train(tiny_scene, tmp_path / "parts", settings, resume=True)["metrics"]
+    assert (resumed["iteration"], resumed["psnr"]) == (metrics["iteration"], metrics["psnr"])
+
+
+def test_parts_are_counted_without_what_is_inside_them(monkeypatch):
+    now = 0.0
+
+    def wait(seconds):
+        nonlocal now
+        now += seconds
+
+    monkeypatch.setattr(timing.time, "perf_counter", lambda: now)
+    ledger = timing.Ledger()
+
+    @timing.part("water")
+    def water():
+        wait(3)
+
+    water()  # outside of an iteration nobody counts
+    for _ in range(2):
+        with ledger.iteration():
+            wait(1)
+            with timing.part("render"):
+                wait(2)
+                water()
+                wait(4)
+    assert ledger.milliseconds() == {"render": 6000, "water": 3000, "other": 1000}
+
+
+def test_the_ledger_of_a_run_adds_up_to_its_iterations(tiny_scene, tmp_path):
+    ledger = train(tiny_scene, tmp_path / "run", SHORT)["metrics"]["ledger"]
+    assert {"rasterise", "rasterise backward", "optimiser", "losses", "other"} <= set(ledger)
+    assert min(ledger.values()) >= 0
