@@ -52,13 +52,25 @@ class CancelRequest:
     """Stop what is running; what exists is kept."""
 
 
-Request = InspectRequest | TrainRequest | ExportRequest | SearchRequest | CancelRequest
+@dataclass(frozen=True)
+class PauseRequest:
+    """Wait before the next iteration until `go_on`, `cancel` or the end of the stream."""
+
+
+@dataclass(frozen=True)
+class GoOnRequest:
+    """Go on after `pause`."""
+
+
+Request = InspectRequest | TrainRequest | ExportRequest | SearchRequest | CancelRequest | PauseRequest | GoOnRequest
 REQUESTS: dict[str, type[Request]] = {
     "inspect": InspectRequest,
     "train": TrainRequest,
     "export": ExportRequest,
     "search": SearchRequest,
     "cancel": CancelRequest,
+    "pause": PauseRequest,
+    "go_on": GoOnRequest,
 }
 
 

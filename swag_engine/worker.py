@@ -12,7 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from .errors import InputError
-from .protocol import CancelRequest, ExportRequest, InspectRequest, Request, SearchRequest, TrainRequest, parse_request
+from .protocol import (
+    CancelRequest,
+    ExportRequest,
+    GoOnRequest,
+    InspectRequest,
+    PauseRequest,
+    Request,
+    SearchRequest,
+    TrainRequest,
+    parse_request,
+)
 from .strict_json import to_json
 from .threads import wait_politely
 
@@ -32,6 +42,8 @@ class Worker:
         self.requests, self.events = requests, events
         self.waiting: queue.Queue[Request | InputError | None] = queue.Queue()
         self.stop = threading.Event()
+        self.going = threading.Event()
+        self.going.set()
         self.writing = threading.Lock()
 
     def send(self, event: dict[str, Any]) -> None:
@@ -52,12 +64,26 @@ class Worker:
             except InputError as error:
                 self.waiting.put(error)
                 continue
-            if isinstance(request, CancelRequest):
-                self.stop.set()
+            if isinstance(request, PauseRequest):
+                self.going.clear()
+            elif isinstance(request, GoOnRequest):
+                self.going.set()
+            elif isinstance(request, CancelRequest):
+                self.end()
             else:
                 self.waiting.put(request)
-        self.stop.set()
+        self.end()
         self.waiting.put(None)
+
+    def end(self) -> None:
+        """Let what runs stop, a paused run too."""
+        self.stop.set()
+        self.going.set()
+
+    def should_stop(self) -> bool:
+        """Asked by a run between two iterations: a pause holds it here, so that it goes on as if nothing had been."""
+        self.going.wait()
+        return self.stop.is_set()
 
     def run(self) -> None:
         """Answer requests, one after the other, until the stream of requests ends."""
@@ -73,6 +99,7 @@ class Worker:
                 traceback.print_exc(file=sys.stderr)
                 self.send({"event": "error", "kind": "bug", "message": f"{type(error).__name__}: {error}"})
             self.stop.clear()
+            self.going.set()
 
     def answer(self, request: Request) -> dict[str, Any]:
         """The `result` event of one request."""
@@ -82,7 +109,7 @@ class Worker:
             from .training.loop import train
 
             return train(
-                request.scene, request.out, request.settings, request.resume, self.send, self.stop.is_set, preview=True
+                request.scene, request.out, request.settings, request.resume, self.send, self.should_stop, preview=True
             )
         if isinstance(request, SearchRequest):
             from .semantics.run import search_run, write_similarity

@@ -56,9 +56,9 @@ def train(
 ) -> Event:
     """Train a scene to a run folder and return the `result` event.
 
-    on_event gets `progress`, `preview` and `checkpoint` events as they happen. When should_stop() turns true the run
-    ends after the iteration at hand, with everything written and "interrupted" true in the result. With `resume` the
-    run goes on from its newest checkpoint with the settings it was started with, bit-equal to a run that never
+    on_event gets `progress`, `preview` and `checkpoint` events as they happen. should_stop() is asked between two
+    iterations: it may wait, which pauses the run; when it turns true the run ends, with everything written and
+    "interrupted" true in the result. With `resume` the run goes on from its newest checkpoint with the settings it was started with, bit-equal to a run that never
     stopped (same machine, same backend), unless time limits it. Resumed with more iterations or a time budget, a
     finished run goes on for so long. weights_dir: where networks are looked for before the user's cache. started:
     time.monotonic() that a time budget counts from, now without it. Raises InputError for anything wrong with the
@@ -305,9 +305,15 @@ class Trainer:
         interrupted = False
         loss = float("nan")
         while not self.clock.done:
+            asked = time.monotonic()
             if should_stop():
                 interrupted = True
                 break
+            paused = time.monotonic() - asked
+            if paused > 0.1:
+                self.began, planned = self.began + paused, planned + paused
+                if self.budget:
+                    self.budget.started += paused
             with self.ledger.iteration():
                 loss = self.step()
             if self.validation and self.validations_due > validations and not self.clock.done:

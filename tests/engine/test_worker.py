@@ -2,6 +2,7 @@
 
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -47,12 +48,18 @@ class Worker:
         return self.process.wait(30)
 
 
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.kill()
+        self.process.wait()
+
+
 @pytest.fixture
 def worker():
-    started = Worker()
-    yield started
-    started.process.kill()
-    started.process.wait()
+    with Worker() as started:
+        yield started
 
 
 def test_inspect_train_cancel_and_export(worker, tiny_scene, tmp_path):
@@ -87,6 +94,45 @@ def test_a_killed_worker_leaves_a_run_that_resumes(worker, tiny_scene, tmp_path)
     result = second.until("result", "error")
     assert result["event"] == "result" and result["metrics"]["iteration"] == 400
     assert second.close() == 0
+
+
+def test_a_paused_run_stands_still_and_ends_as_if_it_had_not(tiny_scene, tmp_path):
+    from swag_engine.training.config import TrainSettings
+    from swag_engine.training.loop import train
+
+    settings = {"iterations": 300, "width": 64, "max_gaussians": 400, "sh_degree": 0}
+    train(tiny_scene, tmp_path / "whole", TrainSettings(**settings))
+    with Worker() as worker:
+        worker.send(request="train", scene=str(tiny_scene), out=str(tmp_path / "run"), settings=settings)
+        while (event := worker.until("progress"))["stage"] != "train":
+            pass
+        worker.send(request="pause")
+        time.sleep(1.0)  # what was on its way arrives
+        while select.select([worker.process.stdout], [], [], 0)[0]:
+            event = worker.until("progress", "checkpoint", "preview")
+        assert event["iteration"] < 300
+        paused = time.monotonic()
+        assert not select.select([worker.process.stdout], [], [], 2.0)[0], "it went on"
+        paused = time.monotonic() - paused
+        started = time.monotonic()
+        worker.send(request="go_on")
+        result = worker.until("result", "error")
+        assert result["metrics"]["seconds"] < event["seconds"] + 1.0 + time.monotonic() - started + paused / 2
+    assert (tmp_path / "run" / "result.ply").read_bytes() == (tmp_path / "whole" / "result.ply").read_bytes()
+
+
+@pytest.mark.parametrize("how", ["cancel", "close"])
+def test_a_paused_run_can_be_ended(worker, tiny_scene, tmp_path, how):
+    settings = {"iterations": 100_000, "width": 64, "max_gaussians": 400, "sh_degree": 0}
+    worker.send(request="train", scene=str(tiny_scene), out=str(tmp_path / "run"), settings=settings)
+    while worker.until("progress")["stage"] != "train":
+        pass
+    worker.send(request="pause")
+    if how == "cancel":
+        worker.send(request="cancel")
+        assert worker.until("result", "error")["interrupted"]
+    assert worker.close() == 0
+    assert (tmp_path / "run" / "result.ply").exists()
 
 
 def test_the_worker_ends_with_its_parent_and_keeps_what_exists(worker, tiny_scene, tmp_path):
