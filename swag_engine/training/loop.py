@@ -20,7 +20,7 @@ from ..gaussians.grow import Growth, GrowthStatistics, McmcGrowth, random_of
 from ..gaussians.init import gaussians_from_points
 from ..gaussians.reallocate import reallocate, scores, visibility
 from ..rasterize.backends import device_for
-from ..rasterize.render import render
+from ..rasterize.render import Picture, render
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
@@ -31,6 +31,7 @@ from .budget import Budget, fit_budget
 from .checkpoint import load_checkpoint, save_checkpoint
 from .clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, is_flat
 from .config import LearningRates, Schedule, TrainSettings
+from .guard import Guard
 from .objective import Objective
 from .optimizer import Optimizer
 from .prepare import find_depth, find_frames, find_water, take_water_away
@@ -58,11 +59,11 @@ def train(
 
     on_event gets `progress`, `preview` and `checkpoint` events as they happen. should_stop() is asked between two
     iterations: it may wait, which pauses the run; when it turns true the run ends, with everything written and
-    "interrupted" true in the result. With `resume` the run goes on from its newest checkpoint with the settings it was started with, bit-equal to a run that never
-    stopped (same machine, same backend), unless time limits it. Resumed with more iterations or a time budget, a
-    finished run goes on for so long. weights_dir: where networks are looked for before the user's cache. started:
-    time.monotonic() that a time budget counts from, now without it. Raises InputError for anything wrong with the
-    scene, the folder or the disk.
+    "interrupted" true in the result. With `resume` the run goes on from its newest checkpoint with the settings it was
+    started with, bit-equal to a run that never stopped (same machine, same backend), unless time limits it. Resumed
+    with more iterations or a time budget, a finished run goes on for so long. weights_dir: where networks are looked
+    for before the user's cache. started: time.monotonic() that a time budget counts from, now without it. Raises
+    InputError for anything wrong with the scene, the folder or the disk.
     """
     started = time.monotonic() if started is None else started
     run = RunFolder(out)
@@ -164,6 +165,7 @@ class Trainer:
             self.notes.append(note)
         self.optimizer = Optimizer(cloud.to(self.device), medium and medium.to(self.device), settings.backend)
         self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
+        self.guard = Guard(self.optimizer, self.clock.iterations)
 
     @property
     def cloud(self) -> GaussianCloud:
@@ -206,23 +208,33 @@ class Trainer:
             loss = loss + regularisation
         with part("backward between kernels"):
             loss.backward()
+        self.iteration += 1
+        self.clock.advance(self.iteration)
+        phase = f"{list(self.levels)} {medium is not None} {self.objective.in_stage_two(fraction)}"
+        if self.guard.admits(loss, self.optimizer, target.camera.name, phase if target.weight == 1 else ""):
+            self.learn(picture, target, medium, fraction)
+        else:
+            self.optimizer.clear_gradients()
+        if self.guard.puts_back(self.optimizer, self.iteration):
+            self.statistics = GrowthStatistics.zeros(len(self.cloud), self.device)
+        return float(loss.detach())
+
+    def learn(self, picture: Picture, target: Target, medium: Medium | WaterNetwork | None, fraction: float) -> None:
+        """Move the parameters by their gradients, and now and then the Gaussians."""
         gradient = picture.rendering.means2d.grad
         if gradient is not None and target.weight == 1:
             if self.recipe.undimmed_growth and medium is not None:
                 gradient = gradient / visibility(medium, picture.offsets).detach()[:, None]
             self.statistics.add(gradient, picture.rendering.radii, target.camera.width)
-        rates = self.learning_rates(fraction)
+        rates = {name: self.guard.ease * rate for name, rate in self.learning_rates(fraction).items()}
         with part("optimiser"):
             self.optimizer.step(rates)
-        self.iteration += 1
-        self.clock.advance(self.iteration)
         if not self.objective.in_stage_two(fraction):
             random = random_of(self.settings.seed, self.iteration)
             with part("growth"):
                 self.growth.perturb(self.cloud, rates["means"], self.median_range, random)
                 self.grow(random)
                 self.reallocate()
-        return float(loss.detach())
 
     def sh_degree(self, fraction: float) -> int:
         """SH degree of the Gaussians' colours, `fraction` (0..1) of the way through the run."""
@@ -304,7 +316,7 @@ class Trainer:
         validations = self.validations_due
         interrupted = False
         loss = float("nan")
-        while not self.clock.done:
+        while not (self.clock.done or self.guard.gives_up):
             asked = time.monotonic()
             if should_stop():
                 interrupted = True
@@ -335,6 +347,9 @@ class Trainer:
             if now - saved > schedule.checkpoint_seconds:
                 self.save()
                 saved = time.monotonic()
+        self.guard.settle(self.optimizer)
+        if note := self.guard.note(self.iteration):
+            self.notes.append(note)
         self.save()
         return self.finish(loss, interrupted)
 
@@ -456,6 +471,7 @@ class Trainer:
         if self.medium:
             tensors |= {f"medium.{name}": tensor.detach() for name, tensor in self.medium.parameters().items()}
         tensors |= self.optimizer.state_tensors()
+        tensors |= self.guard.tensors()
         tensors |= {"growth.gradient": self.statistics.gradient, "growth.views": self.statistics.views}
         state = {
             "iteration": self.iteration,
@@ -466,6 +482,7 @@ class Trainer:
             "start_count": self.start_count,
             "psnr": self.psnr,
             "ssim": self.ssim,
+            "guard": self.guard.state(),
             "medium": self.medium and {name: getattr(self.medium, name, None) for name in SETTINGS},
         }
         path = save_checkpoint(self.run.path, self.iteration, tensors, state)
@@ -484,6 +501,7 @@ class Trainer:
         cloud, medium = cloud_from_tensors(tensors), medium_from_tensors(tensors, state)
         self.optimizer = Optimizer(cloud.to(self.device), medium and medium.to(self.device), self.settings.backend)
         self.optimizer.load_state(tensors)
+        self.guard.load(state["guard"], tensors, self.optimizer)
         sums = (tensors[name].to(self.device, copy=True) for name in ("growth.gradient", "growth.views"))
         self.statistics = GrowthStatistics(*sums)
         self.iteration, self.seconds_before = state["iteration"], state["seconds"]

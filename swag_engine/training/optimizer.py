@@ -48,6 +48,10 @@ class Optimizer:
             if parameter.grad is not None and name in rates:
                 moments = self.moments[name]
                 adam_step(parameter.detach(), parameter.grad, *moments, rates[name], self.steps, self.backend)
+        self.clear_gradients()
+
+    def clear_gradients(self) -> None:
+        for parameter in self.parameters().values():
             parameter.grad = None
 
     def replace(self, cloud: GaussianCloud, source: Tensor) -> None:
@@ -60,6 +64,14 @@ class Optimizer:
             self.moments[name] = mean, square
         cloud.background = self.cloud.background
         self.cloud = cloud
+
+    def restart(self, values: dict[str, Tensor]) -> None:
+        """Take up other values, named as by parameters(), of as many Gaussians as they have; Adam begins anew."""
+        for name, value in values.items():
+            owner = self.medium if name.startswith("medium.") else self.cloud
+            setattr(owner, name.removeprefix("medium."), value.clone().requires_grad_())
+            self.moments[name] = torch.zeros_like(value), torch.zeros_like(value)
+        self.steps = 0
 
     def state_tensors(self) -> dict[str, Tensor]:
         """Moments and the step count, named for a checkpoint."""

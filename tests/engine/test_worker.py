@@ -47,7 +47,6 @@ class Worker:
         self.process.stdout.close()
         return self.process.wait(30)
 
-
     def __enter__(self):
         return self
 

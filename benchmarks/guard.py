@@ -1,0 +1,76 @@
+"""What the guard costs: its checks as shares of a training iteration, within one run.
+
+python benchmarks/guard.py        prints the figures, writes benchmarks/results/guard.json
+"""
+
+import json
+import math
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import torch  # noqa: E402
+from raster import MAIN, RESULTS, make_cloud  # noqa: E402
+from train_scenes import processor  # noqa: E402
+
+from swag_engine.rasterize.render import render  # noqa: E402
+from swag_engine.training.config import LearningRates  # noqa: E402
+from swag_engine.training.guard import MOST_APART, Guard  # noqa: E402
+from swag_engine.training.losses import photometric  # noqa: E402
+from swag_engine.training.optimizer import Optimizer  # noqa: E402
+
+ROUNDS = 40
+
+
+def main() -> None:
+    n, width, height = MAIN
+    cloud, camera = make_cloud(n, width, height)
+    optimizer, rates, target = Optimizer(cloud, None), asdict(LearningRates()), torch.rand(height, width, 3)
+    guard = Guard(optimizer, 10_000)
+    loss = torch.zeros(())
+
+    def whole() -> None:
+        nonlocal loss
+        optimizer.clear_gradients()
+        loss = photometric(render(cloud, camera, 3).color, target, None)
+        loss.backward()
+
+    def admits() -> None:
+        guard.admits(loss, optimizer, "view", "phase")
+
+    def adam() -> None:
+        gradients = {name: parameter.grad for name, parameter in optimizer.parameters().items()}
+        optimizer.step(rates)
+        for name, parameter in optimizer.parameters().items():
+            parameter.grad = gradients[name]
+
+    def full() -> None:
+        guard.puts_back(optimizer, MOST_APART)
+
+    steps = {"picture and gradients": whole, "every iteration": admits, "Adam": adam, "full": full}
+    times = {name: math.inf for name in steps}
+    for _ in range(ROUNDS):  # the best of many, so that other work on the machine counts little
+        for name, step in steps.items():
+            start = time.perf_counter()
+            step()
+            times[name] = min(times[name], 1000 * (time.perf_counter() - start))
+    iteration = times["picture and gradients"] + times["Adam"]
+    guarded = times["every iteration"] + times["full"] / MOST_APART
+    document = {
+        "machine": f"{processor()}, {torch.get_num_threads()} threads",
+        "what": f"{n} Gaussians at {width}x{height}, ms",
+        "iteration": round(iteration, 1),
+        "guard, every iteration": round(times["every iteration"], 3),
+        f"guard, every {MOST_APART} iterations": round(times["full"], 1),
+        "guard, per cent of an iteration": round(100 * guarded / iteration, 2),
+    }
+    (RESULTS / "guard.json").write_text(json.dumps(document, indent=2) + "\n")
+    print(json.dumps(document, indent=2))
+
+
+if __name__ == "__main__":
+    main()
