@@ -89,7 +89,17 @@ class SWAG_PT_train_more(SwagPanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in ("effects", "water_type", "metres_per_unit", "sh_degree", "seed", "backend", "run_folder"):
+        for name in (
+            "effects",
+            "words",
+            "masks",
+            "water_type",
+            "metres_per_unit",
+            "sh_degree",
+            "seed",
+            "backend",
+            "run_folder",
+        ):
             column.prop(swag, name)
 
 

@@ -60,6 +60,16 @@ class SwagScene(PropertyGroup):
         "auto asks the photographs; or a Jerlov type (I IA IB II III 1C 3C 5C 7C 9C), or the attenuation of red, green "
         "and blue per metre as in 0.3,0.1,0.06",
     )
+    words: _mirrored(
+        "words",
+        "Words",
+        "What to label while training with semantics=on, as in coral, wreck, open water; needs networks",
+    )
+    masks: _mirrored(
+        "masks",
+        "Masks",
+        "Folder of masks to label by instead; without both, the scene's own folder labels, or what stands out",
+    )
     metres_per_unit: _mirrored(
         "metres_per_unit", "Metres per Unit", "Metres that one unit of the COLMAP scene is; 0 where that is not known"
     )
@@ -120,7 +130,7 @@ class SwagScene(PropertyGroup):
 
     def train_settings(self) -> dict[str, Any]:
         """The settings as the engine takes them."""
-        return {name: getattr(self, name) for name in SETTINGS}
+        return {name: getattr(self, name) for name in SETTINGS} | {"masks": _absolute(self.masks)}
 
     def show_metrics(self, event: dict[str, Any]) -> None:
         """Keep the figures of a training's `result` event."""

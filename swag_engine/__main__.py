@@ -246,7 +246,8 @@ class Label:
     masks: Path | None = None
     """Folder of mask images, one folder a label: MASKS/coral/NAME.png."""
     provider: Literal["auto", "masks", "grounded-sam", "saliency"] = "auto"
-    """Whose regions: masks where a folder is given, grounded-sam where there are words, else saliency."""
+    """Whose regions: masks where a folder is given, grounded-sam where there are words, else masks again where the
+    scene has some in its folder labels, else saliency."""
     features: tyro.conf.FlagCreatePairsOff[bool] = False
     """Write the 32 numbers of each Gaussian's feature into the splat files too."""
     weights_dir: Path | None = None

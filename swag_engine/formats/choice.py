@@ -74,9 +74,12 @@ def label_ids(wanted: Sequence[str], table: Path) -> frozenset[int]:
             raise InputError(f"{table} does not list labels; label the run again.") from error
     found = set()
     for word in wanted:
-        try:
-            found.add(known[word.casefold()] if word.casefold() in known else int(word))
-        except ValueError:
-            there = ", ".join(known) or "only numbers, as the run has no names"
-            raise InputError(f"There is no label named {word}; there are {there}.") from None
+        word = word.strip()
+        if word.casefold() in known:
+            found.add(known[word.casefold()])
+        elif word.isdecimal():
+            found.add(int(word))
+        else:
+            there = ", ".join(known) or "none with a name; name them with `label`"
+            raise InputError(f"There is no label named {word}; there are {there}.")
     return frozenset(found)

@@ -1,6 +1,6 @@
 """The parameters that are optimised, and their activations."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from math import isqrt
 
 import numpy as np
@@ -17,7 +17,8 @@ class GaussianCloud:
 
     means (N, 3) in scene units; quats (N, 4) wxyz, any length; log_scales (N, 3) log of the standard deviation;
     opacity_logits (N,); sh0 (N, 1, 3) and shN (N, K - 1, 3) raw spherical harmonics as in 3DGS (arXiv 2308.04079);
-    background (3,) logit of the colour seen where no Gaussian is.
+    background (3,) logit of the colour seen where no Gaussian is; features (N, 32) say what the Gaussian is part of
+    and are not drawn, (N, 0) where the run learns none.
     """
 
     means: Tensor
@@ -27,13 +28,18 @@ class GaussianCloud:
     sh0: Tensor
     shN: Tensor
     background: Tensor
+    features: Tensor = field(default_factory=lambda: torch.empty(0, 0))
+
+    def __post_init__(self) -> None:
+        if not self.features.numel():
+            self.features = self.means.new_zeros(len(self), self.features.shape[1])
 
     def __len__(self) -> int:
         return self.means.shape[0]
 
     def parameters(self) -> dict[str, Tensor]:
         """Name -> tensor, in the order of the fields."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
     def to(self, device: torch.device) -> "GaussianCloud":
         """The cloud with its tensors on a device."""

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from .cloud import GaussianCloud
 
-PER_GAUSSIAN = ("means", "quats", "log_scales", "opacity_logits", "sh0", "shN")
+PER_GAUSSIAN = ("means", "quats", "log_scales", "opacity_logits", "sh0", "shN", "features")
 
 MIN_OPACITY = 0.01
 MIN_SCORE = 2e-5

@@ -86,3 +86,17 @@ def render(
         covered = torch.where(rendering.alpha > 0, rendering.alpha, torch.ones_like(rendering.alpha))
         seen = rendering.channels[..., -1] / covered
     return Picture(color, rendering.alpha, seen, restored, offsets, rendering)
+
+
+def tail(
+    cloud: GaussianCloud,
+    camera: Camera,
+    medium: Medium | WaterNetwork | None,
+    water_degree: int = MAX_DEGREE,
+    backend: str = "auto",
+) -> Tensor:
+    """Display colour behind all Gaussians, (H, W, 3) or (3,), as render() shows it; differentiable."""
+    if not isinstance(medium, Medium):
+        return cloud.background.sigmoid()
+    viewmat, K = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
+    return open_water(medium, viewmat, K, camera.width, camera.height, water_degree, backend=backend)

@@ -64,10 +64,13 @@ def labels_in_view(cloud: GaussianCloud, camera: Camera, labels: np.ndarray, bac
 
 
 def targets_in_view(
-    cloud: GaussianCloud, camera: Camera, regions: SceneRegions, backend: str = "auto"
+    cloud: GaussianCloud, camera: Camera, regions: SceneRegions, backend: str = "auto", shown: np.ndarray | None = None
 ) -> tuple[Tensor, Tensor]:
-    """What `semantic_loss` compares with in one view: targets (N, 32) float32 and assigned (N,) bool."""
-    labels = labels_in_view(cloud, camera, regions.maps[camera.name], backend)
+    """What `semantic_loss` compares with in one view: targets (N, 32) float32 and assigned (N,) bool.
+
+    shown: the photograph's labels at another size than the regions'.
+    """
+    labels = labels_in_view(cloud, camera, regions.maps[camera.name] if shown is None else shown, backend)
     return _features(regions, camera.name, labels), labels > 0
 
 

@@ -11,6 +11,7 @@ from safetensors.numpy import load_file, save_file
 
 from ..errors import InputError
 from ..files import atomic_path
+from ..formats.choice import LABEL
 from ..formats.gltf import write_glb
 from ..formats.ply import write_ply
 from ..gaussians.splats import Splats
@@ -20,8 +21,6 @@ from .embed import DIMENSIONS, Projection
 from .regions import SceneRegions
 
 TABLE, FEATURES = "labels.json", "semantics.safetensors"
-LABEL = "label"
-"""The splats' extra that holds their label: 0 for none, else the `id` of labels.json."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,15 +111,3 @@ def read_semantics(folder: Path) -> Semantics:
         return Semantics(tensors["features"], tensors["prototypes"], projection, str(table["embedder"]))
     except (OSError, KeyError, SafetensorError) as error:
         raise InputError(f"{path} cannot be read ({error}): make the labels again with `label`.") from error
-
-
-def label_id(table: Sequence[dict[str, Any]], wanted: str) -> int:
-    """The id of the label called `wanted`, by any letter case, or of that number. Raises InputError for another."""
-    for entry in table:
-        if entry["name"].casefold() == wanted.strip().casefold():
-            return int(entry["id"])
-    for entry in table:
-        if str(entry["id"]) == wanted.strip():
-            return int(entry["id"])
-    names = ", ".join(entry["name"] for entry in table)
-    raise InputError(f"There is no label {wanted!r}: the labels are {names}.")

@@ -1,36 +1,28 @@
 """Labels of a finished run: make them, search them, take one out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from ..errors import InputError
 from ..files import atomic_path
-from ..formats.gltf import write_glb
-from ..formats.ply import read_ply, write_ply
-from ..gaussians.splats import Splats
+from ..formats.export import ExportOptions, export_run
+from ..formats.ply import read_ply
 from ..rasterize.backends import device_for
-from ..scene.colmap import Scene, load_scene
+from ..scene.colmap import load_scene
 from ..scene.images import cache_folder, load_images
 from ..scene.split import split_views
 from ..training.checkpoint import load_checkpoint
 from ..training.loop import cloud_from_tensors
 from ..training.run_folder import RunFolder
-from ..weights.registry import find_or_fetch, is_here
 from .assign import assign
-from .captions import Blip, Captioner
 from .embed import Clip, Descriptor, Embedder
-from .grounded_sam import GroundedSam, GroundingDino, Sam
-from .labels import LABEL, label_id, read_semantics, read_table, write_semantics
-from .masks import MaskFolder
-from .regions import RegionProvider, checked_words, find_regions
-from .saliency import Saliency
+from .labels import read_semantics, read_table, write_semantics
+from .providers import Progress, Provider, choose, region_embedder, region_provider
+from .regions import checked_words, find_regions
 from .search import similarity
-
-Provider = Literal["masks", "grounded-sam", "saliency"]
-Progress = Callable[[str, float], None]
 
 
 def label_run(
@@ -45,11 +37,10 @@ def label_run(
 ) -> dict[str, Any]:
     """Label the Gaussians of a run from its training photographs; returns what labels.json then holds.
 
-    provider: whose regions; without it `masks` where a folder is given, grounded-sam where there are words, else
-    saliency. Region embeddings are CLIP's where its files are there or `download` allows to fetch them, else of colour
-    and texture. Writes labels into result.ply and result.glb (with_features: the features too), labels.json and
-    semantics.safetensors. progress gets (stage, fraction 0..1). Raises InputError for whatever cannot be used; the run
-    is as before then.
+    provider: whose regions; without it as in providers.choose. Region embeddings are CLIP's where its files are there
+    or `download` allows to fetch them, else of colour and texture. Writes labels into result.ply and result.glb
+    (with_features: the features too), labels.json and semantics.safetensors. progress gets (stage, fraction 0..1).
+    Raises InputError for whatever cannot be used; the run is as before then.
     """
     run = RunFolder(folder)
     scene_folder, settings, up = run.read_config()
@@ -65,7 +56,7 @@ def label_run(
             "--resume, which writes it again."
         )
     scene = load_scene(scene_folder)
-    chosen = provider or ("masks" if masks else "grounded-sam" if words else "saliency")
+    chosen, masks = choose(scene, words, masks, provider)
     finder, captioner = region_provider(chosen, scene, masks, bool(words), weights_dir, download, progress)
     embedder = region_embedder(weights_dir, download, progress)
     names = set(split_views([view.camera.name for view in scene.views]).train)
@@ -111,73 +102,11 @@ def describe(document: dict[str, Any]) -> str:
 
 
 def extract_run(folder: Path, label: str, out: Path) -> int:
-    """Write the splats of one label (its name or id) to `out`, a .ply or .glb; returns how many there are.
+    """Write the splats of one label (its name or number) to `out`, a .ply or .glb; returns how many there are.
 
-    Raises InputError for another suffix, when there is no such label, or no splat has it.
+    Raises InputError for another suffix, and as export_run does for a choice by labels.
     """
-    run = RunFolder(folder)
-    _, _, up = run.read_config()
-    number = label_id(read_table(folder), label)
-    if out.suffix.lower() not in (".ply", ".glb"):
+    format = out.suffix.lower().removeprefix(".")
+    if format not in ("ply", "glb"):
         raise InputError(f"{out.name} cannot be written: give the file a name that ends in .ply or .glb.")
-    splats = labelled_splats(run)
-    chosen = splats.extras[LABEL] == number
-    if not chosen.any():
-        raise InputError(f"No splat of {run.ply} has the label {label}.")
-    part = splats.subset(chosen)
-    if out.suffix.lower() == ".glb":
-        write_glb(out, part, up)
-    else:
-        write_ply(out, part)
-    return int(chosen.sum())
-
-
-def labelled_splats(run: RunFolder) -> Splats:
-    """The run's splats with their labels. Raises InputError when there are none yet."""
-    if not run.ply.exists():
-        raise InputError(f"The run {run.path} has no result yet; continue it with train --resume.")
-    splats = read_ply(run.ply)
-    if LABEL not in splats.extras:
-        raise InputError(f"The splats of {run.ply} have no labels: make them with `label`.")
-    return splats
-
-
-def region_provider(
-    provider: Provider,
-    scene: Scene,
-    masks: Path | None,
-    has_words: bool,
-    weights_dir: Path | None,
-    download: bool,
-    progress: Progress = lambda stage, fraction: None,
-) -> tuple[RegionProvider, Captioner | None]:
-    """The provider of that name, and the captioner that says what to look for where it needs words and has none."""
-    if provider == "masks":
-        if masks is None:
-            raise InputError("Masks need a folder: name it with --masks.")
-        return MaskFolder(masks, scene), None
-    if provider == "saliency":
-        return Saliency(), None
-
-    def network(name: str) -> Path:
-        return _network(name, weights_dir, download, progress)
-
-    vocabulary = network("bert-vocabulary")
-    captioner = None if has_words else Blip(network("blip-image"), network("blip-text"), vocabulary)
-    detector = GroundingDino(network("grounding-dino"), vocabulary)
-    return GroundedSam(detector, Sam(network("mobile-sam-image"), network("mobile-sam-mask"))), captioner
-
-
-def region_embedder(
-    weights_dir: Path | None, download: bool, progress: Progress = lambda stage, fraction: None
-) -> Embedder:
-    """CLIP where its files are there or may be fetched, else colour and texture. A damaged file of CLIP is refused."""
-    files = "clip-image", "clip-text", "clip-vocabulary"
-    if not download and not all(is_here(name, weights_dir) for name in files):
-        return Descriptor()
-    image, text, vocabulary = (_network(name, weights_dir, download, progress) for name in files)
-    return Clip(image, text, vocabulary)
-
-
-def _network(name: str, weights_dir: Path | None, download: bool, progress: Progress) -> Path:
-    return find_or_fetch(name, weights_dir, download, lambda fraction: progress(f"Download {name}", fraction))
+    return int(export_run(folder, format, out, ExportOptions(labels=(label,)))["splats"])

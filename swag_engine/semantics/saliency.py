@@ -37,9 +37,7 @@ class Saliency:
             raise InputError(
                 "saliency finds what stands out, not words: give masks, fetch grounded-sam, or leave the words out."
             )
-        height, width = image.valid.shape
-        size = [max(4 * CELL, round(SIDE * length / max(height, width))) for length in (width, height)]
-        small = cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA)
+        small = small_copy(image.pixels)
         water = open_water(small)
         salient = saliency(small) * ~water
         threshold = cv2.threshold((salient * 255).astype(np.uint8)[~water][None], 0, 255, cv2.THRESH_OTSU)[0] / 255
@@ -48,6 +46,13 @@ class Saliency:
         shares = [_outlined(mask, guide) for mask, _ in parts]
         best = np.argmax(shares, axis=0)
         return [Region(best == number, name) for number, (_, name) in enumerate(parts)]
+
+
+def small_copy(pixels: np.ndarray) -> np.ndarray:
+    """An image (H, W, 3) uint8 at SIDE, as the functions below take it."""
+    height, width = pixels.shape[:2]
+    size = [max(4 * CELL, round(SIDE * length / max(height, width))) for length in (width, height)]
+    return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
 
 
 def open_water(pixels: np.ndarray) -> np.ndarray:

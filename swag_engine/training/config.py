@@ -25,6 +25,10 @@ class TrainSettings:
     water_type: str = "auto"
     """Water to start from: auto asks the photographs; a Jerlov type (I IA IB II III 1C 3C 5C 7C 9C), or attenuation of
     red, green and blue per metre as in 0.3,0.1,0.06."""
+    words: str = ""
+    """What to label while training with semantics=on, as in coral, wreck, open water; needs networks."""
+    masks: str = ""
+    """Folder of masks to label by instead; without both, the scene's own folder labels, or what stands out."""
     metres_per_unit: float = 0.0
     """Metres that one unit of the scene's coordinates is; 0 where that is not known."""
     preset: Preset = "standard"
@@ -124,6 +128,7 @@ class LearningRates:
     sh0: float = 1.5e-2
     shN: float = 5e-4
     background: float = 1e-2
+    features: float = 1e-2
 
     def scaled(self, iterations: float) -> dict[str, float]:
         """By name, for a run of so many iterations: long runs gain more from small steps than from going far."""

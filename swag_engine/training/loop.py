@@ -24,6 +24,8 @@ from ..rasterize.render import Picture, render
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
+from ..semantics.embed import DIMENSIONS
+from ..semantics.guidance import Guidance, find_guidance
 from ..timing import Ledger, part
 from ..water.medium import MAX_DEGREE, SETTINGS, Medium
 from ..water.network import WaterNetwork
@@ -40,7 +42,7 @@ from .run_folder import RunFolder, write_json
 from .targets import Target
 
 Event = dict[str, Any]
-GEOMETRY = ("means", "quats", "log_scales")
+GEOMETRY = ("means", "quats", "log_scales", "features")
 """What stage two freezes."""
 
 
@@ -163,6 +165,11 @@ class Trainer:
         if recipe.interpolation:
             note, self.frames = find_frames(scene, self.training, weights_dir)
             self.notes.append(note)
+        self.guidance: Guidance | None = None
+        if recipe.uses_regions:
+            note, self.guidance = find_guidance(scene, self.training, recipe, settings, weights_dir)
+            self.notes.append(note)
+            cloud.features = cloud.means.new_zeros(len(cloud), DIMENSIONS if self.guidance else 0)
         self.optimizer = Optimizer(cloud.to(self.device), medium and medium.to(self.device), settings.backend)
         self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
         self.guard = Guard(self.optimizer, self.clock.iterations)
@@ -206,6 +213,10 @@ class Trainer:
             loss = self.objective(picture, target, medium, fraction)
         if (regularisation := self.growth.regularisation(self.cloud, self.median_range)) is not None:
             loss = loss + regularisation
+        if self.guidance and target.weight == 1 and not self.objective.in_stage_two(fraction):
+            with part("semantics"):
+                guided = self.guidance.loss(self.cloud, picture.alpha, target, medium, self.water_degree, fraction)
+            loss = loss + guided
         with part("backward between kernels"):
             loss.backward()
         self.iteration += 1
@@ -270,6 +281,8 @@ class Trainer:
                 Target.shrunk(image, factor, self.device, self.depth.get(image.camera.name)) for image in self.training
             ]
             made = [Target.shrunk(image, factor, self.device, None, self.recipe.interpolation) for image in self.frames]
+            if self.guidance:
+                self.guidance.emphasise(photographs)
             self.levels = {factor: photographs + made}
         return self.levels[factor]
 
@@ -280,8 +293,12 @@ class Trainer:
         progress = (fraction - schedule.grow_from) / (self.recipe.grow_until - schedule.grow_from)
         # The number grows to its limit evenly in time, so that late Gaussians still have time to settle.
         budget = self.start_count + int((self.settings.max_gaussians - self.start_count) * min(1.0, 1.25 * progress))
+        weight = None
+        if self.guidance:
+            self.guidance.prune(self.cloud)
+            weight = self.guidance.growth_weights(self.cloud)
         with torch.no_grad():
-            cloud, source = self.growth.event(self.cloud, self.statistics, budget, self.median_range, random)
+            cloud, source = self.growth.event(self.cloud, self.statistics, budget, self.median_range, random, weight)
         self.optimizer.replace(cloud, source)
         self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
 
@@ -303,6 +320,8 @@ class Trainer:
         ]
         degree = self.sh_degree(fraction)
         S, E = scores(self.cloud, views, degree, self.medium, self.water_degree, self.settings.backend)
+        if self.guidance and (weight := self.guidance.growth_weights(self.cloud)) is not None:
+            E = E * weight
         cloud, source = reallocate(self.cloud, S, E, identical=self.recipe.reallocation == "identical")
         self.optimizer.replace(cloud, source)
         self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
@@ -418,8 +437,11 @@ class Trainer:
         if self.validation and self.iteration:
             self.validate(loss)
         splats = self.cloud.to_splats()
-        write_ply(self.run.ply, splats)
-        write_glb(self.run.glb, splats, self.scene.up)
+        if self.guidance:
+            self.guidance.write(self.run.path, splats, self.scene.up.tolist(), self.cloud)
+        else:
+            write_ply(self.run.ply, splats)
+            write_glb(self.run.glb, splats, self.scene.up)
         scores = score_views(self.cloud, self.test, self.settings.sh_degree, self.settings.backend, self.medium)
         test_psnr, test_ssim = mean_score(scores)
         metrics: Event = {
@@ -502,6 +524,8 @@ class Trainer:
         self.optimizer = Optimizer(cloud.to(self.device), medium and medium.to(self.device), self.settings.backend)
         self.optimizer.load_state(tensors)
         self.guard.load(state["guard"], tensors, self.optimizer)
+        if not cloud.features.shape[1]:  # the run began without regions
+            self.guidance = None
         sums = (tensors[name].to(self.device, copy=True) for name in ("growth.gradient", "growth.views"))
         self.statistics = GrowthStatistics(*sums)
         self.iteration, self.seconds_before = state["iteration"], state["seconds"]

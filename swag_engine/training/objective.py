@@ -1,5 +1,6 @@
 """What one iteration minimises."""
 
+import torch
 from torch import Tensor
 
 from ..priors.depth import depth_loss
@@ -41,6 +42,9 @@ class Objective:
 
     def reconstruction(self, color: Tensor, target: Target, fraction: float) -> Tensor:
         """How far the picture (H, W, 3) is from its photograph."""
+        if target.emphasis is not None:
+            # A difference that counts half is one half as large, for SSIM too.
+            color = torch.lerp(target.color, color, target.emphasis[..., None])
         weights = self.recipe.photometric_two if self.in_stage_two(fraction) else self.recipe.photometric
         return photometric(
             color,

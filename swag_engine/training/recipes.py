@@ -77,6 +77,22 @@ class Recipe:
     interpolation: float = 0.0
     """Weight of interpolated frames."""
 
+    semantics: bool = False
+    """Learn what each Gaussian is part of, and label the result (semantics/guidance.py). It changes no picture."""
+    salient_growth: bool = False
+    """Grow, and reallocate to, what stands out in the photographs more than the rest."""
+    salient_pixels: bool = False
+    """Let pixels of what stands out count more than the rest."""
+    open_water: float = 0.0
+    """Weight of open water being empty, and of the water's own colour being that of its pixels."""
+    class_pruning: bool = False
+    """Drop Gaussians of haze, fish and open water."""
+
+    @property
+    def uses_regions(self) -> bool:
+        """Whether the photographs have to be parted into regions."""
+        return any((self.semantics, self.salient_growth, self.salient_pixels, self.open_water, self.class_pruning))
+
 
 PAPER_LOSS = Photometric(l1=(0.56, 0.96), ssim=0.2, l2=(0.0, 0.1))
 PAPER_LOSS_TWO = Photometric(l1=(0.7, 1.2), ssim=0.0, l2=(0.9, 0.9))
@@ -123,6 +139,11 @@ EFFECTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "smoothness": ({"smoothness": 0.05}, {"smoothness": 0.0}),
     "hinge": ({"hinge": 1e-3}, {"hinge": 0.0}),
     "interpolation": ({"interpolation": 0.1}, {"interpolation": 0.0}),
+    "semantics": ({"semantics": True}, {"semantics": False}),
+    "salient-growth": ({"salient_growth": True}, {"salient_growth": False}),
+    "salient-pixels": ({"salient_pixels": True}, {"salient_pixels": False}),
+    "open-water": ({"open_water": 0.1}, {"open_water": 0.0}),
+    "class-pruning": ({"class_pruning": True}, {"class_pruning": False}),
 }
 """What a user can switch: the recipe's values with it and without it."""
 

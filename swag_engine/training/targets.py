@@ -16,6 +16,7 @@ class Target:
     """One photograph at one size: camera, pixels (H, W, 3) uint8, valid (H, W) bool.
 
     inverse_range (H, W): the depth prior, per scene unit, not finite where it is unknown; None without one.
+    emphasis (H, W): what each pixel counts, 0..1; None for all alike.
     weight: of its loss; below 1 for frames that are made, which nothing but colours is learned from.
     """
 
@@ -24,6 +25,7 @@ class Target:
     valid: Tensor
     inverse_range: Tensor | None = None
     weight: float = 1.0
+    emphasis: Tensor | None = None
 
     @property
     def color(self) -> Tensor:

@@ -103,6 +103,7 @@ class StubTarget:
     valid = None
     weight = 1.0
     inverse_range = None
+    emphasis = None
 
 
 def test_weights_follow_the_paper_over_time():

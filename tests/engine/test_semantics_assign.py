@@ -15,7 +15,6 @@ from swag_engine.semantics.assign import (
     semantic_loss,
     targets_in_view,
 )
-from swag_engine.semantics.guidance import gaussian_weights, kept, label_mask, open_water_loss, pixel_weights
 from swag_engine.semantics.regions import Found, SceneRegions, common_labels
 
 SIZE = 40
@@ -154,31 +153,3 @@ def test_labels_are_rendered_where_their_gaussians_are_seen() -> None:
     assert shown[20, 10] == 40 and shown[20, 30] == 7 and shown[0, 0] == 5
     assert 3 not in shown[18:22, 28:32]
     assert rendered_labels(cloud, labels, 40, camera_at(0))[0, 0] == 0
-
-
-# What labels do to a training -----------------------------------------------------------------------------------------
-
-
-def test_open_water_suppresses_what_covers_it_and_nothing_else() -> None:
-    cloud = cloud_of([(-0.5, 0, 2), (0.5, 0, 2)])
-    regions = scene({"a": halves(1, 2)}, ("open water", "coral"))
-    water = torch.from_numpy(label_mask(regions, "a"))
-    assert water[:, : SIZE // 2].all() and not water[:, SIZE // 2 :].any()
-    cloud.opacity_logits.requires_grad_()
-    alpha = render(cloud, camera_at(0)).alpha
-    loss = open_water_loss(alpha, water)
-    assert float(loss.detach()) == pytest.approx(float(alpha.detach()[:, : SIZE // 2].mean()), rel=1e-5)
-    loss.backward()
-    assert cloud.opacity_logits.grad[0] > 100 * abs(cloud.opacity_logits.grad[1])
-    assert float(open_water_loss(alpha.detach(), torch.zeros_like(water))) == 0
-    assert not label_mask(regions, "a", "eel").any()
-
-
-def test_weights_and_pruning_go_by_label() -> None:
-    regions = scene({"a": halves(1, 2)}, ("fish", "coral"))
-    weights = pixel_weights(regions, "a", {"fish": 0.25})
-    assert (weights[:, : SIZE // 2] == 0.25).all() and (weights[:, SIZE // 2 :] == 1).all()
-    labels, agreement = torch.tensor([0, 1, 2, 1]), torch.tensor([0.0, 0.9, 0.9, 0.55])
-    assert gaussian_weights(regions, labels, {"fish": 0.5, "coral": 3}).tolist() == [1, 0.5, 3, 0.5]
-    assert kept(regions, labels, agreement, ("fish", "haze")).tolist() == [True, False, True, True]
-    assert kept(regions, labels, agreement, ()).all()
