@@ -1,149 +1,139 @@
-"""An evaluation as a page that a browser shows without a network: figures, and every held-out view in pictures."""
+"""What evaluation.html, report.html and tradeoff.html are made of: one HTML file each that holds its pictures itself and
+needs no network.
+
+Functions that end in _html take text as it came (from files, names, folders) and escape it.
+"""
 
 import base64
-from collections.abc import Sequence
+import io
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
 from ..files import atomic_path
-from .lpips import BACKBONES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FULL_ERROR = 51
 """Difference in 8-bit values (a fifth of all) from which on the error map is brightest."""
+NONE = "–"
+INK = "#010203"
+"""Colour of text and axes in a plot, which becomes that of the page around it, light or dark."""
 
 STYLE = """
-:root { color-scheme: light dark; }
-body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; padding: 1.5rem; max-width: 90rem; }
+:root { color-scheme: light dark; --line: #8886; --bar: #2a7f9e; }
+body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; padding: 1.5rem; max-width: 80rem; }
 h1, h2, h3 { line-height: 1.2; }
 h2 { margin-top: 2.5rem; }
 h3 { margin: 1.5rem 0 .5rem; font-size: 1rem; }
-p { max-width: 48rem; }
+p, li { max-width: 48rem; overflow-wrap: anywhere; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .3rem .9rem .3rem 0; text-align: left; vertical-align: baseline; border-bottom: 1px solid #8886; }
+th, td { padding: .3rem .9rem .3rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
+td { overflow-wrap: anywhere; min-width: 4rem; }
 .number { text-align: right; white-space: nowrap; }
 .meaning, figcaption { font-size: .875rem; opacity: .8; }
-.pictures { display: grid; grid-template-columns: repeat(3, 1fr); gap: .8rem; }
-@media (max-width: 50rem) { .pictures { grid-template-columns: 1fr; } }
-figure { margin: 0; }
-figure img { display: block; width: 100%; }
+.note { border-left: .25rem solid var(--bar); padding-left: .8rem; }
+.pictures, .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 16rem), 1fr)); gap: .8rem; }
+.plots { grid-template-columns: repeat(auto-fit, minmax(min(100%, 21rem), 1fr)); }
+figure { margin: 0; break-inside: avoid; }
+figure img, figure svg { display: block; width: 100%; height: auto; }
 .scale { width: 8rem; height: .7rem; margin: 0 .4rem; }
+.bar { display: block; height: .8rem; margin-top: .35rem; background: var(--bar); print-color-adjust: exact;
+  -webkit-print-color-adjust: exact; }
+.bars { width: 40%; min-width: 6rem; }
+pre { overflow-x: auto; padding: .8rem; border: 1px solid var(--line); white-space: pre-wrap; overflow-wrap: anywhere; }
+@media print { body { font-size: 10pt; max-width: none; padding: 0; } h2, h3 { break-after: avoid; } }
 """
+
+
+def write_page(path: Path, title: str, parts: Iterable[str]) -> None:
+    """One HTML file of a title and parts that are HTML already, whole or not at all. Raises InputError when it cannot
+    be written."""
+    head = (
+        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{STYLE}</style></head><body>'
+        f"<h1>{escape(title)}</h1>"
+    )
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join([head, *parts, "</body></html>\n"]), encoding="utf-8")
+
+
+def number(value: float | None, digits: int, unit: str = "") -> str:
+    """A figure as text; a dash where there is none."""
+    return NONE if value is None or not np.isfinite(value) else f"{value:,.{digits}f}{unit}"
+
+
+def paragraph_html(text: str, style: str = "") -> str:
+    return f'<p class="{style}">{escape(text)}</p>' if style else f"<p>{escape(text)}</p>"
+
+
+def table_html(rows: Iterable[Sequence[str]], heads: Sequence[str] = (), styles: Sequence[str] = ()) -> str:
+    """A table of texts. styles: of each column, "number", "meaning" or nothing."""
+
+    def row(tag: str, cells: Sequence[str]) -> str:
+        classes = [*styles, *[""] * len(cells)]
+        shown = (
+            f'<{tag} class="{style}">{escape(cell)}</{tag}>' if style else f"<{tag}>{escape(cell)}</{tag}>"
+            for cell, style in zip(cells, classes, strict=False)
+        )
+        return f"<tr>{''.join(shown)}</tr>"
+
+    lines = [row("th", heads)] if heads else []
+    return "\n".join(['<div class="wide"><table>', *lines, *(row("td", cells) for cells in rows), "</table></div>"])
+
+
+def bars_html(values: dict[str, float], unit: str) -> str:
+    """Names with their values, largest first, as a table with a bar and the share of the sum for each."""
+    total = sum(values.values()) or 1.0
+    most = max(values.values(), default=0) or 1.0
+    rows = [
+        f'<tr><td>{escape(name)}</td><td class="number">{number(value, 2)} {escape(unit)}</td>'
+        f'<td class="number">{value / total:.0%}</td><td class="bars">'
+        f'<span class="bar" style="width: {100 * max(value, 0) / most:.1f}%"></span></td></tr>'
+        for name, value in sorted(values.items(), key=lambda item: -item[1])
+    ]
+    whole = f'<tr><th>together</th><th class="number">{number(sum(values.values()), 2)} {escape(unit)}</th></tr>'
+    return "\n".join(['<div class="wide"><table style="width: 100%">', *rows, whole, "</table></div>"])
+
+
+# Pictures -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One held-out view: photograph and render (H, W, 3) uint8 sRGB, valid (H, W) bool."""
+    """One held-out view: photograph, render and, where there is a water model, the render without water, all (H, W, 3)
+    uint8 sRGB; valid (H, W) bool."""
 
     name: str
     photograph: np.ndarray
     render: np.ndarray
     valid: np.ndarray
+    restored: np.ndarray | None = None
 
 
-def write_page(path: Path, evaluation: dict[str, Any], pictures: Sequence[Compared]) -> None:
-    """Write what evaluate_run() found as one HTML file, whole or not at all. Raises InputError when it cannot be."""
-    title = f"Evaluation of {escape(Path(evaluation['run']).name)}"
-    columns = _columns(evaluation["views"])
+def views_html(views: Sequence[Compared], captions: Sequence[str] | None = None) -> list[str]:
+    """Each view's photograph beside its render and its error map. captions: a line of text of each."""
     lines = [
-        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>',
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{STYLE}</style></head><body>',
-        f"<h1>{title}</h1>",
-        f"<p>{evaluation['gaussians']:,} Gaussians after {evaluation['iteration']:,} iterations, compared with "
-        f"{len(pictures)} photographs of {escape(evaluation['scene'])} that training never saw.</p>",
-        '<div class="wide"><table>',
-        *(
-            f'<tr><td>{label}</td><td class="number">{escape(value)}</td><td class="meaning">{meaning}</td></tr>'
-            for label, value, meaning in _figures(evaluation)
-        ),
-        "</table></div>",
-        *(f"<p>{escape(note)}</p>" for note in evaluation["notes"]),
-        "<h2>View by view</h2>",
-        '<div class="wide"><table>',
-        _row("th", "Photograph", [label for label, _, _ in columns]),
-        *(
-            _row("td", escape(name), [_number(_at(view, keys), digits) for _, keys, digits in columns])
-            for name, view in evaluation["views"].items()
-        ),
-        "</table></div>",
         f"<p>Error maps show the mean difference of red, green and blue: 0 {_image(_scale(), 'scale')} "
-        f"{FULL_ERROR / 255:.0%} of the full scale and more. Grey was not compared.</p>",
+        f"{FULL_ERROR / 255:.0%} of the full scale and more. Grey was not compared.</p>"
     ]
-    for view in pictures:
+    for view, caption in zip(views, captions or [""] * len(views), strict=True):
         shown = {"photograph": view.photograph, "render": view.render, "error": _error_map(view)}
+        if view.restored is not None:
+            shown["render without water"] = view.restored
         figures = (f"<figure>{_image(p)}<figcaption>{name}</figcaption></figure>" for name, p in shown.items())
-        lines += [f"<h3>{escape(view.name)}</h3>", f'<div class="pictures">{"".join(figures)}</div>']
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join([*lines, "</body></html>\n"]), encoding="utf-8")
-
-
-def _figures(evaluation: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Rows of the first table: label, figure, what it means."""
-    control, machine, restored = evaluation["control_psnr"], evaluation["machine"], evaluation["restored"]
-    rows = [
-        ("PSNR, mean of views", _number(evaluation["test_psnr"], 2, " dB"), "higher is better"),
-        ("PSNR, joint", _number(evaluation["test_psnr_joint"], 2, " dB"),
-         "of the mean square error of all views together: a view that fails weighs more"),
-        ("PSNR of the median photograph", _number(control, 2, " dB"),
-         "what the pixel-wise median of the training photographs would reach"),
-        ("SSIM", _number(evaluation["test_ssim"], 3), "1 is equal"),
-    ]  # fmt: skip
-    for name, backbone in BACKBONES.items():
-        value = _number(evaluation["test_lpips"][name], 3)
-        rows.append((f"LPIPS, {backbone.title}", value, "difference as people see it; 0 is equal"))
-    if _number(restored["psnr"], 0) != NONE:
-        rows += [
-            ("Without water, PSNR", _number(restored["psnr"], 2, " dB"), "against the true picture without water"),
-            ("Without water, colour error", _number(restored["delta_e"], 1),
-             "CIE &Delta;E 2000; about 1 is the least that an eye sees"),
-        ]  # fmt: skip
-    versions = ", ".join(f"{name} {version}" for name, version in machine["packages"].items() if version)
-    rows += [
-        ("Floater mass", _number(100 * evaluation["floater_mass"], 1, " %"),
-         "share of what is drawn that hangs more than 5 % of the median range in front of what is seen"),
-        ("Registered photographs", f"{evaluation['registered']} of {evaluation['images']}", ""),
-        ("Gaussians", f"{evaluation['gaussians']:,}",
-         ", ".join(f"{escape(name)} {size:.1f} MB" for name, size in evaluation["megabytes"].items())),
-        ("Training time", _number(evaluation["seconds"], 0, " s"), ""),
-        ("Evaluated on", machine["device"],
-         escape(f"{machine['system']}, Python {machine['python']}, backend {machine['backend']}, {versions}")),
-    ]  # fmt: skip
-    return rows
-
-
-def _columns(views: dict[str, Any]) -> list[tuple[str, tuple[str, ...], int]]:
-    """Columns of the table of views: label, keys of the figure in a view, decimals."""
-    columns: list[tuple[str, tuple[str, ...], int]] = [("PSNR, dB", ("psnr",), 2), ("SSIM", ("ssim",), 3)]
-    columns += [(f"LPIPS, {backbone.title}", ("lpips", name), 3) for name, backbone in BACKBONES.items()]
-    columns += [
-        ("Without water: PSNR, dB", ("restored", "psnr"), 2),
-        ("&Delta;E 2000", ("restored", "delta_e"), 1),
-    ]
-    return [column for column in columns if any(_at(view, column[1]) is not None for view in views.values())]
-
-
-def _at(view: dict[str, Any], keys: tuple[str, ...]) -> float | None:
-    found: Any = view
-    for key in keys:
-        found = (found or {}).get(key)
-    return found
-
-
-NONE = "–"
-
-
-def _number(value: float | None, digits: int, unit: str = "") -> str:
-    return NONE if value is None or not np.isfinite(value) else f"{value:,.{digits}f}{unit}"
-
-
-def _row(tag: str, name: str, values: Sequence[str]) -> str:
-    numbers = "".join(f'<{tag} class="number">{value}</{tag}>' for value in values)
-    return f"<tr><{tag}>{name}</{tag}>{numbers}</tr>"
+        lines += [f"<h3>{escape(view.name)}{': ' if caption else ''}{escape(caption)}</h3>"]
+        lines += [f'<div class="pictures">{"".join(figures)}</div>']
+    return lines
 
 
 def _error_map(view: Compared) -> np.ndarray:
@@ -165,3 +155,36 @@ def _image(pixels: np.ndarray, style: str = "") -> str:
     """An element that holds its picture itself."""
     encoded = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
     return f'<img class="{style}" alt="" src="data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode()}">'
+
+
+# Plots ----------------------------------------------------------------------------------------------------------------
+
+
+def new_plot(x: str, y: str, width: float = 4.6, height: float = 3.0) -> "tuple[Figure, Axes]":
+    """An empty plot with named axes, in inches; ink is INK."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context({name: INK for name in ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color",
+                                            "ytick.color")}):  # fmt: skip
+        figure = Figure((width, height), layout="constrained")
+        axes = figure.add_subplot()
+        axes.set(xlabel=x, ylabel=y)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.25, linewidth=0.6, color="#888888")
+    return figure, axes
+
+
+def plot_html(figure: "Figure", caption: str) -> str:
+    """A figure of matplotlib as vector graphics in the page, in the page's own ink."""
+    from matplotlib import rc_context
+
+    written = io.StringIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": caption, "font.family": "sans-serif"}):
+        figure.savefig(written, format="svg", transparent=True, metadata=nothing)
+    drawing = written.getvalue()
+    drawing = drawing[drawing.index("<svg") :].replace(INK, "currentColor")
+    # Within HTML no namespaces are needed, and a reader who looks for addresses finds none.
+    drawing = re.sub(r' xmlns(:\w+)?="[^"]*"', "", drawing).replace("xlink:href", "href")
+    return f'<figure role="img" aria-label="{escape(caption)}">{drawing}<figcaption>{escape(caption)}</figcaption></figure>'

@@ -6,6 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from torch import Tensor
 
 from ..doctor import examine
 from ..errors import InputError
@@ -21,6 +22,7 @@ from ..training.loop import cloud_from_tensors, median_range, medium_from_tensor
 from ..training.run_folder import RunFolder, write_json
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
+from .evaluation_page import write_evaluation_page
 from .lpips import BACKBONES, load_lpips
 from .metrics import (
     comparable,
@@ -33,7 +35,7 @@ from .metrics import (
     restored_error,
     score_picture,
 )
-from .page import Compared, write_page
+from .page import Compared
 
 PAGE = "evaluation.html"
 
@@ -52,7 +54,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
     """
     run = RunFolder(folder)
     scene_folder, settings, _ = run.read_config()
-    cloud, medium, state = _newest(folder)
+    cloud, medium, state = newest(folder)
     lpips, notes = load_lpips(weights_dir)
     scene = load_scene(scene_folder)
     split = split_views([view.name for view in scene.views])
@@ -64,17 +66,17 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
     scores, views, shown = [], {}, []
     for image in test:
         color = picture(cloud, image.camera, settings.sh_degree, medium=medium)
-        compared, target, _ = comparable(image, color)
+        restored = picture(cloud, image.camera, settings.sh_degree, medium=medium, amount=0)
+        shown_color, target, _ = comparable(image, color)
         score = score_picture(image, color)
         figures: dict[str, Any] = {"psnr": score.psnr, "ssim": score.ssim}
-        figures["lpips"] = {name: network(compared, target) for name, network in lpips.items()}
+        figures["lpips"] = {name: network(shown_color, target) for name, network in lpips.items()}
         if truth := _clean_picture(scene, image):
-            without_water = picture(cloud, image.camera, settings.sh_degree, medium=medium, amount=0)
-            psnr, delta_e = restored_error(without_water.numpy(), *truth)
+            psnr, delta_e = restored_error(restored.numpy(), *truth)
             figures["restored"] = {"psnr": psnr, "delta_e": delta_e}
         scores.append(score)
         views[score.name] = figures
-        shown.append(Compared(score.name, image.pixels, (color * 255).round().byte().numpy(), image.valid))
+        shown.append(compared(image, color, restored if medium else None))
 
     test_psnr, test_ssim = mean_score(scores)
     summary = inspect_scene(scene)
@@ -99,13 +101,22 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
         "gaussians": len(cloud),
         "megabytes": {path.name: path.stat().st_size / 1e6 for path in (run.ply, run.glb) if path.exists()},
         "seconds": round(state["seconds"], 2),
-        "machine": _machine(cloud.means.device),
+        "machine": machine(cloud.means.device),
         "notes": notes,
         "views": views,
     }  # fmt: skip
     write_json(folder / "evaluation.json", result)
-    write_page(folder / PAGE, result, shown)
+    write_evaluation_page(folder / PAGE, result, shown)
     return result
+
+
+def compared(image: TrainingImage, color: Tensor, restored: Tensor | None) -> Compared:
+    """A view for a page, of its pictures (H, W, 3) in 0..1; restored: without the water, None where there is none."""
+    def in_8_bits(x: Tensor) -> np.ndarray:
+        return (x * 255).round().byte().numpy()
+
+    without = None if restored is None else in_8_bits(restored)
+    return Compared(image.camera.name, image.pixels, in_8_bits(color), image.valid, without)
 
 
 def describe(evaluation: dict[str, Any]) -> str:
@@ -147,7 +158,7 @@ def _clean_picture(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.n
     return pixels / np.float32(255), valid
 
 
-def _machine(device: torch.device) -> dict[str, Any]:
+def machine(device: torch.device) -> dict[str, Any]:
     """Where this runs and with which versions."""
     found = examine()
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU, {found['cores']} cores"
@@ -168,7 +179,7 @@ def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) 
     if not 0 <= water <= 1:
         raise InputError(f"The amount of water must be from 0 to 1, not {water}.")
     scene_folder, settings, _ = RunFolder(folder).read_config()
-    cloud, medium, _ = _newest(folder)
+    cloud, medium, _ = newest(folder)
     scene = load_scene(scene_folder)
     names = [view.camera.name for view in scene.views]
     wanted = split_views(names).test if camera is None else [camera]
@@ -187,7 +198,7 @@ def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) 
     return files
 
 
-def _newest(folder: Path) -> tuple[GaussianCloud, Medium | WaterNetwork | None, dict[str, Any]]:
+def newest(folder: Path) -> tuple[GaussianCloud, Medium | WaterNetwork | None, dict[str, Any]]:
     """Gaussians and water of a run's newest checkpoint, where they are rendered fastest, and its state."""
     loaded = load_checkpoint(folder)
     if loaded is None:
