@@ -109,6 +109,7 @@ class Train:
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        from .evaluation.report import report_of
         from .progress import training_progress
         from .training.loop import train
 
@@ -118,6 +119,10 @@ class Train:
                 self.scene, self.out, self.settings, self.resume, on_event, should_stop,
                 weights_dir=self.weights_dir, started=STARTED,
             )  # fmt: skip
+        report, problem = report_of(self.out)
+        if problem:
+            print(problem, file=sys.stderr)
+        result["report"] = report and str(report)
         metrics = result["metrics"]
         quality = (
             f"Held-out views: PSNR {metrics['test_psnr']:.2f} dB, SSIM {metrics['test_ssim']:.3f} "
@@ -130,6 +135,7 @@ class Train:
             f"{metrics['water'] or 'The water is left in the colours.'}\n"
             f"{''.join(note + chr(10) for note in metrics['notes'])}"
             f"Result: {result['ply']}"
+            f"{chr(10) + 'Report: ' + result['report'] if report else ''}"
         )
         show(result, self.json, text)
         return INTERRUPTED if result["interrupted"] else 0
@@ -151,6 +157,23 @@ class Evaluate:
 
         evaluation = evaluate_run(self.run_folder, self.weights_dir)
         show(evaluation, self.json, describe(evaluation))
+        return 0
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write report.html to a run: quality against time, where the time went, held-out views, how to repeat it."""
+
+    run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+    """Folder of the run."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .evaluation.report import write_report
+
+        path = str(write_report(self.run_folder))
+        show({"report": path}, self.json, path)
         return 0
 
 
@@ -365,7 +388,7 @@ class Doctor:
         return 0
 
 
-COMMANDS = (Inspect, Sfm, Plan, Train, Evaluate, Ablate, Render, Label, Search, Extract, Export, Doctor)
+COMMANDS = (Inspect, Sfm, Plan, Train, Evaluate, Report, Ablate, Render, Label, Search, Extract, Export, Doctor)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -2,7 +2,9 @@
 
 import os
 import platform
+import tomllib
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -33,12 +35,21 @@ def examine() -> dict[str, Any]:
     auto = next(name for name in ("cuda", "cpu", "torch") if backends[name]["runs"])
     return {
         "system": f"{platform.system()} {platform.machine()}",
+        "engine": engine_version(),
         "python": platform.python_version(),
         "cores": os.cpu_count(),
         "packages": {name: _version(name) for name in PACKAGES},
         "backends": backends,
         "auto": auto,
     }
+
+
+def engine_version() -> str | None:
+    """The version in the manifest of the extension around this package, else of the package that pip installed."""
+    manifest = Path(__file__).parents[1] / "blender_manifest.toml"
+    if manifest.is_file():
+        return tomllib.loads(manifest.read_text(encoding="utf-8"))["version"]
+    return _version("swag-splatting")
 
 
 def _version(package: str) -> str | None:
@@ -50,7 +61,7 @@ def _version(package: str) -> str | None:
 
 def describe(found: dict[str, Any]) -> str:
     """The findings in lines for people."""
-    lines = [f"{found['system']}, Python {found['python']}, {found['cores']} cores"]
+    lines = [f"SWAG Splatting {found['engine']}, {found['system']}, Python {found['python']}, {found['cores']} cores"]
     lines += [f"  {name} {version or 'is missing'}" for name, version in found["packages"].items()]
     cpu_backend, cuda_backend, torch_backend = (found["backends"][name] for name in ("cpu", "cuda", "torch"))
     details = {

@@ -106,11 +106,16 @@ class Worker:
         if isinstance(request, InspectRequest):
             return inspect(request.scene, request.arrays)
         if isinstance(request, TrainRequest):
+            from .evaluation.report import report_of
             from .training.loop import train
 
-            return train(
+            result = train(
                 request.scene, request.out, request.settings, request.resume, self.send, self.should_stop, preview=True
             )
+            report, problem = report_of(request.out)
+            if problem:
+                print(problem, file=sys.stderr)
+            return result | {"report": report and str(report)}
         if isinstance(request, SearchRequest):
             from .semantics.run import search_run, write_similarity
 

@@ -59,8 +59,8 @@ def figure_rows(evaluation: dict[str, Any]) -> list[tuple[str, str, str]]:
 def machine_line(machine: dict[str, Any]) -> str:
     """System, backend and versions in one line."""
     versions = (f"{name} {version}" for name, version in machine["packages"].items() if version)
-    system = f"{machine['system']}, Python {machine['python']}, backend {machine['backend']}"
-    return ", ".join([system, *versions])
+    engine = f"engine {machine['engine']}, backend {machine['backend']}"
+    return ", ".join([engine, machine["system"], f"Python {machine['python']}", *versions])
 
 
 def view_table(views: dict[str, Any]) -> str:

@@ -1,5 +1,4 @@
-"""What evaluation.html, report.html and tradeoff.html are made of: one HTML file each that holds its pictures itself and
-needs no network.
+"""What evaluation.html, report.html and tradeoff.html are made of: one file each, which holds its pictures itself.
 
 Functions that end in _html take text as it came (from files, names, folders) and escape it.
 """
@@ -38,11 +37,13 @@ p, li { max-width: 48rem; overflow-wrap: anywhere; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: .3rem .9rem .3rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
-td { overflow-wrap: anywhere; min-width: 4rem; }
+td { overflow-wrap: break-word; }
+td.text { min-width: 14rem; }
 .number { text-align: right; white-space: nowrap; }
+.meaning { min-width: 14rem; }
 .meaning, figcaption { font-size: .875rem; opacity: .8; }
 .note { border-left: .25rem solid var(--bar); padding-left: .8rem; }
-.pictures, .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 16rem), 1fr)); gap: .8rem; }
+.pictures, .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(45%, 16rem), 1fr)); gap: .8rem; }
 .plots { grid-template-columns: repeat(auto-fit, minmax(min(100%, 21rem), 1fr)); }
 figure { margin: 0; break-inside: avoid; }
 figure img, figure svg { display: block; width: 100%; height: auto; }
@@ -91,18 +92,24 @@ def table_html(rows: Iterable[Sequence[str]], heads: Sequence[str] = (), styles:
     return "\n".join(['<div class="wide"><table>', *lines, *(row("td", cells) for cells in rows), "</table></div>"])
 
 
-def bars_html(values: dict[str, float], unit: str) -> str:
-    """Names with their values, largest first, as a table with a bar and the share of the sum for each."""
+def bars_html(values: dict[str, float], title: str, unit: str) -> str:
+    """Names with their values, largest first, as a table with a bar and the share of the sum for each.
+
+    title: what the names are, unit: what is counted.
+    """
     total = sum(values.values()) or 1.0
     most = max(values.values(), default=0) or 1.0
     rows = [
-        f'<tr><td>{escape(name)}</td><td class="number">{number(value, 2)} {escape(unit)}</td>'
+        f'<tr><td>{escape(name)}</td><td class="number">{number(value, 2)}</td>'
         f'<td class="number">{value / total:.0%}</td><td class="bars">'
         f'<span class="bar" style="width: {100 * max(value, 0) / most:.1f}%"></span></td></tr>'
         for name, value in sorted(values.items(), key=lambda item: -item[1])
     ]
-    whole = f'<tr><th>together</th><th class="number">{number(sum(values.values()), 2)} {escape(unit)}</th></tr>'
-    return "\n".join(['<div class="wide"><table style="width: 100%">', *rows, whole, "</table></div>"])
+    head = (
+        f'<tr><th>{escape(title)}</th><th class="number">{escape(unit)}</th><th class="number">share</th><th></th></tr>'
+    )
+    whole = f'<tr><th>together</th><th class="number">{number(sum(values.values()), 2)}</th><th></th><th></th></tr>'
+    return "\n".join(['<div class="wide"><table style="width: 100%">', head, *rows, whole, "</table></div>"])
 
 
 # Pictures -------------------------------------------------------------------------------------------------------------
@@ -187,4 +194,5 @@ def plot_html(figure: "Figure", caption: str) -> str:
     drawing = drawing[drawing.index("<svg") :].replace(INK, "currentColor")
     # Within HTML no namespaces are needed, and a reader who looks for addresses finds none.
     drawing = re.sub(r' xmlns(:\w+)?="[^"]*"', "", drawing).replace("xlink:href", "href")
-    return f'<figure role="img" aria-label="{escape(caption)}">{drawing}<figcaption>{escape(caption)}</figcaption></figure>'
+    caption = escape(caption)
+    return f'<figure role="img" aria-label="{caption}">{drawing}<figcaption>{caption}</figcaption></figure>'

@@ -112,6 +112,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
 
 def compared(image: TrainingImage, color: Tensor, restored: Tensor | None) -> Compared:
     """A view for a page, of its pictures (H, W, 3) in 0..1; restored: without the water, None where there is none."""
+
     def in_8_bits(x: Tensor) -> np.ndarray:
         return (x * 255).round().byte().numpy()
 
@@ -166,6 +167,7 @@ def machine(device: torch.device) -> dict[str, Any]:
         "device": name,
         "backend": found["auto"],
         "system": found["system"],
+        "engine": found["engine"],
         "python": found["python"],
         "packages": found["packages"],
     }

@@ -347,7 +347,7 @@ def test_evaluation_holds_what_it_promises(run, evaluation):
     assert 0 <= evaluation["floater_mass"] < 1
     assert (evaluation["registered"], evaluation["images"], evaluation["registered_share"]) == (10, 10, 1)
     assert evaluation["gaussians"] == metrics["gaussians"]
-    assert evaluation["seconds"] == metrics["seconds"]
+    assert evaluation["seconds"] == pytest.approx(metrics["seconds"], abs=1)
     assert evaluation["megabytes"]["result.ply"] == (folder / "result.ply").stat().st_size / 1e6
     assert evaluation["machine"]["packages"]["torch"] == torch.__version__
     assert set(evaluation["views"]) == {"view_00.png", "view_08.png"}
