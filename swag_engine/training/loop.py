@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..errors import InputError
 from ..evaluation.metrics import mean_score, median_control, score_views
+from ..files import claimed
 from ..formats.gltf import write_glb
 from ..formats.ply import write_ply
 from ..gaussians.cloud import GaussianCloud
@@ -68,12 +69,28 @@ def train(
     InputError for anything wrong with the scene, the folder or the disk.
     """
     started = time.monotonic() if started is None else started
-    run = RunFolder(out)
+    with claimed(out):
+        trainer = trainer_of(RunFolder(out), scene_folder, settings, resume, on_event, weights_dir, started)
+        return trainer.run_to_end(should_stop, preview)
+
+
+def trainer_of(
+    run: RunFolder,
+    scene_folder: Path,
+    settings: TrainSettings,
+    resume: bool,
+    on_event: Callable[[Event], None],
+    weights_dir: Path | None,
+    started: float,
+) -> "Trainer":
+    """The trainer of a new run, or of one as far as it came; arguments as of `train`."""
     longer = False
     if resume:
         settings, longer = resumed_settings(run, scene_folder, settings)
     elif run.config.exists():
-        raise InputError(f"{out} holds a training run already; continue it with --resume or choose another folder.")
+        raise InputError(
+            f"{run.path} holds a training run already; continue it with --resume or choose another folder."
+        )
     scene = load_scene(scene_folder)
     settings, budget = fit_budget(scene, settings.sized(), started)
     run.write_config(scene.folder, settings, scene.up.tolist())
@@ -85,7 +102,7 @@ def train(
         raise
     if resume:
         trainer.resume(longer)
-    return trainer.run_to_end(should_stop, preview)
+    return trainer
 
 
 def resumed_settings(run: RunFolder, scene_folder: Path, asked: TrainSettings) -> tuple[TrainSettings, bool]:

@@ -1,7 +1,6 @@
 """What a run leaves in its folder, and how it is found again."""
 
 import json
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,8 +61,6 @@ class RunFolder:
     def discard(self) -> None:
         """Take back a run that never began."""
         self.config.unlink(missing_ok=True)
-        with suppress(OSError):  # the folder may have been the user's, with other things in it
-            self.path.rmdir()
 
     def write_metrics(self, metrics: dict[str, Any]) -> None:
         write_json(self.metrics, metrics)

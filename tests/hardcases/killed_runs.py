@@ -1,0 +1,182 @@
+"""Kills training runs at any moment, and looks whether what they leave is whole and goes on as if nothing had been.
+
+    python tests/hardcases/killed_runs.py --kills 100 [--seed 0]        prints what was seen as JSON
+
+Linux. Each process is ended by SIGKILL at a random time, by SIGKILL before or after a random call that flushes, renames
+or removes a file, by the system in the middle of a random write, or is told in the middle of one that the disk is full.
+"""
+
+import argparse
+import json
+import os
+import random
+import resource
+import signal
+import sys
+import tempfile
+import threading
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
+
+from swag_engine.threads import wait_politely  # noqa: E402
+
+wait_politely()
+
+import torch  # noqa: E402
+from safetensors import safe_open  # noqa: E402
+from tiny import make_tiny_scene  # noqa: E402
+
+from swag_engine.errors import InputError  # noqa: E402
+from swag_engine.files import HALF, LOCK  # noqa: E402
+from swag_engine.formats.gltf import read_glb  # noqa: E402
+from swag_engine.formats.ply import read_ply  # noqa: E402
+from swag_engine.training import loop  # noqa: E402
+from swag_engine.training.checkpoint import checkpoints, load_checkpoint  # noqa: E402
+from swag_engine.training.config import Schedule, TrainSettings  # noqa: E402
+from swag_engine.training.run_folder import RunFolder  # noqa: E402
+
+SETTINGS = TrainSettings(iterations=40, width=48, max_gaussians=400, sh_degree=1)
+CALLS = ("fsync", "replace", "unlink")
+KINDS = ("moment", "call", "write", "full")
+REFUSED = 2
+
+
+def in_a_process(work: Callable[[], Any]) -> int:
+    """Exit status of a forked process that does `work`: 0, REFUSED for an InputError, 1 for a bug, or -signal."""
+    if pid := os.fork():
+        return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    try:
+        work()
+        os._exit(0)
+    except InputError as error:
+        print(error, file=sys.stderr)
+        os._exit(REFUSED)
+    except BaseException:
+        traceback.print_exc()
+        os._exit(1)
+
+
+def train(scene: Path, out: Path) -> None:
+    loop.train(scene, out, SETTINGS, resume=RunFolder(out).config.exists(), preview=True)
+
+
+def die() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def ending(kind: str, chance: random.Random, seconds: float) -> Callable[[], None]:
+    """What arranges for the end of the process that calls it; drawn here, so that a seed repeats it."""
+    share, size, number, after = (
+        chance.random(),
+        int(10 ** chance.uniform(1.5, 5.5)),
+        chance.randrange(40),
+        chance.random(),
+    )
+
+    def at_a_moment() -> None:
+        threading.Thread(target=lambda: (time.sleep(share * seconds), die()), daemon=True).start()
+
+    def at_a_call() -> None:
+        calls = iter(range(number, -1, -1))
+
+        def deadly(call: Callable[..., Any]) -> Callable[..., Any]:
+            def called(*arguments: Any, **named: Any) -> Any:
+                last = next(calls, 1) == 0
+                if last and after < 0.5:
+                    die()
+                result = call(*arguments, **named)
+                if last:
+                    die()
+                return result
+
+            return called
+
+        for name in CALLS:
+            setattr(os, name, deadly(getattr(os, name)))
+
+    def in_a_write() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_DFL if kind == "write" else signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+
+    return {"moment": at_a_moment, "call": at_a_call}.get(kind, in_a_write)
+
+
+def check_whole(out: Path) -> None:
+    """Every file that has its name is whole. Raises whatever says that it is not."""
+    for path in out.iterdir() if out.exists() else ():
+        if path.name.startswith("."):
+            assert path.name == LOCK or any(path.match(pattern) for pattern in HALF), path
+        elif path.suffix == ".json":
+            json.loads(path.read_text())
+        elif path.suffix == ".ply":
+            assert len(read_ply(path).positions)
+        elif path.suffix == ".glb":
+            assert len(read_glb(path).positions)
+        elif path.suffix == ".safetensors":
+            with safe_open(path, framework="pt") as stored:
+                assert all(len(stored.get_tensor(name).shape) >= 0 for name in stored.keys())  # noqa: SIM118
+        else:
+            assert path.name == "metrics.jsonl", path
+
+
+def check_equal(out: Path, expected: Path) -> None:
+    """A run that came to its end is the one that nobody killed."""
+    assert (out / "result.ply").read_bytes() == (expected / "result.ply").read_bytes()
+    assert (out / "result.glb").read_bytes() == (expected / "result.glb").read_bytes()
+    (got, _), (want, _) = load_checkpoint(out), load_checkpoint(expected)
+    assert got.keys() == want.keys() and all(torch.equal(tensor, got[name]) for name, tensor in want.items())
+    assert not [path.name for path in out.iterdir() if path.name.startswith(".")]
+    for line in (out / "metrics.jsonl").read_text().splitlines():
+        json.loads(line)
+
+
+def killed_runs(folder: Path, kills: int, seed: int) -> dict[str, Any]:
+    """Kill so many processes and return the counts. Raises AssertionError for anything lost."""
+    loop.Schedule = lambda: Schedule(checkpoint_seconds=0.01, preview_seconds=0.03)
+    torch.set_num_threads(1)
+    chance, seen = random.Random(seed), Counter()
+    scene = make_tiny_scene(folder / "scene", width=48, height=36, points=200)
+    started = time.monotonic()
+    assert in_a_process(lambda: train(scene, folder / "expected")) == 0
+    seconds = time.monotonic() - started
+    number, turn = 0, 0
+    while sum(seen[kind] for kind in KINDS) < kills:
+        turn += 1
+        out = folder / f"run {number}"
+        kind = KINDS[turn % len(KINDS)]
+        arrange = ending(kind, chance, seconds)
+        had = len(checkpoints(out))
+        status = in_a_process(lambda out=out, arrange=arrange: (arrange(), train(scene, out)))
+        wanted = {"full": REFUSED, "write": -signal.SIGXFSZ}.get(kind, -signal.SIGKILL)
+        assert status in (0, wanted), f"{kind}: exit status {status}"
+        seen[kind] += status == wanted
+        check_whole(out)
+        assert len(checkpoints(out)) >= min(had, 1), "a checkpoint is gone"
+        config = RunFolder(out).config
+        if config.exists() and RunFolder(out).finished():
+            seen["finished"] += 1
+            if status == wanted:  # the last thing that the process did was to finish
+                in_a_process(lambda out=out: [path.unlink() for path in out.glob(".*")])
+            check_equal(out, folder / "expected")
+            number += 1
+    out = folder / f"run {number}"
+    assert in_a_process(lambda: train(scene, out)) == 0
+    check_equal(out, folder / "expected")
+    return {"kills": sum(seen[kind] for kind in KINDS), **seen, "finished": seen["finished"] + 1}
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        os.environ["SWAG_CACHE_DIR"] = f"{temporary}/cache"
+        print(json.dumps(killed_runs(Path(temporary), options.kills, options.seed), indent=2))
