@@ -93,6 +93,26 @@ class Plan:
 
 
 @dataclass(frozen=True)
+class Forecast:
+    """Say how long each preset will take here and how good it will be, from a first look of some seconds."""
+
+    scene: tyro.conf.Positional[Path]
+    """Folder of the scene: photographs and a COLMAP model."""
+    settings: tyro.conf.OmitArgPrefixes[TrainSettings] = field(default_factory=TrainSettings)
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .evaluation.forecast import describe, forecast_scene
+        from .progress import stage_progress
+
+        with stage_progress() as progress:
+            forecast = forecast_scene(self.scene, self.settings, progress)
+        show(forecast, self.json, describe(forecast))
+        return 0
+
+
+@dataclass(frozen=True)
 class Train:
     """Train a scene; the run folder holds result.ply, result.glb, metrics and checkpoints."""
 
@@ -109,20 +129,15 @@ class Train:
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
-        from .evaluation.report import report_of
+        from .evaluation.reported import train_and_report
         from .progress import training_progress
-        from .training.loop import train
 
         should_stop = stop_on_interrupt()
         with training_progress() as on_event:
-            result = train(
+            result = train_and_report(
                 self.scene, self.out, self.settings, self.resume, on_event, should_stop,
                 weights_dir=self.weights_dir, started=STARTED,
             )  # fmt: skip
-        report, problem = report_of(self.out)
-        if problem:
-            print(problem, file=sys.stderr)
-        result["report"] = report and str(report)
         metrics = result["metrics"]
         quality = (
             f"Held-out views: PSNR {metrics['test_psnr']:.2f} dB, SSIM {metrics['test_ssim']:.3f} "
@@ -135,7 +150,7 @@ class Train:
             f"{metrics['water'] or 'The water is left in the colours.'}\n"
             f"{''.join(note + chr(10) for note in metrics['notes'])}"
             f"Result: {result['ply']}"
-            f"{chr(10) + 'Report: ' + result['report'] if report else ''}"
+            f"{chr(10) + 'Report: ' + result['report'] if result['report'] else ''}"
         )
         show(result, self.json, text)
         return INTERRUPTED if result["interrupted"] else 0
@@ -388,7 +403,9 @@ class Doctor:
         return 0
 
 
-COMMANDS = (Inspect, Sfm, Plan, Train, Evaluate, Report, Ablate, Render, Label, Search, Extract, Export, Doctor)
+COMMANDS = (
+    Inspect, Sfm, Plan, Forecast, Train, Evaluate, Report, Ablate, Render, Label, Search, Extract, Export, Doctor
+)  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -30,6 +30,14 @@ class TrainRequest:
 
 
 @dataclass(frozen=True)
+class ForecastRequest:
+    """Say what each preset would take and reach on `scene`."""
+
+    scene: Path
+    settings: TrainSettings = field(default_factory=TrainSettings)
+
+
+@dataclass(frozen=True)
 class ExportRequest:
     """Write the result of the run folder `run` to the file `out`."""
 
@@ -62,10 +70,20 @@ class GoOnRequest:
     """Go on after `pause`."""
 
 
-Request = InspectRequest | TrainRequest | ExportRequest | SearchRequest | CancelRequest | PauseRequest | GoOnRequest
+Request = (
+    InspectRequest
+    | TrainRequest
+    | ForecastRequest
+    | ExportRequest
+    | SearchRequest
+    | CancelRequest
+    | PauseRequest
+    | GoOnRequest
+)
 REQUESTS: dict[str, type[Request]] = {
     "inspect": InspectRequest,
     "train": TrainRequest,
+    "forecast": ForecastRequest,
     "export": ExportRequest,
     "search": SearchRequest,
     "cancel": CancelRequest,

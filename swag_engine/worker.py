@@ -15,6 +15,7 @@ from .errors import InputError
 from .protocol import (
     CancelRequest,
     ExportRequest,
+    ForecastRequest,
     GoOnRequest,
     InspectRequest,
     PauseRequest,
@@ -106,16 +107,16 @@ class Worker:
         if isinstance(request, InspectRequest):
             return inspect(request.scene, request.arrays)
         if isinstance(request, TrainRequest):
-            from .evaluation.report import report_of
-            from .training.loop import train
+            from .evaluation.reported import train_and_report
 
-            result = train(
+            return train_and_report(
                 request.scene, request.out, request.settings, request.resume, self.send, self.should_stop, preview=True
             )
-            report, problem = report_of(request.out)
-            if problem:
-                print(problem, file=sys.stderr)
-            return result | {"report": report and str(report)}
+        if isinstance(request, ForecastRequest):
+            from .evaluation.forecast import forecast_scene
+
+            forecast = forecast_scene(request.scene, request.settings, self.progress)
+            return {"event": "result", "request": "forecast", "scene": str(request.scene)} | forecast
         if isinstance(request, SearchRequest):
             from .semantics.run import search_run, write_similarity
 
@@ -127,6 +128,12 @@ class Worker:
 
         export_run(request.run, request.format, request.out)
         return {"event": "result", "request": "export", "out": str(request.out)}
+
+    def progress(self, stage: str, fraction: float) -> None:
+        """A `progress` event of something that is not a training."""
+        self.send(
+            {"event": "progress", "stage": stage, "text": stage, "iteration": round(100 * fraction), "iterations": 100}
+        )
 
 
 def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:

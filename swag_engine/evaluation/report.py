@@ -45,7 +45,7 @@ def write_report(folder: Path) -> Path:
     run = RunFolder(folder)
     scene_folder, settings, _ = run.read_config()
     cloud, medium, state = newest(folder)
-    metrics = _optional(run.metrics)
+    metrics, forecast = _optional(run.metrics), _optional(folder / "forecast.json")
     evaluation = _optional(folder / "evaluation.json")
     if evaluation.get("iteration") != state["iteration"]:
         evaluation = {}
@@ -63,8 +63,8 @@ def write_report(folder: Path) -> Path:
     where = machine(cloud.means.device)
     parts = [
         *_summary(scene_folder, metrics, state, len(cloud)),
-        *_curves(log, metrics),
-        *_forecast(metrics),
+        *_curves(log, _ranges(forecast)),
+        *_forecast(forecast),
         *_held_out(evaluation, views, pictures),
         *_ledger(metrics.get("ledger", {})),
         *_effects(_optional(folder / "plan.json").get("effects", {})),
@@ -126,7 +126,7 @@ def _summary(scene: Path, metrics: dict[str, Any], state: dict[str, Any], gaussi
     return [*map(paragraph_html, lines), *(paragraph_html(note, "note") for note in notes)]
 
 
-def _curves(log: Sequence[dict[str, Any]], metrics: dict[str, Any]) -> list[str]:
+def _curves(log: Sequence[dict[str, Any]], forecast: dict[str, list[float]]) -> list[str]:
     """Quality and size against seconds, as the validation views saw them during the run."""
     if not log:
         return []
@@ -139,7 +139,7 @@ def _curves(log: Sequence[dict[str, Any]], metrics: dict[str, Any]) -> list[str]
     ):
         figure, axes = new_plot("seconds", axis)
         axes.plot(seconds, [entry[key] for entry in log], "o-", color=BLUE, markersize=4)
-        if key == "psnr" and (forecast := _ranges(metrics)) and {"seconds", "psnr"} <= set(forecast):
+        if key == "psnr" and {"seconds", "psnr"} <= set(forecast):
             (early, _, late), (low, _, high) = forecast["seconds"], forecast["psnr"]
             axes.fill_between([early, late], low, high, alpha=0.2, color=INK, linewidth=0)
             caption += "; grey: where the forecast saw its end"
@@ -155,21 +155,20 @@ def _curves(log: Sequence[dict[str, Any]], metrics: dict[str, Any]) -> list[str]
     return lines
 
 
-def _ranges(metrics: dict[str, Any]) -> dict[str, list[float]]:
+def _ranges(forecast: dict[str, Any]) -> dict[str, list[float]]:
     """Those figures of the forecast that have a low, a likely and a high value."""
-    forecast = metrics.get("forecast") or {}
-    return {name: value for name, value in forecast.items() if isinstance(value, list) and len(value) == 3}
-
-
-def _forecast(metrics: dict[str, Any]) -> list[str]:
-    titles = {
-        "seconds": ("Time, s", 0, metrics.get("seconds")),
-        "psnr": ("Validation PSNR, dB", 2, metrics.get("psnr")),
-        "memory_mb": ("Memory, MB", 0, metrics.get("memory_mb")),
+    return {
+        name: value
+        for name, value in forecast.get("expected", {}).items()
+        if isinstance(value, list) and len(value) == 3
     }
-    ranges, rows = _ranges(metrics), []
-    for name, (title, digits, outcome) in titles.items():
-        likely = (metrics.get("forecast") or {}).get(name)
+
+
+def _forecast(forecast: dict[str, Any]) -> list[str]:
+    titles = {"seconds": ("Time, s", 0), "psnr": ("Validation PSNR, dB", 2), "memory_mb": ("Memory, MB", 0)}
+    ranges, rows = _ranges(forecast), []
+    for name, (title, digits) in titles.items():
+        likely, outcome = forecast.get("expected", {}).get(name), forecast.get("outcome", {}).get(name)
         if name in ranges:
             low, likely, high = ranges[name]
             span = f"{number(low, digits)} to {number(high, digits)}"

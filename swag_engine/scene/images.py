@@ -160,10 +160,14 @@ def _undistorted(view: View, mask_path: Path | None, width: int | None) -> tuple
     return pixels, valid
 
 
+def cache_root() -> Path:
+    """The user's cache folder, or SWAG_CACHE_DIR."""
+    return Path(os.environ.get("SWAG_CACHE_DIR") or platformdirs.user_cache_dir("swag_splatting", appauthor=False))
+
+
 def cache_folder(scene: Scene, kind: str) -> Path:
     """The folder of the user's cache (or of SWAG_CACHE_DIR) for what is made of one scene's photographs."""
-    root = os.environ.get("SWAG_CACHE_DIR") or platformdirs.user_cache_dir("swag_splatting", appauthor=False)
-    return Path(root) / kind / hashlib.sha256(str(scene.folder).encode()).hexdigest()[:16]
+    return cache_root() / kind / hashlib.sha256(str(scene.folder).encode()).hexdigest()[:16]
 
 
 def _read_cached(path: Path) -> tuple[np.ndarray, np.ndarray] | None:

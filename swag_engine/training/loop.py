@@ -275,7 +275,7 @@ class Trainer:
 
     def learning_rates(self, fraction: float) -> dict[str, float]:
         """Step size by name, `fraction` (0..1) of the way through the run."""
-        rates = LearningRates().scaled(self.clock.iterations)
+        rates = asdict(LearningRates())
         end = rates.pop("means_end")
         rates["means"] *= (end / rates["means"]) ** fraction * self.median_range
         if self.objective.in_stage_two(fraction):

@@ -9,7 +9,7 @@ from swag_engine.errors import InputError
 from swag_engine.training import clock as clock_module
 from swag_engine.training import loop
 from swag_engine.training.clock import REPLANNED, Clock, is_flat
-from swag_engine.training.config import LearningRates, TrainSettings
+from swag_engine.training.config import TrainSettings
 from swag_engine.training.loop import train
 from swag_engine.training.presets import LADDER, PRESETS, seconds_of, size_at
 from swag_engine.training.speed import Extent, Speed, predicted_seconds
@@ -47,13 +47,6 @@ def test_sizes_between_presets_grow_in_everything():
         assert smaller.iterations < larger.iterations
         assert smaller.width < larger.width
         assert smaller.max_gaussians < larger.max_gaussians
-
-
-def test_long_runs_take_smaller_steps():
-    rates = LearningRates()
-    assert LearningRates().scaled(500)["sh0"] == rates.sh0
-    assert rates.scaled(4000)["sh0"] == pytest.approx(rates.sh0 / 2)
-    assert rates.scaled(4000)["means"] / rates.scaled(4000)["means_end"] == pytest.approx(100)
 
 
 @pytest.mark.parametrize("slowness", [0.3, 1.0, 5.0])
