@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -75,9 +75,23 @@ def progress_line(event: dict[str, Any]) -> str:
     """One `progress` event in words."""
     if event["stage"] == "load":
         return f"Photograph {event['iteration']} of {event['iterations']}"
-    psnr = f"{event['psnr']:.2f} dB" if event["psnr"] is not None else "not yet"
+    psnr = f"{event['psnr']:.2f} dB {sparkline(event['curve'])}" if event["psnr"] is not None else "not yet"
+    more = event["next_minute_db"]
+    if more is not None:
+        psnr += f", a minute more: +{more:.2f} dB"
     minutes, seconds = divmod(round(event["seconds_left"]), 60)
     return (
         f"loss {event['loss']:.4f}  validation PSNR {psnr}  {event['gaussians']} Gaussians  "
         f"{event['iterations_per_second']:.1f} iterations/s  {minutes}:{seconds:02d} left"
     )
+
+
+BARS = "▁▂▃▄▅▆▇█" if (sys.stderr.encoding or "").lower().startswith("utf") else "_.-=*#"
+
+
+def sparkline(curve: Sequence[tuple[float, float, float]]) -> str:
+    """The PSNR of a run so far as a row of bars, one for each validation; curve as in training.clock."""
+    values = [psnr for *_, psnr in curve]
+    least, most = min(values), max(values)
+    steps = len(BARS) - 1
+    return "".join(BARS[round(steps * (value - least) / max(most - least, 1e-9))] for value in values)

@@ -1,6 +1,7 @@
 """How far a run is: by its iterations or, under a time budget, by how many of them still fit."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 REPLANNED = 10
@@ -60,8 +61,23 @@ class Clock:
             self.fraction = 1.0
 
 
-def is_flat(curve: list[tuple[float, float]]) -> bool:
-    """Whether the last FLAT_SHARE of a run brought nothing; curve: (fraction of the run, validation PSNR in dB)."""
+Point = tuple[float, float, float]
+"""Of the curve of a run: fraction of the run, seconds, validation PSNR in dB."""
+
+
+def is_flat(curve: Sequence[Point]) -> bool:
+    """Whether the last FLAT_SHARE of a run brought nothing."""
     last = curve[-1][0]
-    earlier = [psnr for fraction, psnr in curve if fraction <= last - FLAT_SHARE + 1e-6]
-    return bool(earlier) and max(psnr for _, psnr in curve) - max(earlier) < FLAT_DB
+    earlier = [psnr for fraction, _, psnr in curve if fraction <= last - FLAT_SHARE + 1e-6]
+    return bool(earlier) and max(psnr for *_, psnr in curve) - max(earlier) < FLAT_DB
+
+
+def next_minute(curve: Sequence[Point]) -> float | None:
+    """Decibels that another minute should bring, as quality rose with the logarithm of time over the last three points;
+    None before there are two."""
+    if len(curve) < 2 or curve[-1][1] <= 0:
+        return None
+    (_, before, low), (_, now, high) = curve[-3:][0], curve[-1]
+    if not 0 < before < now:
+        return None
+    return max(0.0, (high - low) / math.log(now / before)) * math.log1p(60 / now)

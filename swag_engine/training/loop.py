@@ -32,7 +32,7 @@ from ..water.medium import MAX_DEGREE, SETTINGS, Medium
 from ..water.network import WaterNetwork
 from .budget import Budget, fit_budget
 from .checkpoint import load_checkpoint, save_checkpoint
-from .clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, is_flat
+from .clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, Point, is_flat, next_minute
 from .config import LearningRates, Schedule, TrainSettings
 from .guard import Guard
 from .objective import Objective
@@ -173,7 +173,7 @@ class Trainer:
             take_water_away(cloud, medium, self.training)
         self.objective = Objective(recipe, self.median_range, order, settings.backend)
         self.notes: list[str] = []
-        self.curve: list[tuple[float, float]] = []
+        self.curve: list[Point] = []
         self.depth: dict[str, np.ndarray] = {}
         self.frames: list[TrainingImage] = []
         if recipe.depth:
@@ -423,6 +423,8 @@ class Trainer:
             "loss": loss,
             "psnr": self.psnr,
             "ssim": self.ssim,
+            "curve": self.curve,
+            "next_minute_db": next_minute(self.curve),
             "gaussians": len(self.cloud),
             "iterations_per_second": round(speed, 2),
         }
@@ -432,7 +434,7 @@ class Trainer:
         started, seconds = time.monotonic(), self.seconds
         scores = score_views(self.cloud, self.validation, self.settings.sh_degree, self.settings.backend, self.medium)
         self.psnr, self.ssim = mean_score(scores)
-        self.curve.append((self.clock.fraction, self.psnr))
+        self.curve.append((round(self.clock.fraction, 4), round(seconds, 2), self.psnr))
         if self.budget:
             each = (time.monotonic() - started) / len(self.validation)
             self.budget.held_out = each * (len(self.validation) + len(self.test))

@@ -1,14 +1,16 @@
 """A run that is limited by time: what it chooses, that it ends when it should, and what may follow."""
 
+import math
 from dataclasses import replace
 
 import pytest
 
 from swag_engine import timing
 from swag_engine.errors import InputError
+from swag_engine.progress import BARS, sparkline
 from swag_engine.training import clock as clock_module
 from swag_engine.training import loop
-from swag_engine.training.clock import REPLANNED, Clock, is_flat
+from swag_engine.training.clock import REPLANNED, Clock, is_flat, next_minute
 from swag_engine.training.config import TrainSettings
 from swag_engine.training.loop import train
 from swag_engine.training.presets import LADDER, PRESETS, seconds_of, size_at
@@ -99,10 +101,19 @@ def test_a_finished_run_goes_on_for_longer(tiny_scene, tmp_path):
 
 
 def test_a_flat_curve():
-    rising = [(0.1 * step, 20 + 0.1 * step) for step in range(1, 9)]
+    rising = [(0.1 * step, 5 * step, 20 + 0.1 * step) for step in range(1, 9)]
     assert not is_flat(rising)
     assert not is_flat(rising[:1])
-    assert is_flat([*rising, (0.9, 20.8), (1.0, 20.81)])
+    assert is_flat([*rising, (0.9, 45, 20.8), (1.0, 50, 20.81)])
+
+
+def test_what_another_minute_brings():
+    curve = [(0.1, 30, 20.0), (0.2, 60, 21.0), (0.4, 120, 22.0)]  # a decibel with each doubling
+    assert next_minute(curve) == pytest.approx(math.log2(180 / 120))
+    assert next_minute([*curve, (0.5, 150, 21.9), (0.6, 180, 21.9)]) == 0
+    assert next_minute(curve[:1]) is None
+    bars = sparkline(curve)
+    assert (bars[0], bars[-1], len(bars)) == (BARS[0], BARS[-1], 3)
 
 
 def test_a_run_ends_early_when_its_curve_is_flat(tiny_scene, tmp_path, monkeypatch):
