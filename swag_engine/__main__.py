@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from .errors import InputError
+from .evaluation.grid import Grid
 from .formats.export import ExportOptions, export_run
 from .formats.export import describe as describe_export
 from .protocol import ExportFormat
@@ -231,6 +232,43 @@ class Ablate:
 
 
 @dataclass(frozen=True)
+class Tradeoff:
+    """Train presets x sizes x effects, score all at one width, and draw which of them no other beats.
+
+    Writes tradeoff.png, .csv, .html and .json. Started again, it goes on where it stopped.
+    """
+
+    scene: tyro.conf.Positional[Path]
+    """Folder of the scene: photographs and a COLMAP model."""
+    out: Path
+    """Folder of the runs and of the charts."""
+    grid: tyro.conf.OmitArgPrefixes[Grid] = field(default_factory=Grid)
+    score_width: int = 0
+    """Width in pixels that all runs are scored at; 0: the widest that is trained at."""
+    weights_dir: Path | None = None
+    """Folder of lpips-alex.safetensors and other pretrained networks; the user's cache folder without it."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        from .evaluation.tradeoff import describe, tradeoff
+
+        def told(name: str, row: dict[str, Any]) -> None:
+            print(f"{name}: {row['seconds']:.0f} s, PSNR {row['psnr']:.2f} dB", file=sys.stderr, flush=True)
+
+        document = tradeoff(
+            self.scene, self.out, self.grid, self.score_width, self.weights_dir, told, stop_on_interrupt()
+        )
+        text = (
+            f"{describe(document)}\nPage: {self.out / 'tradeoff.html'}"
+            if document["rows"]
+            else "Nothing has ended yet."
+        )
+        show(document, self.json, text)
+        return INTERRUPTED if document["interrupted"] else 0
+
+
+@dataclass(frozen=True)
 class Render:
     """Render the views of a run to PNG files."""
 
@@ -404,7 +442,8 @@ class Doctor:
 
 
 COMMANDS = (
-    Inspect, Sfm, Plan, Forecast, Train, Evaluate, Report, Ablate, Render, Label, Search, Extract, Export, Doctor
+    Inspect, Sfm, Plan, Forecast, Train, Evaluate, Report, Ablate, Tradeoff, Render, Label, Search, Extract, Export,
+    Doctor,
 )  # fmt: skip
 
 

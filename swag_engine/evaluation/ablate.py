@@ -92,7 +92,23 @@ def _figures(
     scene: Path, folder: Path, settings: TrainSettings, weights_dir: Path | None, should_stop: Callable[[], bool]
 ) -> dict[str, Any] | None:
     """The figures of one run, made or found; None where it was stopped before its end."""
-    run = RunFolder(folder)
+    metrics = metrics_of_run(scene, folder, settings, weights_dir, should_stop)
+    if metrics is None:
+        return None
+    stored = folder / "evaluation.json"
+    evaluation = read_json(stored, "") if stored.exists() else evaluate_run(folder, weights_dir)
+    values = metrics | {"floater_mass": evaluation["floater_mass"], "delta_e": evaluation["restored"]["delta_e"]}
+    return {name: values[name] for name in FIGURES} | {"water": metrics["water"], "notes": metrics["notes"]}
+
+
+def metrics_of_run(
+    scene: Path, folder: Path, settings: TrainSettings, weights_dir: Path | None, should_stop: Callable[[], bool]
+) -> dict[str, Any] | None:
+    """metrics.json of a run: made, gone on with, or found finished; None where it was stopped before its end.
+
+    Raises InputError as train does, and where the folder holds a run of another scene or of other settings.
+    """
+    run, settings = RunFolder(folder), settings.sized()
     if should_stop():
         return None
     if run.config.exists():
@@ -103,11 +119,7 @@ def _figures(
         result = train(scene, folder, settings, run.config.exists(), should_stop=should_stop, weights_dir=weights_dir)
         if result["interrupted"]:
             return None
-    metrics = read_json(run.metrics, f"{folder} has no figures: delete it.")
-    stored = folder / "evaluation.json"
-    evaluation = read_json(stored, "") if stored.exists() else evaluate_run(folder, weights_dir)
-    values = metrics | {"floater_mass": evaluation["floater_mass"], "delta_e": evaluation["restored"]["delta_e"]}
-    return {name: values[name] for name in FIGURES} | {"water": metrics["water"], "notes": metrics["notes"]}
+    return read_json(run.metrics, f"{folder} has no figures: delete it.")
 
 
 def _summary(row: Row, figures: list[dict[str, Any]]) -> dict[str, Any]:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 FULL_ERROR = 51
 """Difference in 8-bit values (a fifth of all) from which on the error map is brightest."""
 NONE = "–"
+BLUE = "#2a7f9e"
+"""Colour of curves and bars, which shows on light and dark."""
 INK = "#010203"
 """Colour of text and axes in a plot, which becomes that of the page around it, light or dark."""
 
@@ -167,19 +169,20 @@ def _image(pixels: np.ndarray, style: str = "") -> str:
 # Plots ----------------------------------------------------------------------------------------------------------------
 
 
-def new_plot(x: str, y: str, width: float = 4.6, height: float = 3.0) -> "tuple[Figure, Axes]":
-    """An empty plot with named axes, in inches; ink is INK."""
+def new_plots(x: str, *ys: str) -> "tuple[Figure, list[Axes]]":
+    """An empty plot for each of `ys`, side by side, all against x; ink is INK."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context({name: INK for name in ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color",
-                                            "ytick.color")}):  # fmt: skip
-        figure = Figure((width, height), layout="constrained")
-        axes = figure.add_subplot()
-        axes.set(xlabel=x, ylabel=y)
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.grid(alpha=0.25, linewidth=0.6, color="#888888")
-    return figure, axes
+    with rc_context({"text.color": INK, "axes.edgecolor": INK, "axes.labelcolor": INK, "xtick.color": INK,
+                     "ytick.color": INK}):  # fmt: skip
+        figure = Figure((4.6 * len(ys), 3.0), layout="constrained")
+        plots = [figure.add_subplot(1, len(ys), column + 1) for column in range(len(ys))]
+        for axes, y in zip(plots, ys, strict=True):
+            axes.set(xlabel=x, ylabel=y)
+            axes.spines[["top", "right"]].set_visible(False)
+            axes.grid(alpha=0.25, linewidth=0.6, color="#888888")
+    return figure, plots
 
 
 def plot_html(figure: "Figure", caption: str) -> str:

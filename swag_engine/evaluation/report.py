@@ -17,10 +17,11 @@ from ..training.run_folder import RunFolder, read_json
 from .evaluation_page import figure_rows, machine_line, view_table
 from .metrics import picture
 from .page import (
+    BLUE,
     INK,
     Compared,
     bars_html,
-    new_plot,
+    new_plots,
     number,
     paragraph_html,
     plot_html,
@@ -33,7 +34,6 @@ from .run import compared, machine, newest
 PAGE = "report.html"
 SHOWN = 6
 """Held-out views that are shown as pictures, from the worst to the best: the report takes seconds in any scene."""
-BLUE = "#2a7f9e"
 
 
 def write_report(folder: Path) -> Path:
@@ -137,7 +137,7 @@ def _curves(log: Sequence[dict[str, Any]], forecast: dict[str, list[float]]) -> 
         ("ssim", "validation SSIM", "Validation SSIM against training time"),
         ("gaussians", "Gaussians", "Number of Gaussians against training time"),
     ):
-        figure, axes = new_plot("seconds", axis)
+        figure, (axes,) = new_plots("seconds", axis)
         axes.plot(seconds, [entry[key] for entry in log], "o-", color=BLUE, markersize=4)
         if key == "psnr" and {"seconds", "psnr"} <= set(forecast):
             (early, _, late), (low, _, high) = forecast["seconds"], forecast["psnr"]

@@ -154,7 +154,7 @@ def test_every_door_leaves_a_report_and_none_is_spoiled_by_it(tiny_scene, tmp_pa
     assert worker("b")["report"] == str(tmp_path / "b" / "report.html")
     capsys.readouterr()
 
-    monkeypatch.setattr(module, "new_plot", lambda *a: 1 / 0)
+    monkeypatch.setattr(module, "new_plots", lambda *a: 1 / 0)
     assert main(command("c")) == 0
     printed = capsys.readouterr()
     assert "Done" in printed.out and "Report" not in printed.out
