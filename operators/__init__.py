@@ -10,15 +10,19 @@ from . import (
     inspect_scene,
     install_engine,
     labels,
+    plan,
     prepare_render,
+    show_log,
     train,
 )
 
 _MODULES = (
     inspect_scene,
     import_scene,
+    plan,
     train,
     cancel,
+    show_log,
     import_splats,
     labels,
     prepare_render,

@@ -1,4 +1,4 @@
-"""Stop the job that runs; what exists so far is kept."""
+"""Stop the job that runs, with what exists kept, or hold it for a while."""
 
 import bpy
 
@@ -22,4 +22,22 @@ class SWAG_OT_cancel(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (SWAG_OT_cancel,)
+class SWAG_OT_pause(bpy.types.Operator):
+    """Hold the training where it is, or let a held one go on; its result is the same as without"""
+
+    bl_idname = "swag.pause"
+    bl_label = "Pause or Go On"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        status = context.window_manager.swag
+        cls.poll_message_set("No training is running")
+        return status.job == "Training" and not status.stopping
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        status = context.window_manager.swag
+        status.paused = not status.paused
+        return {"FINISHED"}
+
+
+CLASSES = (SWAG_OT_cancel, SWAG_OT_pause)

@@ -5,30 +5,41 @@ from typing import Any
 
 import bpy
 
-from ..swag_blender.engine_process import EngineError, run_request
+from ..swag_blender.engine_process import Engine, EngineError
+from ..swag_blender.job import Job
 
 
-class SWAG_OT_inspect_scene(bpy.types.Operator):
+class SWAG_OT_inspect_scene(Job, bpy.types.Operator):
     """Say what the folder holds: photographs, cameras, points, and what is wrong with them"""
 
     bl_idname = "swag.inspect_scene"
     bl_label = "Check Photographs"
     bl_options = {"REGISTER"}
+    job = "Check"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.run_waiting(context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.run_waiting(context) if bpy.app.background else self.run_modal(context)
+
+    def start(self, context: bpy.types.Context) -> Engine:
         swag = context.scene.swag
         swag.found = ""
-        try:
-            if not swag.scene_folder:
-                raise EngineError("Choose the folder with the photographs and their COLMAP model first.")
-            with tempfile.TemporaryDirectory() as arrays:
-                result = run_request({"request": "inspect", "scene": swag.scene_path, "arrays": arrays})
-        except EngineError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        swag.found = describe(result)
-        self.report({"INFO"}, swag.found.splitlines()[0])
-        return {"FINISHED"}
+        if not swag.scene_folder:
+            raise EngineError("Choose the folder with the photographs and their COLMAP model first.")
+        self._scene = context.scene.name
+        self._arrays = tempfile.TemporaryDirectory()
+        engine = Engine()
+        engine.send({"request": "inspect", "scene": swag.scene_path, "arrays": self._arrays.name})
+        return engine
+
+    def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
+        self._arrays.cleanup()
+        found = describe(event)
+        if scene := bpy.data.scenes.get(self._scene):
+            scene.swag.found = found
+        return f"{found.splitlines()[0]}."
 
 
 def describe(result: dict[str, Any]) -> str:

@@ -50,8 +50,11 @@ def environment_python() -> Path:
 
 
 def environment_is_whole() -> bool:
-    """Whether an installation came to its end: make_environment.py writes this file last."""
-    return (environment_folder() / "installed.json").is_file()
+    """Whether an installation came to its end: make_environment.py writes installed.json last.
+
+    The Python in it is gone when the Blender that made it is.
+    """
+    return (environment_folder() / "installed.json").is_file() and environment_python().exists()
 
 
 @functools.cache

@@ -14,6 +14,8 @@ TIMER_SECONDS = 0.1
 # A redraw can take long on a machine without a graphics card.
 REDRAW_SECONDS = 0.5
 PRINT_SECONDS = 1.0
+# What the engine wrote during the last job.
+last_log: list[str] = []
 
 
 class Job:
@@ -62,7 +64,10 @@ class Job:
 
         try:
             with self.start(context) as engine:
-                result = wait_for_result(engine, on_event)
+                try:
+                    result = wait_for_result(engine, on_event)
+                finally:
+                    keep_log(engine)
             return self._succeed(context, result)
         except (EngineError, InputError) as error:
             return self._fail(context, error)
@@ -79,7 +84,7 @@ class Job:
             self._engine = self.start(context)
         except (EngineError, InputError) as error:
             return self._fail(context, error)
-        self._drawn = 0.0
+        self._drawn, self._paused = 0.0, False
         self._timer = context.window_manager.event_timer_add(TIMER_SECONDS, window=context.window)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
@@ -94,6 +99,10 @@ class Job:
             return {"PASS_THROUGH"}
         if status.stopping:
             self._engine.cancel()
+        elif status.paused != self._paused:
+            self._paused = status.paused
+            self._engine.send({"request": "pause" if self._paused else "go_on"})
+            redraw(context)
         try:
             outcome = self._follow(context)
         except (EngineError, InputError) as error:
@@ -129,6 +138,7 @@ class Job:
 
     def _close(self, context: bpy.types.Context) -> None:
         self._engine.stop()
+        keep_log(self._engine)
         with contextlib.suppress(ReferenceError, RuntimeError):
             context.window_manager.event_timer_remove(self._timer)
 
@@ -142,6 +152,11 @@ class Job:
         context.window_manager.swag.end(str(error), True)
         self.report({"ERROR"}, str(error))
         return {"CANCELLED"}
+
+
+def keep_log(engine: Engine) -> None:
+    """Keep what the engine wrote, for Show Log."""
+    last_log[:] = engine.log
 
 
 def redraw(context: bpy.types.Context) -> None:

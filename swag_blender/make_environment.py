@@ -1,22 +1,37 @@
-"""Make the engine's Python environment: `python make_environment.py FOLDER REQUIREMENTS CONSTRAINTS`.
+"""Make the engine's Python environment: `python make_environment.py TASK`, with the task as JSON.
 
-A child process of Install Engine, with the worker's manners: events as JSON lines on stdout, the log on stderr, and an
-end when stdin closes or `{"request": "cancel"}` comes. Standard library only; it runs under Blender's own Python.
-`FOLDER/installed.json` is written last: without it the environment is not whole. What a broken run downloaded, pip
-keeps in its cache, so that a second try goes on from there.
+A child process of Install Engine, with the worker's manners: events as JSON lines on stdout, the log on stderr (and in
+FOLDER/install.log), and an end when stdin closes or `{"request": "cancel"}` comes. Standard library only; it runs under
+Blender's own Python.
+
+pip says which wheels are needed and where they are; they are fetched here, so that their size is known beforehand, a
+download that broke off goes on where it stopped, and pip installs from files alone. `FOLDER/installed.json` is written
+last: without it the environment is not whole.
 """
 
+import contextlib
+import hashlib
+import http.client
 import json
 import os
+import re
+import shutil
+import ssl
 import subprocess
 import sys
 import threading
+import time
+import urllib.error
+import urllib.request
 from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlparse
 
-CHECK = (
-    "import cv2, numpy, platformdirs, pycolmap, rich, safetensors, scipy, sys, torch, tyro;"
-    " print(sys.version.split()[0], torch.__version__)"
-)
+# Seconds of silence after which a server is asked again, and bytes that are taken at once.
+TIMEOUT, CHUNK = 15, 1 << 18
+RETRIES = 3
+# Shares of the progress bar, in thousandths: looking up, fetching, unpacking, checking.
+LOOKED_UP, FETCHED, UNPACKED, ALL = 50, 800, 950, 1000
 
 
 class Cancelled(Exception):
@@ -24,9 +39,17 @@ class Cancelled(Exception):
 
 
 class Installer:
-    def __init__(self, folder: Path, requirements: Path, constraints: Path) -> None:
-        self.folder, self.requirements, self.constraints = folder, requirements, constraints
-        self.python = folder.joinpath(*(("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")))
+    """One installation.
+
+    folder: of the environment. root: of the extension. index: a further package index, "" for none. wheels: a folder
+    to install from without any network, "" for none. look_only: say what would be fetched, and stop.
+    """
+
+    def __init__(self, folder: str, root: str, index: str, wheels: str, look_only: bool) -> None:
+        self.folder, self.root = Path(folder), Path(root)
+        self.index, self.wheels, self.look_only = index, wheels, look_only
+        self.python = self.folder.joinpath(*(("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")))
+        self.downloads = self.folder / "downloads"
         self.child: subprocess.Popen[str] | None = None
         self.cancelled = False
 
@@ -38,72 +61,232 @@ class Installer:
         if self.child:
             self.child.terminate()
 
-    def run(self, step: int, text: str, command: list[str]) -> str:
-        """Run one command, its lines shown as progress; returns the last one. Raises RuntimeError when it fails."""
-        if self.cancelled:
-            raise Cancelled
-        progress(step, text)
+    def run(self, done: int, text: str, *command: str, errors_in_log: bool = True) -> str:
+        """Run one command; returns its output. Raises RuntimeError with its first error, or last line, if it fails."""
+        self.progress(done, text)
         self.child = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
+            stderr=subprocess.STDOUT if errors_in_log else None,
             encoding="utf-8",
             errors="replace",
+            # What is installed must not come from what Blender's own Python finds.
+            env={**os.environ, "PYTHONPATH": str(self.root), "PYTHONNOUSERSITE": "1"},
         )
-        last = error = ""
         assert self.child.stdout
+        output = []
         for line in self.child.stdout:
-            line = line.strip()
-            print(line, file=sys.stderr, flush=True)
-            if line:
-                last = line
-                progress(step, line)
-            if line.startswith("ERROR:"):
-                error = error or line.removeprefix("ERROR:").strip()
+            output.append(line.rstrip())
+            self.log(line.rstrip())
         if self.child.wait():
             if self.cancelled:
                 raise Cancelled
-            raise RuntimeError(f"{text} failed: {error or last}")
-        return last
+            errors = [line.removeprefix("ERROR:").strip() for line in output if line.startswith("ERROR:")]
+            lines = errors or [line for line in reversed(output) if line] or ["it said nothing"]
+            raise RuntimeError(f"{text} failed: {lines[0].rstrip('.')}.")
+        return "\n".join(output)
 
-    def install(self) -> str:
-        """All steps; returns the versions of Python and torch."""
+    def pip(self, done: int, text: str, *arguments: str) -> str:
+        quiet = ("--disable-pip-version-check", "--no-input", "--progress-bar", "off")
+        return self.run(done, text, str(self.python), "-m", "pip", "install", *quiet, *arguments)
+
+    def work(self) -> dict[str, Any]:
+        """All steps; returns what the `result` event carries."""
         whole = self.folder / "installed.json"
-        whole.unlink(missing_ok=True)
-        self.run(0, "Making a Python environment", [sys.executable, "-m", "venv", str(self.folder)])
-        pip = [str(self.python), "-m", "pip", "install", "--disable-pip-version-check", "--progress-bar", "off"]
-        self.run(1, "Installing packages", [*pip, "-r", str(self.requirements), "-c", str(self.constraints)])
-        versions = self.run(2, "Checking", [str(self.python), "-c", CHECK])
-        part = whole.with_suffix(".part")
-        part.write_text(json.dumps({"versions": versions}), encoding="utf-8")
-        os.replace(part, whole)
-        return versions
+        if not self.look_only:
+            whole.unlink(missing_ok=True)
+        if not (self.python.exists() and self.python.resolve().exists()):
+            self.run(0, "Making a Python environment", sys.executable, "-m", "venv", "--clear", str(self.folder))
+        wheels, sizes = self.look_up()
+        total, here = sum(sizes), sum(self.present(wheel, size) for wheel, size in zip(wheels, sizes, strict=True))
+        torch = next((w["metadata"]["version"] for w in wheels if w["metadata"]["name"].lower() == "torch"), "?")
+        found = {"torch": torch, "packages": len(wheels), "bytes": total, "present": here}
+        if self.look_only:
+            return found
+        files = self.fetch(wheels, sizes, total)
+        self.pip(FETCHED, f"Unpacking {len(files)} packages", "--no-index", "--no-deps", "--upgrade", *map(str, files))
+        doctor = self.run(
+            UNPACKED, "Checking the engine", str(self.python), "-m", "swag_engine.doctor", errors_in_log=False
+        )
+        found["doctor"] = json.loads(doctor)
+        missing = [name for name, version in found["doctor"]["packages"].items() if version is None]
+        if missing or "backends" not in found["doctor"]:
+            raise RuntimeError(f"Checking the engine failed: {', '.join(missing) or 'it does not start'}.")
+        self.write(whole, found)
+        shutil.rmtree(self.downloads, ignore_errors=True)
+        return found
+
+    # -- what is needed -----------------------------------------------------------------------------------------------
+
+    def look_up(self) -> tuple[list[dict[str, Any]], list[int]]:
+        """The wheels that pip would install, as in its installation report, and their sizes in bytes."""
+        report = self.folder / "report.json"
+        where = ["--no-index", "--find-links", self.wheels] if self.wheels else []
+        if self.index and not self.wheels:
+            where = ["--extra-index-url", self.index]
+        files = ("-r", str(self.root / "requirements.txt"), "-c", str(self.root / "constraints.txt"))
+        options = ("--dry-run", "--ignore-installed", "--only-binary", ":all:", "--report", str(report))
+        try:
+            self.pip(10, "Looking up the packages", *options, *where, *files)
+        except RuntimeError as error:
+            # With a pinned version that is not there, pip speaks of a conflict.
+            missing = re.search(r"Cannot install ([\w.-]+)|No matching distribution found for ([\w.-]+)", str(error))
+            if not missing:
+                raise
+            raise RuntimeError(
+                f"There is no wheel of {missing[1] or missing[2]} for Python {sys.version_info[0]}."
+                f"{sys.version_info[1]} on this system in {self.wheels or 'the package index'}, in the version of "
+                "constraints.txt."
+            ) from error
+        wheels = json.loads(report.read_text(encoding="utf-8"))["install"]
+        report.unlink()
+        sizes = []
+        for number, wheel in enumerate(wheels):
+            self.progress(25 + 25 * number // len(wheels), f"Looking up the size of {wheel['metadata']['name']}")
+            sizes.append(self.size(wheel["download_info"]["url"]))
+        return wheels, sizes
+
+    def size(self, url: str) -> int:
+        """Bytes of a wheel; 0 where its server does not say."""
+        if url.startswith("file:"):
+            return local_path(url).stat().st_size
+        request = urllib.request.Request(url, method="HEAD")
+        try:
+            with self.open(request) as answer:
+                return int(answer.headers.get("Content-Length", 0))
+        except (OSError, ValueError):
+            return 0
+
+    def present(self, wheel: dict[str, Any], size: int) -> int:
+        """How many bytes of a wheel are on this machine."""
+        url = wheel["download_info"]["url"]
+        if url.startswith("file:"):
+            return size
+        path = self.download_path(url)
+        return next((p.stat().st_size for p in (path, part_of(path)) if p.exists()), 0)
+
+    # -- fetching it --------------------------------------------------------------------------------------------------
+
+    def download_path(self, url: str) -> Path:
+        return self.downloads / unquote(urlparse(url).path.rsplit("/", 1)[-1])
+
+    def fetch(self, wheels: list[dict[str, Any]], sizes: list[int], total: int) -> list[Path]:
+        """All wheels as files; those that a broken run fetched are not fetched again."""
+        self.downloads.mkdir(exist_ok=True)
+        files, before = [], 0
+        for wheel, size in zip(wheels, sizes, strict=True):
+            info = wheel["download_info"]
+            if info["url"].startswith("file:"):
+                files.append(local_path(info["url"]))
+            else:
+                digest = info.get("archive_info", {}).get("hashes", {}).get("sha256", "")
+                files.append(self.download(info["url"], digest, before, total))
+            before += size
+        return files
+
+    def download(self, url: str, digest: str, before: int, total: int) -> Path:
+        """One wheel; begun ones go on where they broke off. Raises RuntimeError when it cannot be had."""
+        path = self.download_path(url)
+        if path.exists():
+            return path
+        part, problem = part_of(path), ""
+        for attempt in range(RETRIES):
+            if attempt:
+                self.log(f"{path.name}: {problem}; trying again")
+                time.sleep(attempt)
+            try:
+                self.download_rest(url, part, before, total)
+            except (OSError, http.client.HTTPException) as error:
+                problem = str(error) or type(error).__name__
+                continue
+            if not digest or hashlib.sha256(part.read_bytes()).hexdigest() == digest:
+                os.replace(part, path)
+                return path
+            part.unlink()
+            problem = "its contents are not what the index promised"
+        raise RuntimeError(f"The download of {path.name} broke off: {problem}.")
+
+    def download_rest(self, url: str, part: Path, before: int, total: int) -> None:
+        have = part.stat().st_size if part.exists() else 0
+        request = urllib.request.Request(url, headers={"Range": f"bytes={have}-"} if have else {})
+        try:
+            answer = self.open(request)
+        except urllib.error.HTTPError as error:
+            if error.code != 416:  # 416: nothing is left to send
+                raise
+            return
+        with answer, open(part, "ab") as file:
+            if have and answer.status != 206:  # a server without ranges sends all of it
+                file.truncate(0)
+                have = 0
+            left = int(answer.headers.get("Content-Length", 0))
+            while chunk := answer.read1(CHUNK):
+                if self.cancelled:
+                    raise Cancelled
+                file.write(chunk)
+                have, left = have + len(chunk), left - len(chunk)
+                share = (before + have) / max(1, total, before + have)
+                self.progress(
+                    LOOKED_UP + int((FETCHED - LOOKED_UP) * share),
+                    f"Downloading {part.name.split('-')[0]}, {(before + have) / 1e6:.0f} of {total / 1e6:.0f} MB",
+                )
+        if left > 0:
+            raise OSError("the connection ended early")
+
+    def open(self, request: urllib.request.Request) -> Any:
+        context = ssl.create_default_context()
+        # Blender's Python knows no certificates on some systems; pip brings its own.
+        for bundle in self.folder.rglob("pip/_vendor/certifi/cacert.pem"):
+            context.load_verify_locations(bundle)
+        return urllib.request.urlopen(request, timeout=TIMEOUT, context=context)
+
+    # -- telling ------------------------------------------------------------------------------------------------------
+
+    def progress(self, done: int, text: str) -> None:
+        if self.cancelled:
+            raise Cancelled
+        send({"event": "progress", "stage": "install", "iteration": done, "iterations": ALL, "text": text})
+        self.log(text)
+
+    def log(self, line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+        with contextlib.suppress(OSError), open(self.folder / "install.log", "a", encoding="utf-8") as log:
+            log.write(line + "\n")
+
+    def write(self, path: Path, document: dict[str, Any]) -> None:
+        part = part_of(path)
+        part.write_text(json.dumps(document, indent=2), encoding="utf-8")
+        os.replace(part, path)
 
 
-def progress(step: int, text: str) -> None:
-    send({"event": "progress", "stage": "install", "iteration": step, "iterations": 3, "text": text})
+def part_of(path: Path) -> Path:
+    return path.with_name(path.name + ".part")
+
+
+def local_path(url: str) -> Path:
+    return Path(urllib.request.url2pathname(urlparse(url).path))
 
 
 def fail(sentence: str) -> None:
     send({"event": "error", "kind": "input", "message": sentence})
 
 
-def send(event: dict[str, object]) -> None:
+def send(event: dict[str, Any]) -> None:
     print(json.dumps(event), flush=True)
 
 
 def main() -> None:
-    installer = Installer(*(Path(argument) for argument in sys.argv[1:4]))
+    installer = Installer(**json.loads(sys.argv[1]))
     threading.Thread(target=installer.listen, daemon=True).start()
     try:
-        versions = installer.install()
+        found = installer.work()
     except Cancelled:
         fail("The installation was stopped; Install Engine goes on with it.")
-    except (RuntimeError, OSError) as error:
-        fail(f"The engine could not be installed. {error}")
+    except (RuntimeError, OSError, ValueError) as error:
+        fail(f"The engine could not be installed. {error} Install Engine goes on where it stopped.")
     else:
-        send({"event": "result", "request": "install", "versions": versions})
+        send({"event": "result", "request": "install", **found})
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import textwrap
 import bpy
 
 from . import EXTENSION, engine_process, labels, splats
-from .properties import time_text
+from .properties import sparkline, time_text
 
 
 class SwagPanel:
@@ -30,13 +30,41 @@ class SWAG_PT_scene(SwagPanel, bpy.types.Panel):
         row.operator("swag.import_scene", text="Import", icon="IMPORT").directory = swag.scene_path
         if not swag.scene_folder:
             draw_wrapped(layout, "Choose the folder first.", width, icon="INFO")
-        elif status.job == "Import":
+        elif status.job in ("Import", "Check"):
             draw_job(layout, context)
-        elif status.failed and status.last_job == "Import":
-            draw_wrapped(layout, status.message, width, icon="ERROR")
+        elif status.failed and status.last_job in ("Import", "Check"):
+            draw_outcome(layout, context)
         else:
             for line in swag.found.splitlines():
                 draw_wrapped(layout, line, width)
+
+
+class SWAG_PT_effects(SwagPanel, bpy.types.Panel):
+    bl_label = "Effects"
+    bl_order = 1
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, plan, status = self.layout, context.scene.swag.plan, context.window_manager.swag
+        width = context.region.width
+        if status.job == "Plan":
+            draw_job(layout, context)
+            return
+        row = layout.row(align=True)
+        row.enabled = bool(context.scene.swag.scene_folder)
+        row.operator("swag.plan", text="Plan Again" if plan.lines else "Plan", icon="VIEWZOOM")
+        row.operator("swag.reset_effects", text="", icon="LOOP_BACK")
+        if status.failed and status.last_job == "Plan":
+            draw_outcome(layout, context)
+        if not plan.lines:
+            draw_wrapped(layout, "The photographs tell which effects training should simulate.", width, icon="INFO")
+            return
+        if plan.stale:
+            draw_wrapped(layout, "This plan is of other photographs: plan again.", width, icon="ERROR")
+        layout.template_list("SWAG_UL_effects", "", plan, "lines", plan, "active", rows=len(plan.lines))
+        line = plan.lines[plan.active]
+        layout.prop(line, "choice", expand=True)
+        draw_wrapped(layout.box(), line.reason, width - 20)
 
 
 class SWAG_PT_train(SwagPanel, bpy.types.Panel):
@@ -52,7 +80,7 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in ("recipe", "preset", "time_budget", "stop_when_flat", "iterations", "width", "max_gaussians"):
+        for name in ("recipe", "preset", "time_budget"):
             column.prop(swag, name)
         try:
             engine_process.engine_python()
@@ -63,7 +91,8 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
         row.scale_y = 1.4
         row.enabled = not problem
         row.operator("swag.train", text="Train", icon="PLAY").resume = False
-        if swag.can_continue:
+        can_continue = swag.can_continue
+        if can_continue:
             row.operator("swag.train", text="Continue", icon="FRAME_NEXT").resume = True
         if problem:
             draw_wrapped(layout, problem, width, icon="INFO")
@@ -72,7 +101,9 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
                     "preferences.addon_show", text="Open Preferences", icon="PREFERENCES"
                 ).module = EXTENSION
         elif status.last_job == "Training":
-            draw_wrapped(layout, status.message, width, icon="ERROR" if status.failed else "CHECKMARK")
+            draw_outcome(layout, context)
+        if can_continue:
+            draw_wrapped(layout, f"{swag.stopped_at} Continue goes on with it.", width, icon="RECOVER_LAST")
 
 
 class SWAG_PT_train_more(SwagPanel, bpy.types.Panel):
@@ -90,15 +121,8 @@ class SWAG_PT_train_more(SwagPanel, bpy.types.Panel):
         layout.use_property_decorate = False
         column = layout.column(align=True)
         for name in (
-            "effects",
-            "words",
-            "masks",
-            "water_type",
-            "metres_per_unit",
-            "sh_degree",
-            "seed",
-            "backend",
-            "run_folder",
+            *("iterations", "width", "max_gaussians", "stop_when_flat", "effects", "words", "masks", "water_type"),
+            *("metres_per_unit", "sh_degree", "seed", "backend", "run_folder"),
         ):
             column.prop(swag, name)
 
@@ -157,15 +181,32 @@ class SWAG_PT_export(SwagPanel, bpy.types.Panel):
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """The job that runs: progress, figures, Cancel."""
+    """The job that runs: progress, figures, the curve of its quality, Pause and Cancel."""
     status = context.window_manager.swag
-    layout.progress(factor=status.factor, text="Stopping" if status.stopping else status.text)
+    text = "Stopping" if status.stopping else "Paused" if status.paused else status.text
+    layout.progress(factor=status.factor, text=text)
     figures = status.figures()
     if figures:
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
         for figure in figures:
             grid.label(text=figure)
-    layout.operator("swag.cancel", text="Cancel", icon="CANCEL")
+    curve = [float(psnr) for psnr in status.curve.split()]
+    if len(curve) > 1:
+        layout.label(text=f"{curve[0]:.1f} {sparkline(curve)} {curve[-1]:.1f} dB")
+    row = layout.row(align=True)
+    if status.job == "Training":
+        row.operator(
+            "swag.pause", text="Go On" if status.paused else "Pause", icon="PLAY" if status.paused else "PAUSE"
+        )
+    row.operator("swag.cancel", text="Cancel", icon="CANCEL")
+
+
+def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """How the last job ended; after an error with the way to its log."""
+    status = context.window_manager.swag
+    draw_wrapped(layout, status.message, context.region.width, icon="ERROR" if status.failed else "CHECKMARK")
+    if status.failed:
+        layout.operator("swag.show_log", icon="TEXT")
 
 
 def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: str = "NONE") -> None:
@@ -179,14 +220,55 @@ def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: str = 
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 
-_CLASSES = (SWAG_PT_scene, SWAG_PT_train, SWAG_PT_train_more, SWAG_PT_result, SWAG_PT_labels, SWAG_PT_export)
+class SWAG_MT_splatting(bpy.types.Menu):
+    """Everything that the sidebar offers, for F3 and for shortcuts."""
+
+    bl_label = "SWAG Splatting"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        layout.operator_context = "INVOKE_DEFAULT"
+        for stage in MENU:
+            for name in stage:
+                layout.operator(f"swag.{name}")
+            layout.separator()
+
+
+# The operators of the menu, by stage of the work.
+MENU = (
+    ("import_scene", "inspect_scene"),
+    ("plan", "reset_effects"),
+    ("train", "pause", "cancel", "show_log"),
+    ("import_splats", "prepare_render"),
+    ("read_labels", "show_labels", "separate_splats", "merge_splats"),
+    ("export_splats",),
+    ("check_engine", "look_up_engine", "install_engine", "remove_engine"),
+)
+
+
+def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.menu(SWAG_MT_splatting.__name__)
+
+
+_CLASSES = (
+    SWAG_PT_scene,
+    SWAG_PT_effects,
+    SWAG_PT_train,
+    SWAG_PT_train_more,
+    SWAG_PT_result,
+    SWAG_PT_labels,
+    SWAG_PT_export,
+    SWAG_MT_splatting,
+)
 
 
 def register() -> None:
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
+    bpy.types.VIEW3D_MT_object.append(_menu)
 
 
 def unregister() -> None:
+    bpy.types.VIEW3D_MT_object.remove(_menu)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

@@ -13,6 +13,7 @@ from bpy.types import PropertyGroup
 from ..swag_engine.errors import InputError
 from ..swag_engine.training.config import TrainSettings
 from ..swag_engine.training.run_folder import RunFolder
+from . import effects
 
 SETTINGS = tuple(field.name for field in dataclasses.fields(TrainSettings))
 
@@ -39,7 +40,10 @@ class SwagScene(PropertyGroup):
     """`scene.swag`: where the photographs and the run are, the settings of the next run, figures of the last one."""
 
     scene_folder: StringProperty(
-        name="Photographs", description="Folder with the photographs and their COLMAP model", subtype="DIR_PATH"
+        name="Photographs",
+        description="Folder with the photographs and their COLMAP model",
+        subtype="DIR_PATH",
+        update=lambda self, context: setattr(self.plan, "stale", True),
     )
     run_folder: StringProperty(
         name="Run",
@@ -48,6 +52,7 @@ class SwagScene(PropertyGroup):
     )
     found: StringProperty(description="What the folder of photographs holds, in words")
 
+    plan: PointerProperty(type=effects.SwagPlan)
     recipe: _mirrored(
         "recipe",
         "Method",
@@ -128,9 +133,18 @@ class SwagScene(PropertyGroup):
         except InputError:
             return True
 
+    @property
+    def stopped_at(self) -> str:
+        """Where the run in the run folder stopped, in words."""
+        saved = [path.stem.rpartition("-")[2] for path in Path(self.run_path).glob("checkpoint-*.safetensors")]
+        where = f"stopped at iteration {int(max(saved))}" if saved else "stopped before its first checkpoint"
+        return f"The run {os.path.basename(self.run_path)} {where}."
+
     def train_settings(self) -> dict[str, Any]:
-        """The settings as the engine takes them."""
-        return {name: getattr(self, name) for name in SETTINGS} | {"masks": _absolute(self.masks)}
+        """The settings as the engine takes them; what the user says in the list of effects comes last."""
+        switches = ",".join(filter(None, (self.effects, self.plan.switches())))
+        own = {name: getattr(self, name) for name in SETTINGS}
+        return own | {"effects": switches, "masks": _absolute(self.masks)}
 
     def show_metrics(self, event: dict[str, Any]) -> None:
         """Keep the figures of a training's `result` event."""
@@ -150,6 +164,9 @@ class SwagStatus(PropertyGroup):
     job: StringProperty(description="Name of the job that runs; empty when none does")
     last_job: StringProperty(description="Name of the last job that ended")
     stopping: BoolProperty(description="Somebody asked for the job to stop")
+    paused: BoolProperty(description="The training is held where it is")
+    doctor: StringProperty(description="What the engine's Python has, as JSON, when it was last looked at")
+    curve: StringProperty(description="PSNR on the validation photographs so far, in dB")
     factor: FloatProperty(min=0.0, max=1.0, subtype="FACTOR")
     text: StringProperty(description="What the job does now")
     message: StringProperty(description="How the last job ended")
@@ -164,7 +181,8 @@ class SwagStatus(PropertyGroup):
     def begin(self, job: str) -> None:
         """Forget the last job."""
         for name in SwagStatus.__annotations__:
-            self.property_unset(name)
+            if name != "doctor":
+                self.property_unset(name)
         self.job, self.text = job, "Starting"
 
     def end(self, message: str, failed: bool) -> None:
@@ -179,6 +197,9 @@ class SwagStatus(PropertyGroup):
             self.iteration = event["iteration"]
             self.gaussians = event["gaussians"]
             self.loss = event["loss"] or 0.0
+            measured = f" {event['psnr'] or 0:.2f}"
+            if event["psnr"] and not self.curve.endswith(measured):
+                self.curve += measured
             self.psnr = event["psnr"] or 0.0
             self.speed = event["iterations_per_second"] or 0.0
             self.seconds_left = event["seconds_left"] or 0.0
@@ -208,6 +229,13 @@ def time_text(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
 
 
+def sparkline(values: list[float]) -> str:
+    """Values as bars of text between the least and the largest of them."""
+    bars = "▁▂▃▄▅▆▇█"
+    low, span = min(values), max(max(values) - min(values), 1e-9)
+    return "".join(bars[round((value - low) / span * (len(bars) - 1))] for value in values)
+
+
 def _absolute(folder: str) -> str:
     return os.path.abspath(bpy.path.abspath(folder)) if folder else ""
 
@@ -216,6 +244,7 @@ _CLASSES = (SwagScene, SwagStatus)
 
 
 def register() -> None:
+    effects.register()
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.swag = PointerProperty(type=SwagScene)
@@ -227,3 +256,4 @@ def unregister() -> None:
     del bpy.types.Scene.swag
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)
+    effects.unregister()

@@ -1,5 +1,7 @@
-"""What this machine has, and which backend a run would take."""
+"""What this machine has, and which backend a run would take. `python -m swag_engine.doctor` gives it as an event of
+the worker's protocol, also where the engine's packages are missing."""
 
+import json
 import os
 import platform
 import tomllib
@@ -7,17 +9,36 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from .rasterize import cpu, cuda
-from .rasterize.backends import device_for
-from .rasterize.cpu_library import target
-
-PACKAGES = ("torch", "numpy", "pycolmap", "opencv-contrib-python-headless", "scipy", "safetensors")
+PACKAGES = (
+    "torch", "numpy", "scipy", "pycolmap", "opencv-contrib-python-headless", "onnxruntime", "safetensors", "tyro",
+    "rich", "platformdirs"
+)  # fmt: skip
+"""Those of requirements.txt."""
 
 
 def examine() -> dict[str, Any]:
-    """System, packages (None for one that is missing), and for each backend whether it runs or why not."""
+    """System, packages (None for one that is missing), and for each backend whether it runs or why not.
+
+    Where torch is missing there are neither `backends` nor `auto`.
+    """
+    packages = {name: _version(name) for name in PACKAGES}
+    found = {
+        "system": f"{platform.system()} {platform.machine()}",
+        "engine": engine_version(),
+        "python": platform.python_version(),
+        "cores": os.cpu_count(),
+        "packages": packages,
+    }
+    return found | _backends() if packages["torch"] else found
+
+
+def _backends() -> dict[str, Any]:
+    import torch
+
+    from .rasterize import cpu, cuda
+    from .rasterize.backends import device_for
+    from .rasterize.cpu_library import target
+
     chosen = target()
     backends: dict[str, dict[str, Any]] = {
         "cpu": {"runs": cpu.reason() is None, "reason": cpu.reason(), "threads": torch.get_num_threads()},
@@ -33,15 +54,7 @@ def examine() -> dict[str, Any]:
             "architecture": f"sm_{properties.major}{properties.minor}",
         }
     auto = next(name for name in ("cuda", "cpu", "torch") if backends[name]["runs"])
-    return {
-        "system": f"{platform.system()} {platform.machine()}",
-        "engine": engine_version(),
-        "python": platform.python_version(),
-        "cores": os.cpu_count(),
-        "packages": {name: _version(name) for name in PACKAGES},
-        "backends": backends,
-        "auto": auto,
-    }
+    return {"backends": backends, "auto": auto}
 
 
 def engine_version() -> str | None:
@@ -63,6 +76,8 @@ def describe(found: dict[str, Any]) -> str:
     """The findings in lines for people."""
     lines = [f"SWAG Splatting {found['engine']}, {found['system']}, Python {found['python']}, {found['cores']} cores"]
     lines += [f"  {name} {version or 'is missing'}" for name, version in found["packages"].items()]
+    if "backends" not in found:
+        return "\n".join(lines)
     cpu_backend, cuda_backend, torch_backend = (found["backends"][name] for name in ("cpu", "cuda", "torch"))
     details = {
         "cuda": f"{cuda_backend.get('device')}, {cuda_backend.get('memory_gb')} GB",
@@ -74,3 +89,7 @@ def describe(found: dict[str, Any]) -> str:
         lines.append(f"backend {name}: {detail if backend['runs'] else 'does not run here: ' + backend['reason']}")
     lines.append(f"Training takes {found['auto']}.")
     return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    print(json.dumps({"event": "result", **examine()}))

@@ -6,7 +6,9 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import textwrap
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -89,3 +91,21 @@ def fake_engine(tmp_path_factory):
     python.write_text(f'#!/bin/sh\nexec {sys.executable} {Path(__file__).with_name("fake_worker.py")} "$@"\n')
     python.chmod(0o755)
     return python
+
+
+@pytest.fixture(scope="session")
+def wheels(tmp_path_factory):
+    """A folder of wheels of requirements.txt, all empty; the one called torch lends the packages of this Python."""
+    folder = tmp_path_factory.mktemp("wheels")
+    constraints = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = dict(line.split("==") for line in constraints if "==" in line)
+    for name in (ROOT / "requirements.txt").read_text().split():
+        version, plain = pinned[name].split(";")[0].strip(), name.replace("-", "_")
+        info = f"{plain}-{version}.dist-info"
+        with zipfile.ZipFile(folder / f"{plain}-{version}-py3-none-any.whl", "w") as wheel:
+            if name == "torch":
+                wheel.writestr("lent.pth", sysconfig.get_path("purelib") + "\n")
+            wheel.writestr(f"{info}/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+            wheel.writestr(f"{info}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+            wheel.writestr(f"{info}/RECORD", "")
+    return folder

@@ -94,6 +94,19 @@ def inspect(request):
     )  # fmt: skip
 
 
+def plan(request):
+    lines = {
+        "attenuation": ("on", "Red loses 75% over the scene.", 1.25),
+        "lamp": ("off", "Light falls off by 0%.", 0.5),
+        "moving_objects": ("unknown", "Only training shows it.", 0.0),
+    }
+    effects = {
+        name: {"state": state, "evidence": {}, "reason": reason, "cost_ms": cost, "start": {}, "overruled": False}
+        for name, (state, reason, cost) in lines.items()
+    }
+    send(event="result", request="plan", plan={"effects": effects, "water": None})
+
+
 def main():
     if sys.argv[2] == "swag_engine":
         print("arguments", json.dumps(sys.argv[3:]))
@@ -106,7 +119,7 @@ def main():
             if Path(request["scene"]).name == "deaf":
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
             # On the main thread's behalf: a crash must end the process, as it does in the engine.
-            answer = {"train": train, "inspect": inspect}[request["request"]]
+            answer = {"train": train, "inspect": inspect, "plan": plan}[request["request"]]
             threading.Thread(target=run_or_die, args=(answer, request), daemon=True).start()
     cancelled.set()
 

@@ -82,7 +82,7 @@ def steps():
     with bpy.context.temp_override(window=window, area=area):
         started = time.monotonic()
         bpy.ops.swag.import_scene("INVOKE_DEFAULT", directory=os.environ["SWAG_SCENE"])
-        yield from until(lambda: not status.job, 20)
+        yield from until(lambda: not status.job, 90)
         report["import_seconds"] = time.monotonic() - started
         report["imported"] = {"failed": status.failed, "message": status.message, "found": swag.found}
         region.tag_redraw()
@@ -91,10 +91,10 @@ def steps():
     photograph("2-imported")
 
     yield from click(*TRAIN)
-    yield from until(lambda: status.job == "Training", 3)
-    yield from until(lambda: status.iteration > 0 and status.factor > 0, 20)
+    yield from until(lambda: status.job == "Training", 90)
+    yield from until(lambda: status.iteration > 0 and status.factor > 0, 90)
     clouds = lambda: [o for o in bpy.data.objects if "swag_run" in o]  # noqa: E731
-    yield from until(clouds, 20)
+    yield from until(clouds, 90)
     # What we take of Blender's time while the training runs (drawing in software takes most of it here).
     job = sys.modules["bl_ext.user_default.swag_splatting.swag_blender.job"]
     report["held_seconds"] = []
@@ -106,7 +106,7 @@ def steps():
 
     yield from click(*CANCEL)
     report["stopping"] = status.stopping or not status.job
-    yield from until(lambda: not status.job, 20)
+    yield from until(lambda: not status.job, 90)
     yield 1.0
     report["end"] = {
         "failed": status.failed, "message": status.message, "interrupted": swag.result_interrupted,
@@ -115,13 +115,13 @@ def steps():
     photograph("4-cancelled")
 
     yield from click(*CONTINUE)
-    yield from until(lambda: status.job == "Training" and status.iteration > report["training"]["iteration"], 20)
+    yield from until(lambda: status.job == "Training" and status.iteration > report["training"]["iteration"], 90)
     subprocess.run(["xdotool", "key", "Escape"], check=True)
-    yield from until(lambda: not status.job, 20)
+    yield from until(lambda: not status.job, 90)
     report["escaped"] = {"failed": status.failed, "message": status.message, "points": len(clouds()[0].data.points)}
 
     yield from click(*CONTINUE)
-    yield from until(lambda: status.job == "Training", 5)
+    yield from until(lambda: status.job == "Training", 90)
     bpy.ops.wm.read_homefile(use_empty=True)
     yield 0.5
     status = bpy.context.window_manager.swag

@@ -52,7 +52,7 @@ def test_train_and_cancel_with_the_pointer(place, shared_python, tmp_path):
     script = Path(__file__).with_name("real_window.py")
     done = subprocess.run(
         ["bash", str(TOOLS / "gui"), str(REAL), str(script), str(tmp_path / "last.png")],
-        env=os.environ | environment, capture_output=True, text=True, timeout=200,
+        env=os.environ | environment, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     printed = done.stdout + done.stderr
     pictures = tmp_path / "pictures"
@@ -88,7 +88,7 @@ def test_command_line_of_the_real_blender(place, shared_python):
     def blender(*arguments):
         return subprocess.run(
             ["chroot", str(REAL), "blender", "--background", *arguments],
-            env=environment, capture_output=True, text=True, timeout=100,
+            env=environment, capture_output=True, text=True, timeout=600,
         )  # fmt: skip
 
     install = blender(
