@@ -11,7 +11,7 @@ from typing import Any
 
 PACKAGES = (
     "torch", "numpy", "scipy", "pycolmap", "opencv-contrib-python-headless", "onnxruntime", "safetensors", "tyro",
-    "rich", "platformdirs"
+    "rich", "platformdirs", "matplotlib",
 )  # fmt: skip
 """Those of requirements.txt."""
 

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from swag_engine.doctor import PACKAGES
+
 ROOT = Path(__file__).resolve().parents[2]
 TRAIN = ["--iterations", "60", "--width", "64", "--max-gaussians", "400", "--sh-degree", "0"]
 
@@ -118,6 +120,10 @@ def test_torch_trains_where_no_kernel_runs(tiny_scene, tmp_path):
     done = swag("train", tiny_scene, "--out", tmp_path / "run", "--json", "--backend", "torch", *TRAIN)
     metrics = json.loads(done.stdout)["metrics"]
     assert metrics["iteration"] == 60 and metrics["test_psnr"] > metrics["control_psnr"]
+
+
+def test_the_doctor_knows_all_that_the_engine_requires():
+    assert sorted(PACKAGES) == sorted((ROOT / "requirements.txt").read_text().split())
 
 
 def test_the_doctor_says_what_runs_and_why_not_the_other():

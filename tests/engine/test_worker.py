@@ -55,14 +55,6 @@ class Worker:
         self.process.wait()
 
 
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.process.kill()
-        self.process.wait()
-
-
 @pytest.fixture
 def worker():
     with Worker() as started:
