@@ -56,8 +56,8 @@ def tradeoff(
     document in tradeoff.json: `rows` with name, settings, seconds of training, Gaussians, each of QUALITIES (None
     where it is not known), `gain` (psnr above control_psnr, as a share of the best row's) and `dominated` (by quality,
     the name of a run that is as fast and as good and better in one; None on the front); `control_psnr`, what the
-    median photograph reaches; `interrupted`; `notes`. Raises InputError as train does, where the scene holds no view
-    out, and where `out` has runs of another scene or size.
+    median photograph reaches; `machine`; `interrupted`; `notes`. Raises InputError as train does, where the scene
+    holds no view out, and where `out` has runs of another scene or size.
     """
     runs = grid.runs()
     width = score_width or max(run.settings.width for run in runs)
@@ -70,7 +70,13 @@ def tradeoff(
     control = median_control([image for image in images if image.camera.name in split.train], test)
     lpips, notes = load_lpips(weights_dir)
     document: dict[str, Any] = {"scene": str(scene_folder), "score_width": max(image.camera.width for image in test)}
-    document |= {"control_psnr": control, "notes": notes, "rows": [], "interrupted": False}
+    document |= {
+        "machine": machine(device_for("auto")),
+        "control_psnr": control,
+        "notes": notes,
+        "rows": [],
+        "interrupted": False,
+    }
     for run in runs:
         metrics = metrics_of_run(scene_folder, out / run.folder, run.settings, weights_dir, should_stop)
         if metrics is None:
@@ -191,7 +197,7 @@ def _by(row: dict[str, Any], shown: Sequence[str]) -> str:
 
 
 def _write_html(path: Path, document: dict[str, Any], shown: Sequence[str]) -> None:
-    rows, where = document["rows"], machine(device_for("auto"))
+    rows, where = document["rows"], document["machine"]
     plots = []
     for name in shown:
         figure, (axes,) = new_plots("seconds of training", QUALITIES[name].title)

@@ -1,0 +1,46 @@
+"""What accuracy costs in time on the demo and on japanese_gardens: presets, two widths, with and without the water.
+
+    python benchmarks/tradeoff.py FOLDER
+
+Makes the runs in FOLDER, prints a table for each scene, and writes docs/tradeoff_SCENE.png and
+benchmarks/results/tradeoff_SCENE.json. Stopped and started again with the same FOLDER it goes on. A scene that is not
+on this machine is left out. Run it with nothing else on the machine: its seconds are those of the clock.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENES = {
+    "demo": ROOT / "tests" / "scenes" / "reef_wreck",
+    "japanese_gardens": ROOT.parent / "shared" / "data" / "japanese_gardens",
+}
+GRID = ["--presets", "draft", "standard", "high", "--widths", "240", "480", "--effects", "default", "water=off"]
+
+
+def main(folder: Path) -> None:
+    for name, scene in SCENES.items():
+        if not scene.exists():
+            continue
+        out = folder / name
+        command = [
+            sys.executable,
+            "-m",
+            "swag_engine",
+            "tradeoff",
+            os.path.relpath(scene, ROOT),
+            "--out",
+            str(out),
+            *GRID,
+        ]
+        print(f"\n{name}\n", flush=True)
+        subprocess.run(command, cwd=ROOT, check=True)
+        shutil.copy(out / "tradeoff.png", ROOT / "docs" / f"tradeoff_{name}.png")
+        shutil.copy(out / "tradeoff.json", ROOT / "benchmarks" / "results" / f"tradeoff_{name}.json")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]).resolve())
