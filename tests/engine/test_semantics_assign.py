@@ -7,6 +7,7 @@ import torch
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.rasterize.render import render
 from swag_engine.scene.cameras import Camera
+from swag_engine.semantics import assign as assign_module
 from swag_engine.semantics.assign import (
     assign,
     label_weights,
@@ -153,3 +154,21 @@ def test_labels_are_rendered_where_their_gaussians_are_seen() -> None:
     assert shown[20, 10] == 40 and shown[20, 30] == 7 and shown[0, 0] == 5
     assert 3 not in shown[18:22, 28:32]
     assert rendered_labels(cloud, labels, 40, camera_at(0))[0, 0] == 0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_votes_cast_again_fit_the_photographs_better(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(3)
+    cloud = cloud_of([(*random.uniform(-0.8, 0.8, 2), random.uniform(2, 3)) for _ in range(150)], 0.12, 0.5)
+    truth = (
+        1 + (2 * cloud.means[:, 0]).floor().add((2 * cloud.means[:, 1]).floor()).long() % 2
+    )  # fields of a chessboard
+    maps = {name: rendered_labels(cloud, truth, 2, camera_at(x), backend=backend)
+            for name, x in (("a", -0.3), ("b", 0.0), ("c", 0.3))}  # fmt: skip
+    cameras = {name: camera_at(x, name) for name, x in (("a", -0.3), ("b", 0.0), ("c", 0.3))}
+    right = []
+    for rounds in (0, assign_module.ROUNDS):
+        monkeypatch.setattr(assign_module, "ROUNDS", rounds)
+        labels = assign(cloud, scene(maps), cameras, backend).labels
+        right.append(float((labels == truth).float().mean()))
+    assert right[1] > right[0] + 0.03, right
