@@ -1,0 +1,51 @@
+"""What measuring costs: an iteration with the ledger of where the time goes, over one without.
+
+    python benchmarks/ledger.py        prints the ratio, writes benchmarks/results/ledger.json
+
+Blocks of iterations of one run alternate, so that what else the machine does falls on both.
+"""
+
+import json
+import sys
+import tempfile
+import time
+from contextlib import nullcontext
+from pathlib import Path
+from statistics import median
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from swag_engine.training.config import TrainSettings  # noqa: E402
+from swag_engine.training.loop import trainer_of  # noqa: E402
+from swag_engine.training.run_folder import RunFolder  # noqa: E402
+
+BLOCK, BLOCKS, WARM_UP = 5, 160, 200
+
+
+def main() -> None:
+    settings = TrainSettings(iterations=WARM_UP + 2 * BLOCK * BLOCKS, width=320, max_gaussians=20_000)
+    scene = ROOT / "tests" / "scenes" / "reef_wreck"
+    with tempfile.TemporaryDirectory() as folder:
+        run = RunFolder(Path(folder) / "run")
+        trainer = trainer_of(run, scene, settings, False, lambda event: None, None, time.monotonic())
+        for _ in range(WARM_UP):
+            trainer.step()
+        ratios, plain_ms = [], []
+        for block in range(BLOCKS):
+            seconds = {}
+            for measured in (bool(block % 2), not block % 2):  # the run itself becomes slower: each goes first in turn
+                started = time.perf_counter()
+                for _ in range(BLOCK):
+                    with trainer.ledger.iteration() if measured else nullcontext():
+                        trainer.step()
+                seconds[measured] = time.perf_counter() - started
+            ratios.append(seconds[True] / seconds[False])
+            plain_ms.append(1000 * seconds[False] / BLOCK)
+    document = {"ratio": round(median(ratios), 4), "ms_without": round(median(plain_ms), 2), "blocks": BLOCKS}
+    print(document)
+    (ROOT / "benchmarks" / "results" / "ledger.json").write_text(json.dumps(document, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
