@@ -30,7 +30,7 @@ State = Literal["on", "off", "unknown"]
 LEAST_BIC_GAIN = 10.0
 LEAST_FALLOFF = 0.15
 """Share of its light that a lamp must lose over the scene's range beyond what water takes."""
-LAMP_ERROR = 0.2
+LAMP_ERROR = 0.3
 """Share of a lamp's fall-off that its formula may be wrong by: water under a lamp must take so much more."""
 GREY = 0.2
 """Spread of beta_D over the channels, as a share of the largest, below which the loss has no colour: water has one."""
@@ -42,15 +42,21 @@ LEAST_LENS = 0.05
 WIDEST_INTERVAL = 0.5
 """Of the largest beta_D: half of its 95 % interval, as a share of it."""
 MOST_RADIUS_CORRELATION = 0.9
-HALVES = 8
-"""Random halves of the points that the intervals are taken from."""
-LEAST_DARK_RISE, LEAST_DARK = 0.2, 0.003
+LEAST_COLOR = 0.05
+"""Share by which one colour must surely fade beside another: the lower 95 % bound. Shine and blur take from some
+surfaces only, and halves of the scene disagree about them."""
+HALVES = 12
+"""Random halves of the scene that the intervals are taken from."""
+LEAST_DARK_RISE, LEAST_DARK = 0.27, 0.003
 """By how much the darkest light must rise with range, as a share of what the fitted backscatter would raise it, and in
 light. Colours that grow alike with range, as they do where far texture is blurred, look like a veil without it."""
 DARKEST = 0.01
 RANGE_BINS = 8
 
-LEAST_FLICKER, LEAST_NEIGHBOUR_CORRELATION = 0.10, 0.2
+LEAST_FLICKER, LEAST_NEIGHBOUR_CORRELATION = 0.06, 0.1
+LEAST_STEADINESS = 0.6
+"""Flicker between the nearer half of the views over that of the farther: waves do not care where the camera is, but
+shine and the shadows of a lamp do."""
 PAIR_ANGLE, PAIR_RANGE, LEAST_PAIR = 10.0, 0.05, 30
 
 MOST_FRAMES, MOST_SHARED = 40, 0.5
@@ -154,21 +160,33 @@ def water_findings(
     none, direct, tied, separate = (fit for family, fit in fits.items() if family.lamp == (lamp.state == "on"))
     veil = separate.B * (1 - np.exp(-separate.beta_B * far))
     veil_bic = bic(direct) - min(bic(tied), bic(separate))
-    veils = witness and veil_bic > LEAST_BIC_GAIN and veil.max() >= LEAST_VEIL
+    adds_light = bool(witness and veil_bic > LEAST_BIC_GAIN and veil.max() >= LEAST_VEIL)
 
-    best = min((direct, tied, separate) if veils else (direct,), key=bic)
+    best = min((direct, tied, separate) if adds_light else (direct,), key=bic)
     change = 1 - np.exp(-best.beta_D * (far - near))
     strongest = int(np.argmax(change))
     attenuation_bic = bic(none) - bic(best)
-    least_change = LEAST_CHANGE + (LAMP_ERROR * lamp.evidence["falloff"] if lamp.state == "on" else 0.0)
-    dims = attenuation_bic > LEAST_BIC_GAIN and change.max() >= least_change
-    veils = veils and dims
+    falls_off = lamp.state != "off"
+    least_change = LEAST_CHANGE + (LAMP_ERROR * lamp.evidence["falloff"] if falls_off else 0.0)
+    loses = attenuation_bic > LEAST_BIC_GAIN and change.max() >= LEAST_CHANGE
+    halves = [sightings.half(random).fit(best.family, best, steps=10) for _ in range(HALVES)] if loses else []
+    weakest = int(np.argmin(change))
+    parted = [
+        float(-np.expm1((made.beta_D[weakest] - made.beta_D[strongest]) * (far - near))) for made in (best, *halves)
+    ]
+    color = parted[0] - 1.96 * float(np.std(parted[1:], ddof=1)) if loses else 0.0
+    grey = float(1 - best.beta_D[weakest] / max(best.beta_D[strongest], 1e-12))
+    dims = loses and change.max() >= least_change and color >= LEAST_COLOR and grey >= GREY
+    veils = adds_light and dims
     # The coefficients are those of the widest family that was accepted: what need not be separate is nearly tied.
     fit = separate if veils else direct if dims else none
-    intervals = _intervals(sightings, fit, random) if dims else {}
+    if dims and fit.family != best.family:
+        halves = [sightings.half(random).fit(fit.family, fit, steps=10) for _ in range(HALVES)]
+    intervals = _intervals(fit, halves) if dims else {}
     width = float(np.ptp(intervals["beta_D"], axis=0)[strongest] / 2 / fit.beta_D[strongest]) if dims else float("nan")
+    resolution = float(sightings.resolution(none, far - near, LEAST_CHANGE).max())
 
-    color = ("red", "green", "blue")[strongest]
+    named = ("red", "green", "blue")[strongest]
     effects = {
         "attenuation": Finding(
             "on" if dims else "off",
@@ -177,11 +195,20 @@ def water_findings(
                 "bic_gain_least": LEAST_BIC_GAIN,
                 "change": change.tolist(),
                 "change_least": least_change,
+                "color": color,
+                "color_least": LEAST_COLOR,
+                "color_of_loss": grey,
+                "color_of_loss_least": GREY,
                 "interval": width,
                 "interval_most": WIDEST_INTERVAL,
+                "resolution": resolution,
+                "resolution_most": LEAST_CHANGE,
             },
-            f"{color.capitalize()} loses {change.max():.0%} between {near:.3g} and {far:.3g} scene units "
-            f"({least_change:.0%} at least); BIC gain {attenuation_bic:,.0f} ({LEAST_BIC_GAIN:.0f} at least).",
+            f"{named.capitalize()} loses {change.max():.0%} between the nearest and the farthest points "
+            f"({least_change:.0%} at least); BIC gain {attenuation_bic:,.0f} ({LEAST_BIC_GAIN:.0f} at least)"
+            + (
+                f"; beside another colour it fades by {color:.0%} at least ({LEAST_COLOR:.0%} counts)." if dims else "."
+            ),
         ),
         "backscatter": Finding(
             "on" if veils else "off",
@@ -201,13 +228,27 @@ def water_findings(
         "lamp": lamp,
         "exposure": exposure,
     }
+    if loses and not dims:
+        effects["attenuation"] = _untold(
+            effects["attenuation"],
+            f"It cannot be told from a lamp, the lens, shine or blur, which take from all colours alike: {named} loses "
+            f"{change.max():.0%} between the nearest and the farthest points ({least_change:.0%} at least), and "
+            f"fades beside another colour by {max(color, 0):.0%} for sure ({LEAST_COLOR:.0%} at least).",
+        )
+    elif not dims and resolution > LEAST_CHANGE:
+        effects["attenuation"] = _untold(
+            effects["attenuation"],
+            f"It cannot be told: a loss of {LEAST_CHANGE:.0%} between the nearest and the farthest points would be "
+            f"known to +-{resolution:.0%} only.",
+        )
     if dims and width > WIDEST_INTERVAL:
         effects["attenuation"] = _untold(
             effects["attenuation"],
-            f"The water cannot be told: the loss of {color} is known to +-{width:.0%} only (+-{WIDEST_INTERVAL:.0%} at "
+            f"The water cannot be told: the loss of {named} is known to +-{width:.0%} only (+-{WIDEST_INTERVAL:.0%} at "
             "most).",
         )
-        effects["backscatter"] = replace(effects["backscatter"], state="unknown" if veils else "off")
+    if effects["attenuation"].state == "unknown" and adds_light:
+        effects["backscatter"] = _untold(effects["backscatter"], effects["attenuation"].reason)
     for name in ("attenuation", "backscatter", "lamp"):
         finding = effects[name]
         finding.evidence.update(
@@ -250,8 +291,13 @@ def _lamp(fits: Sequence[Fit], bic: Callable[[Fit], float], ranges: np.ndarray) 
     falloff = 1 - (lit.tau + near**2) / (lit.tau + far**2)
     loss = 1 - np.exp(-ambient.beta_D * (far - near))
     grey = float(1 - ambient.beta_D.min() / max(ambient.beta_D.max(), 1e-12)) if ambient.family.attenuation else 1.0
-    colorless = grey < GREY and loss.max() >= LEAST_FALLOFF
+    even, falling = (
+        bic(next(fit for fit in fits if fit.family == Family(lamp=lamp, lens=lit.family.lens, gains=lit.family.gains)))
+        for lamp in (False, True)
+    )
+    colorless = grey < GREY and loss.max() >= LEAST_FALLOFF and even - falling > LEAST_BIC_GAIN
     found = colorless or (falloff >= LEAST_FALLOFF and gain > LEAST_BIC_GAIN)
+    tied = falloff >= LEAST_FALLOFF and gain > -LEAST_BIC_GAIN
     figures = {
         "bic_gain": gain,
         "bic_gain_least": LEAST_BIC_GAIN,
@@ -265,7 +311,12 @@ def _lamp(fits: Sequence[Fit], bic: Callable[[Fit], float], ranges: np.ndarray) 
         f"beyond what water takes; BIC gain {gain:,.0f} ({LEAST_BIC_GAIN:.0f} at least)"
         + (f", and the loss has no colour (spread {grey:.0%}, {GREY:.0%} at most)." if colorless else ".")
     )
-    return Finding("on" if found else "off", figures, reason)
+    if tied and not found:
+        reason = (
+            f"It cannot be told: light that falls off from the camera by {falloff:.0%} explains the colours as well as "
+            f"water does (BIC gain {gain:,.0f}, {LEAST_BIC_GAIN:.0f} at least)."
+        )
+    return Finding("on" if found else "unknown" if tied else "off", figures, reason)
 
 
 def _separate(tied: Fit, separate: Fit, gain: float, veiled: bool) -> Finding:
@@ -281,9 +332,8 @@ def _separate(tied: Fit, separate: Fit, gain: float, veiled: bool) -> Finding:
     )
 
 
-def _intervals(sightings: Sightings, fit: Fit, random: np.random.Generator) -> dict[str, np.ndarray]:
+def _intervals(fit: Fit, halves: Sequence[Fit]) -> dict[str, np.ndarray]:
     """95 % bounds (2, 3): the spread over halves drawn without putting back is that of the whole."""
-    halves = [sightings.half(random).fit(fit.family, fit, steps=10) for _ in range(HALVES)]
     bounds = {}
     for name in ("beta_D", "beta_B", "B"):
         value = getattr(fit, name)
@@ -313,6 +363,7 @@ def caustics_finding(observations: Observations, centres: np.ndarray, positions:
     grey = np.log(observations.light.mean(1) + 1e-3)
     changes: list[np.ndarray] = []
     alike: list[np.ndarray] = []
+    angles: list[np.ndarray] = []
     by_image = [np.flatnonzero(observations.image == k) for k in range(views)]
     for a in range(views):
         tracks_a = observations.track[by_image[a]]
@@ -329,12 +380,12 @@ def caustics_finding(observations: Observations, centres: np.ndarray, positions:
             )
             if same.sum() < LEAST_PAIR:
                 continue
-            change = (grey[right] - grey[left])[same]
-            change = change - np.median(change)
+            change = _rough(grey[right][same] - grey[left][same], observations.place[left][same])
             places = places[same]
             near = cKDTree(places).query(places, k=2)[1][:, 1]
             changes.append(change)
             alike.append(change[near])
+            angles.append(np.arccos(np.clip(cosine[same], -1, 1)))
     figures: dict[str, Any] = {"flicker_least": LEAST_FLICKER, "neighbours_least": LEAST_NEIGHBOUR_CORRELATION}
     if not changes:
         return Finding(
@@ -343,21 +394,43 @@ def caustics_finding(observations: Observations, centres: np.ndarray, positions:
             f"It cannot be told: no two photographs see {LEAST_PAIR} points from nearly the same place "
             f"(within {PAIR_ANGLE:.0f} degrees, range within {PAIR_RANGE:.0%}).",
         )
-    change, neighbour = np.concatenate(changes), np.concatenate(alike)
-    usual = 3 * max(_robust_sd(change), 1e-6)
-    bounded = np.clip(change, -usual, usual), np.clip(neighbour, -usual, usual)
-    correlation = float(np.corrcoef(*bounded)[0, 1])
-    # What neighbours share is light; the rest is error of the colours.
-    flicker = _robust_sd(change) * float(np.sqrt(max(correlation, 0)))
-    found = flicker > LEAST_FLICKER and correlation > LEAST_NEIGHBOUR_CORRELATION
-    figures |= {"flicker": flicker, "neighbours": correlation, "pairs": len(change)}
+    change, neighbour, angle = np.concatenate(changes), np.concatenate(alike), np.concatenate(angles)
+    nearer = angle <= np.median(angle)
+    flicker, correlation = _flicker(change[nearer], neighbour[nearer])
+    farther = _flicker(change[~nearer], neighbour[~nearer])[0] if (~nearer).any() else flicker
+    steadiness = flicker / max(farther, 1e-6)
+    found = flicker > LEAST_FLICKER and correlation > LEAST_NEIGHBOUR_CORRELATION and steadiness > LEAST_STEADINESS
+    figures |= {
+        "flicker": flicker,
+        "neighbours": correlation,
+        "steadiness": steadiness,
+        "steadiness_least": LEAST_STEADINESS,
+        "pairs": len(change),
+    }
     return Finding(
         "on" if found else "off",
         figures,
         f"Seen again from nearly the same place, light on the ground differs by {flicker:.1%} (sd; more than "
-        f"{LEAST_FLICKER:.0%} counts) and alike for neighbours (correlation {correlation:.2f}, more than "
-        f"{LEAST_NEIGHBOUR_CORRELATION} counts).",
+        f"{LEAST_FLICKER:.0%} counts), alike for neighbours (correlation {correlation:.2f}, more than "
+        f"{LEAST_NEIGHBOUR_CORRELATION} counts) and as much between near views as between farther ones "
+        f"({steadiness:.2f} times, more than {LEAST_STEADINESS} counts).",
     )
+
+
+def _rough(change: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Log changes (n,) without what is smooth over the photograph, as exposure, the lens or a lamp's beam are."""
+    usual = 3 * _robust_sd(change)
+    middle = np.median(change)
+    terms = np.column_stack([np.ones(len(change)), lens_terms(place)])
+    smooth = np.linalg.lstsq(terms, np.clip(change, middle - usual, middle + usual), rcond=None)[0]
+    return change - terms @ smooth
+
+
+def _flicker(change: np.ndarray, neighbour: np.ndarray) -> tuple[float, float]:
+    """Sd of the log light that neighbours share, and their correlation: the rest is error of the colours."""
+    sd = max(_robust_sd(change), 1e-6)
+    correlation = float(np.corrcoef(np.clip(change, -3 * sd, 3 * sd), np.clip(neighbour, -3 * sd, 3 * sd))[0, 1])
+    return sd * float(np.sqrt(max(correlation, 0))), correlation
 
 
 def _robust_sd(values: np.ndarray) -> float:

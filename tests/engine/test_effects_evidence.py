@@ -152,9 +152,17 @@ def test_a_veil_that_the_darkest_light_does_not_show_is_no_backscatter():
 
 
 def test_grey_loss_is_a_lamp():
-    """Water has a colour: what all channels lose alike is the lamp's light."""
-    found = water_findings(sightings(grey=True, tau=0.5, beta_D=(0.1, 0.1, 0.1))).effects
-    assert found["lamp"].state == "on" and "no colour" in found["lamp"].reason
+    """Water has a colour: what all channels lose alike is the lamp's light, and water's share of it cannot be told."""
+    found = water_findings(sightings(grey=True, tau=0.5, beta_D=(0.2, 0.2, 0.2)))
+    assert found.effects["lamp"].state == "on" and "no colour" in found.effects["lamp"].reason
+    assert found.effects["attenuation"].state != "on" and found.fit.tau < np.inf
+
+
+def test_a_loss_that_could_not_be_seen_is_not_denied():
+    assert states(sightings())["attenuation"] == "off"
+    finding = water_findings(sightings(count=60, noise=0.5, spread=1.5)).effects["attenuation"]
+    assert finding.state == "unknown" and "would be known to" in finding.reason
+    assert finding.evidence["resolution"] > finding.evidence["resolution_most"]
 
 
 @pytest.mark.parametrize("separate", [True, False])
@@ -179,17 +187,20 @@ def test_derivatives_by_finite_differences(separate):
 # -- caustics ----------------------------------------------------------------------------------------------------------
 
 
-def flickering(strength, together=True, seed=0):
-    """400 points on a floor seen from ten near places, lit by patterns that neighbours share or not."""
+def flickering(strength, together=True, seed=0, shine=False):
+    """400 points on a floor seen from ten near places, lit by patterns that neighbours share or not; with `shine` the
+    pattern moves with the camera."""
     r = np.random.default_rng(seed)
     positions = np.column_stack([r.uniform(-2, 2, (400, 2)), np.zeros(400)])
     centres = np.column_stack([np.linspace(-0.3, 0.3, 10), np.zeros(10), np.full(10, 4.0)])
     parts = []
     for k, centre in enumerate(centres):
         ranges = np.linalg.norm(positions - centre, axis=1)
-        waves = np.sin(positions @ [6, 4, 0] + 40 * k) if together else r.standard_normal(400)
+        moved = 4 * centre[0] if shine else 40 * k
+        waves = np.sin(positions @ [6, 4, 0] + moved) if together else r.standard_normal(400)
         light = np.exp(strength * waves)[:, None] * np.full((400, 3), 0.3) * np.exp(0.02 * r.standard_normal((400, 3)))
-        parts.append((np.arange(400), ranges, light, np.full(400, k), np.zeros((400, 2)), light))
+        place = (positions[:, :2] - centre[:2]) / 4
+        parts.append((np.arange(400), ranges, light, np.full(400, k), place, light))
     return Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True))), centres, positions
 
 
@@ -199,6 +210,20 @@ def test_caustics_are_light_that_flickers_on_whole_patches(strength, together, s
     assert finding.state == state
     if state == "on":
         assert finding.evidence["flicker"] == pytest.approx(0.3, rel=0.5)
+
+
+def test_shine_is_no_caustics():
+    """It changes too, and for whole patches, but the less the nearer the views."""
+    finding = caustics_finding(*flickering(0.3, shine=True))
+    assert finding.state == "off" and finding.evidence["flicker"] > finding.evidence["flicker_least"]
+    assert finding.evidence["steadiness"] < finding.evidence["steadiness_least"]
+
+
+def test_light_that_is_uneven_over_a_photograph_is_no_caustics():
+    observations, centres, positions = flickering(0.0)
+    beam = 0.3 * (-1.0) ** observations.image * observations.place[:, 0]
+    lit = replace(observations, light=observations.light * np.exp(beam)[:, None])
+    assert caustics_finding(lit, centres, positions).state == "off"
 
 
 def test_caustics_cannot_be_told_without_near_views():

@@ -1,6 +1,9 @@
-"""Scenes for the matrix of effects: three camera patterns over the reef and the wreck, rendered once, seen many ways.
+"""Scenes for the matrix of effects: camera patterns over places, rendered once, seen many ways.
 
-Scenes that differ in water, lamp, exposure, caustics or lens share their clean renders, which are kept in a folder.
+    python tests/scenes/effect_scenes.py FOLDER SEED [SEED ...]
+
+Scenes that differ in water, lamp, exposure, caustics, lens or fish share their clean renders, which are kept in a
+folder. Places: the reef and the wreck by Cycles, and those of boxes.py.
 """
 
 import sys
@@ -10,10 +13,19 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.scenes.make_scene import Rendered, Settings, focal_length  # noqa: E402
+from swag_engine.files import atomic_path  # noqa: E402
+from tests.scenes.boxes import ground, passes_of, room, street  # noqa: E402
+from tests.scenes.make_scene import VOLUME, Rendered, Settings, focal_length  # noqa: E402
 from tests.scenes.reef_model import Model, Passes, Renderer, camera_path  # noqa: E402
 
 PATTERNS = ("orbit", "oblique", "nadir")
+"""Of the cameras over the reef and the wreck."""
+PLACES = {"walk": street, "around": room, "survey": ground}
+"""Patterns over places of boxes."""
+FISHY = 0.4
+"""Share of the photographs that fish swim through in scenes with fish."""
+VOLUME_PATTERN = "orbit"
+"""The pattern that Cycles renders in a real scattering volume too."""
 VIEWS = 20
 SIZE = (320, 180)
 
@@ -34,9 +46,23 @@ def camera_poses(pattern: str, views: int = VIEWS) -> list[np.ndarray]:
 
     orbit: the demo scene's loop before the wreck. oblique: two lines past it, looking down and across, the second
     farther off. nadir: four lines of a survey straight down at constant height over the flat sand before the wreck.
+    walk: along a street, swaying. around: along the walls of a room, looking in. survey: as nadir, over flat ground.
     """
     if pattern == "orbit":
         return camera_path(views)
+    up = np.array([0.0, 0.0, 1.0])
+    if pattern in ("walk", "around"):
+        poses = []
+        for k in range(views):
+            along, turn = k / (views - 1), 2 * np.pi * k / views
+            if pattern == "walk":
+                centre = np.array([-14 + 18 * along, 1.5 * np.sin(9 * along), 1.7 + 0.3 * np.sin(5 * along)])
+                target = centre + [10, 4 * np.sin(4 * along), 0.6]
+            else:
+                centre = np.array([4.2 * np.cos(turn), 3.2 * np.sin(turn), 1.6 + 0.3 * np.sin(3 * turn)])
+                target = np.array([-2.5 * np.cos(turn), -1.5 * np.sin(turn), 0.8])
+            poses.append(looking(centre, target, up))
+        return poses
     poses, lines = [], 2 if pattern == "oblique" else 4
     for line in range(lines):
         for k in range(views // lines):
@@ -44,7 +70,7 @@ def camera_poses(pattern: str, views: int = VIEWS) -> list[np.ndarray]:
             if pattern == "oblique":
                 centre = np.array([6 * along, -4.6 - 2.4 * line, 2.6 + 0.9 * line])
                 target = np.array([6 * along * 0.9, 0.4, 0.3])
-                poses.append(looking(centre, target, np.array([0.0, 0.0, 1.0])))
+                poses.append(looking(centre, target, up))
             else:
                 centre = np.array([4 * along, -6.5 + 0.8 * line, 4.0])
                 poses.append(looking(centre, centre - [0, 0, 1], np.array([0.0, 1.0, 0.0])))
@@ -56,8 +82,12 @@ def settings_for(out: Path, **effects: object) -> Settings:
     return Settings(out, views=VIEWS, width=SIZE[0], height=SIZE[1], points=1500, **effects)  # type: ignore[arg-type]
 
 
+PASSES = {"colour": "f2", "alpha": "f2", "range": "f4", "sun_share": "f2", "fish": "f2"}
+
+
 def render_clean(folder: Path, seed: int) -> None:
-    """Render the model of this seed along all patterns without water to folder/PATTERN-SEED.npz."""
+    """Render the model of this seed along all patterns without water to folder/PATTERN-SEED.npz, with fish before some
+    of the views; and along VOLUME_PATTERN in a volume to folder/volume-SEED.npz."""
     settings = settings_for(folder)
     factor = settings.supersample
     width, height, focal = (n * factor for n in (settings.width, settings.height, focal_length(settings)))
@@ -68,30 +98,56 @@ def render_clean(folder: Path, seed: int) -> None:
         if path.exists():
             continue
         poses = camera_poses(pattern)
-        passes = [renderer.still(pose) for pose in poses]
+        still = [renderer.still(pose) for pose in poses]
+        random = np.random.default_rng((seed, 1))
+        chosen = np.sort(random.permutation(len(poses))[: round(FISHY * len(poses))])
+        fishy = [renderer.with_fish(still[k], poses[k], random) for k in chosen]
         arrays = {
-            name: np.stack([getattr(view, name) for view in passes]).astype(kind)
-            for name, kind in (("colour", "f2"), ("alpha", "f2"), ("range", "f4"), ("sun_share", "f2"))
+            f"{part}{name}": np.stack([getattr(view, name) for view in views]).astype(kind)
+            for part, views in (("", still), ("fishy_", fishy))
+            for name, kind in PASSES.items()
         }
-        np.savez(path, poses=np.stack(poses), **arrays)
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, poses=np.stack(poses), fishy_views=chosen, **arrays)
+    path = folder / f"volume-{seed}.npz"
+    if not path.exists():  # last: it changes the light
+        volume = renderer.volume(camera_poses(VOLUME_PATTERN), factor, 16 * settings.samples, **VOLUME)
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, volume=np.stack(volume).astype("f2"))
 
 
-def rendered(folder: Path, pattern: str, seed: int) -> Rendered:
+def render_boxes(folder: Path, pattern: str, seed: int) -> None:
+    """As render_clean, of a place of boxes; without fish."""
+    settings, poses = settings_for(folder), camera_poses(pattern)
+    size = (settings.width * settings.supersample, settings.height * settings.supersample)
+    place = PLACES[pattern](seed)
+    still = [passes_of(place, pose, *size, focal_length(settings) * settings.supersample) for pose in poses]
+    arrays = {name: np.stack([getattr(view, name) for view in still]).astype(kind) for name, kind in PASSES.items()}
+    fishy = {f"fishy_{name}": values[:0] for name, values in arrays.items()}
+    with atomic_path(folder / f"{pattern}-{seed}.npz") as temporary, temporary.open("wb") as file:
+        np.savez(file, poses=np.stack(poses), fishy_views=np.zeros(0, int), **arrays, **fishy)
+
+
+def rendered(folder: Path, pattern: str, seed: int, fish: bool = False, volume: bool = False) -> Rendered:
     """The clean renders that `render_clean` left in `folder`."""
+    if pattern in PLACES and not (folder / f"{pattern}-{seed}.npz").exists():
+        render_boxes(folder, pattern, seed)
     with np.load(folder / f"{pattern}-{seed}.npz", allow_pickle=False) as arrays:
-        poses, colour, alpha, distance, sun = (
-            arrays[name] for name in ("poses", "colour", "alpha", "range", "sun_share")
-        )
-    nothing = np.zeros(alpha.shape[1:])
-    still = [
-        Passes(
-            **dict(zip(("colour", "alpha", "range", "sun_share"), (v.astype(np.float32) for v in view), strict=True)),
-            fish=nothing.astype(np.float32),
-            label=nothing.astype(np.uint8),
-        )
-        for view in zip(colour, alpha, distance, sun, strict=True)
-    ]
-    return Rendered(list(poses), still, still, None)
+        poses, chosen = list(arrays["poses"]), arrays["fishy_views"]
+        still, fishy = ([arrays[f"{part}{name}"] for name in PASSES] for part in ("", "fishy_"))
+
+    def passes(views: list[np.ndarray]) -> list[Passes]:
+        label = np.zeros(views[0].shape[1:3], np.uint8)
+        return [Passes(*(values.astype(np.float32) for values in view), label) for view in zip(*views, strict=True)]
+
+    seen = clean = passes(still)
+    if fish:
+        swimming = dict(zip(chosen.tolist(), passes(fishy), strict=True))
+        seen = [swimming.get(k, view) for k, view in enumerate(clean)]
+    if not volume:
+        return Rendered(poses, clean, seen, None)
+    with np.load(folder / f"volume-{seed}.npz", allow_pickle=False) as arrays:
+        return Rendered(poses, clean, seen, list(arrays["volume"].astype(np.float32)))
 
 
 if __name__ == "__main__":

@@ -73,6 +73,8 @@ class Settings:
     """Strength of the light pattern that waves throw on what the sun lights; 1 is the pattern as lenses make it."""
     vignetting: float = 0.0
     """Share of its light that the lens loses at the corners; the loss grows with the squared distance to the middle."""
+    phone: float = 0.0
+    """How much the camera beautifies, 1 as telephones do: see `developed`."""
     moving_object: float = 0.0
     """Share of the images that fish swim through."""
     volume: bool = False
@@ -100,6 +102,24 @@ def srgb(linear: np.ndarray) -> np.ndarray:
     """Displayed sRGB value 0..1 of linear light (IEC 61966-2-1), without clipping above 1."""
     linear = np.maximum(linear, 0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def developed(shown: np.ndarray, strength: float, rng: np.random.Generator) -> np.ndarray:
+    """A displayed picture (H,W,3) as a telephone gives it: glare of bright parts over the rest, noise, a white balance
+    of its own, local contrast, an S-shaped tone curve and sharpened edges."""
+    shown = shown.clip(0, 1)
+    light = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    glare = 0.04 * strength
+    light = (1 - glare) * light + glare * cv2.GaussianBlur(light, (0, 0), shown.shape[1] / 12)
+    light *= np.exp(rng.normal(0, 0.03 * strength, 3))
+    light += rng.normal(0, 0.012 * strength, light.shape) * np.sqrt(light)
+    lab = cv2.cvtColor(srgb(light).clip(0, 1).astype(np.float32), cv2.COLOR_RGB2LAB)
+    level = lab[..., 0] / 100
+    even = cv2.createCLAHE(2.0, (4, 4)).apply((level * 65535).astype(np.uint16)) / np.float32(65535)
+    level = level + strength * (0.35 * (even - level) - 0.06 * np.sin(2 * np.pi * level))
+    level += 0.5 * strength * (level - cv2.GaussianBlur(level, (0, 0), 1.2))
+    lab[..., 0] = 100 * level.clip(0, 1)
+    return cv2.cvtColor(lab, cv2.COLOR_LAB2RGB)
 
 
 def to_8bit(values: np.ndarray) -> np.ndarray:
@@ -368,6 +388,8 @@ def make_scene(settings: Settings, rendered: Rendered | None = None) -> dict:
         else:
             waves = np.random.default_rng((settings.seed, 3, k))
             shown = photograph(seen, settings, focal * factor, poses[k], reference, gains[k], waves)
+        if settings.phone:
+            shown = developed(shown, settings.phone, np.random.default_rng((settings.seed, 5, k)))
         images.append(to_8bit(shown))
         ranges.append(nearest_range(seen.range, seen.alpha, factor))
         cv2.imwrite(str(settings.out / "images" / name), images[-1][..., ::-1], JPEG)
