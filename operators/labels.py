@@ -1,15 +1,20 @@
-"""What a user does with the labels of splats: list, show, select, search, keep as masks, separate, merge."""
+"""What a user does with the labels of splats: make, list, show, select, search, keep as masks, separate, merge."""
 
+import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from ..swag_blender import labels, splats
-from ..swag_blender.engine_process import EngineError, run_request
+from ..swag_blender.engine_process import Engine, EngineError, run_request
+from ..swag_blender.job import Job
 from ..swag_engine.errors import InputError
+from ..swag_engine.formats.ply import read_ply
+from ..swag_engine.training.run_folder import RunFolder
 from .train import RUN_KEY
 
 
@@ -32,6 +37,60 @@ class _OnSplats:
         if message:
             self.report({"INFO"}, message)
         return {"FINISHED"}
+
+
+class SWAG_OT_label_run(Job, bpy.types.Operator):
+    """Give every splat of the run a label: by your masks, by words, or by what stands out; Escape stops"""
+
+    bl_idname = "swag.label_run"
+    bl_label = "Label"
+    bl_options = {"REGISTER", "UNDO"}
+    job = "Labelling"
+
+    source: labels.SOURCE
+    words: labels.WORDS
+    masks: labels.MASKS
+    download: labels.DOWNLOAD
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return super().poll(context) and _OnSplats.poll.__func__(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.run_waiting(context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.run_waiting(context) if bpy.app.background else self.run_modal(context)
+
+    def start(self, context: bpy.types.Context) -> Engine:
+        obj = context.active_object
+        self._object, self._run = obj.name, bpy.path.abspath(obj.get(RUN_KEY, "")) or context.scene.swag.run_path
+        if not self._run:
+            raise InputError(
+                f"The splats of {obj.name} are from no run on this machine: train, or choose the run folder."
+            )
+        request: dict[str, Any] = {"request": "label", "run": self._run, "saliency": self.source == "SALIENCY"}
+        if self.source == "WORDS":
+            if not self.words.strip():
+                raise InputError("There is nothing to look for: write words such as coral, wreck, open water.")
+            if self.download and not bpy.app.online_access:
+                raise InputError("Networks cannot be fetched: allow online access in Preferences > System first.")
+            request |= {"words": self.words, "download": self.download}
+        elif self.source == "MASKS":
+            if not self.masks:
+                raise InputError("There is no folder of masks: choose it, or label by something else.")
+            request["masks"] = os.path.abspath(bpy.path.abspath(self.masks))
+        engine = Engine()
+        engine.send(request)
+        return engine
+
+    def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
+        obj = bpy.data.objects.get(self._object)
+        if obj is None:
+            raise InputError(f"{self._object} is gone; the labels are in {self._run}.")
+        labels.take_labels(obj, read_ply(RunFolder(Path(self._run)).ply), self._run)
+        names = [entry["name"] for entry in event["labels"]]
+        return " ".join([f"{len(names)} labels: {', '.join(names[:8])}.", *event["notes"]])
 
 
 class SWAG_OT_read_labels(_OnSplats, bpy.types.Operator):
@@ -163,6 +222,7 @@ class SWAG_OT_merge_splats(_OnSplats, bpy.types.Operator):
 
 CLASSES = (
     *labels.CLASSES,
+    SWAG_OT_label_run,
     SWAG_OT_read_labels,
     SWAG_OT_show_labels,
     SWAG_OT_isolate_label,

@@ -16,6 +16,7 @@ import numpy as np
 from bpy.props import (
     BoolProperty,
     CollectionProperty,
+    EnumProperty,
     FloatProperty,
     FloatVectorProperty,
     IntProperty,
@@ -37,6 +38,23 @@ MASK_PREFIX = "mask:"
 TABLE, FEATURES = "labels.json", "semantics.safetensors"
 SELECTED_COLOR = (1.0, 0.45, 0.0, 0.6)
 TINT_STRENGTH = 0.65
+
+
+SOURCE = EnumProperty(
+    name="By",
+    description="What the splats are labelled by",
+    items=[
+        ("AUTO", "Scene", "The scene's own masks, where it has some in its folder labels, else what stands out"),
+        ("MASKS", "Masks", "Your own mask images: one folder a label, with a picture for each photograph"),
+        ("WORDS", "Words", "Networks that find what you name in the photographs"),
+        ("SALIENCY", "What Stands Out", "Open water, what stands out, and the rest; needs nothing"),
+    ],
+)
+WORDS = StringProperty(name="Words", description="What to label, as in coral, wreck, open water")
+MASKS = StringProperty(name="Masks", description="Folder of the masks", subtype="DIR_PATH")
+DOWNLOAD = BoolProperty(
+    name="Fetch Networks", description="Get networks that are not on this machine from their authors"
+)
 
 
 class SwagLabel(PropertyGroup):
@@ -75,6 +93,29 @@ class SwagLabels(PropertyGroup):
         update=lambda self, context: select_similar(self.id_data),
     )
     folder: StringProperty(description="Folder of the run that the names are from", subtype="DIR_PATH")
+    source: SOURCE
+    wanted: WORDS
+    masks: MASKS
+    download: DOWNLOAD
+
+
+def take_labels(obj: bpy.types.Object, made: Splats, folder: str) -> int:
+    """Give a splat object the labels of its run's result, `made`, in `folder`, and list them; returns how many.
+
+    Splats that stand in another order, as after separating and merging, are replaced; masks and selections go then.
+    Raises InputError when the object has fewer or more splats than the run.
+    """
+    count = len(obj.data.points)
+    if count != len(made):
+        raise InputError(
+            f"The run has {len(made)} splats and {obj.name} {count}: merge its parts, or open result.ply again."
+        )
+    if np.array_equal(splats.read_splats(obj).positions, made.positions):
+        _set(obj, LABEL, "INT", made.extras["label"])
+    else:
+        splats.replace_splats(obj, made)
+    obj.swag_labels.entries.clear()
+    return read_labels(obj, folder)
 
 
 def read_labels(obj: bpy.types.Object, folder: str) -> int:
@@ -305,6 +346,19 @@ def draw_labels(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
     row.operator("swag.merge_splats", text="Merge")
 
 
+def draw_labelling(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
+    """What a run's splats are labelled by, and the button that does it, for a panel."""
+    own = obj.swag_labels
+    layout.prop(own, "source")
+    if own.source == "WORDS":
+        layout.prop(own, "wanted")
+        layout.prop(own, "download")
+    elif own.source == "MASKS":
+        layout.prop(own, "masks")
+    button = layout.operator("swag.label_run", icon="BOOKMARKS")
+    button.source, button.words, button.masks, button.download = own.source, own.wanted, own.masks, own.download
+
+
 class SWAG_UL_labels(bpy.types.UIList):
     """One line a label: colour, name, count, and its buttons."""
 
@@ -360,7 +414,7 @@ def _set(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray) -> Non
         found = None
     found = found or attributes.new(name, kind, "POINT")
     field = "color" if kind == "FLOAT_COLOR" else "value"
-    dtype = bool if kind == "BOOLEAN" else np.float32
+    dtype = {"BOOLEAN": bool, "INT": np.int32}.get(kind, np.float32)
     found.data.foreach_set(field, np.ascontiguousarray(values, dtype).ravel())
     obj.data.update_tag()
 

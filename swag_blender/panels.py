@@ -165,6 +165,22 @@ class SWAG_PT_labels(SwagPanel, bpy.types.Panel):
         labels.draw_labels(self.layout, context.active_object)
 
 
+class SWAG_PT_label(SwagPanel, bpy.types.Panel):
+    bl_label = "Make Labels"
+    bl_parent_id = "SWAG_PT_labels"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, status = self.layout, context.window_manager.swag
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        if status.job == "Labelling":
+            draw_job(layout, context)
+            return
+        labels.draw_labelling(layout, context.active_object)
+        if status.last_job == "Labelling":
+            draw_wrapped(layout, status.message, context.region.width, icon="ERROR" if status.failed else "CHECKMARK")
+
+
 class SWAG_PT_export(SwagPanel, bpy.types.Panel):
     bl_label = "Export"
     bl_order = 4
@@ -257,6 +273,7 @@ _CLASSES = (
     SWAG_PT_train_more,
     SWAG_PT_result,
     SWAG_PT_labels,
+    SWAG_PT_label,
     SWAG_PT_export,
     SWAG_MT_splatting,
 )

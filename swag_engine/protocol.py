@@ -1,7 +1,7 @@
 """The messages between the worker and whoever started it: one JSON object a line."""
 
 import json
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -47,6 +47,18 @@ class ExportRequest:
 
 
 @dataclass(frozen=True)
+class LabelRequest:
+    """Label the Gaussians of the run `run` by `words` (between commas), by the folder `masks`, by what stands out
+    (`saliency`), or as the command `label` does by itself; `download`: networks may be fetched."""
+
+    run: Path
+    words: str = ""
+    masks: Path | None = None
+    saliency: bool = False
+    download: bool = False
+
+
+@dataclass(frozen=True)
 class SearchRequest:
     """Write how near each Gaussian of the labelled run `run` is to `words` to the .npy file `path`."""
 
@@ -75,6 +87,7 @@ Request = (
     | TrainRequest
     | ForecastRequest
     | ExportRequest
+    | LabelRequest
     | SearchRequest
     | CancelRequest
     | PauseRequest
@@ -85,6 +98,7 @@ REQUESTS: dict[str, type[Request]] = {
     "train": TrainRequest,
     "forecast": ForecastRequest,
     "export": ExportRequest,
+    "label": LabelRequest,
     "search": SearchRequest,
     "cancel": CancelRequest,
     "pause": PauseRequest,
@@ -112,13 +126,13 @@ def parse_request(line: str) -> Request:
     try:
         return kind(**values)
     except TypeError:
-        required = [key for key in known if key not in ("settings", "resume")]
+        required = [key for key, entry in known.items() if entry.default is entry.default_factory is MISSING]
         raise InputError(f"The request {name} needs {', '.join(required)}.") from None
 
 
 def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
     """One field of a request as the type that the dataclass gives it."""
-    if kind is Path and isinstance(value, str) and value:
+    if kind in (Path, Path | None) and isinstance(value, str) and value:
         return Path(value)
     if kind is str and isinstance(value, str) and value:
         return value
@@ -133,4 +147,5 @@ def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
 
 def describe(kind: Any) -> str:
     words: dict[Any, str] = {Path: "path", str: "text", bool: "true or false", TrainSettings: "object of settings"}
+    words[Path | None] = words[Path]
     return words.get(kind) or f"one of {', '.join(get_args(kind))}"

@@ -18,6 +18,7 @@ from .protocol import (
     ForecastRequest,
     GoOnRequest,
     InspectRequest,
+    LabelRequest,
     PauseRequest,
     Request,
     SearchRequest,
@@ -117,6 +118,8 @@ class Worker:
 
             forecast = forecast_scene(request.scene, request.settings, self.progress)
             return {"event": "result", "request": "forecast", "scene": str(request.scene)} | forecast
+        if isinstance(request, LabelRequest):
+            return self.label(request)
         if isinstance(request, SearchRequest):
             from .semantics.run import search_run, write_similarity
 
@@ -128,6 +131,24 @@ class Worker:
 
         export_run(request.run, request.format, request.out)
         return {"event": "result", "request": "export", "out": str(request.out)}
+
+    def label(self, request: LabelRequest) -> dict[str, Any]:
+        from .semantics.run import label_run
+
+        def progress(stage: str, fraction: float) -> None:
+            if self.stop.is_set():
+                raise InputError("Labelling was stopped; the run is as it was.")
+            self.progress(stage, fraction)
+
+        document = label_run(
+            request.run,
+            request.words.split(",") if request.words else (),
+            request.masks,
+            "saliency" if request.saliency else None,
+            download=request.download,
+            progress=progress,
+        )
+        return {"event": "result", "request": "label", "run": str(request.run)} | document
 
     def progress(self, stage: str, fraction: float) -> None:
         """A `progress` event of something that is not a training."""

@@ -1,7 +1,9 @@
 """Labels of splats in Blender: list, show, select, search, masks, separate, merge."""
 
 import json
+import sys
 
+import cv2
 import numpy as np
 
 SETUP = """
@@ -270,3 +272,65 @@ assert bpy.ops.swag.read_labels() == {"FINISHED"} and len(obj.swag_labels.entrie
         """,
         tmp_path,
     )
+
+
+def test_a_run_is_labelled_through_the_engine(blender, tiny_scene, tmp_path):
+    from swag_engine.training.config import TrainSettings
+    from swag_engine.training.loop import train
+
+    train(tiny_scene, tmp_path / "run", TrainSettings(iterations=20, width=64, max_gaussians=320, sh_degree=0))
+    for name, columns in (("left", slice(0, 30)), ("right", slice(30, 64))):
+        (tmp_path / "masks" / name).mkdir(parents=True)
+        mask = np.zeros((48, 64), np.uint8)
+        mask[:, columns] = 255
+        for photograph in (tiny_scene / "images").iterdir():
+            cv2.imwrite(str(tmp_path / "masks" / name / photograph.name), mask)
+    printed = blender.run(
+        SETUP
+        + """
+from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply
+from pathlib import Path
+run, masks = Path(sys.argv[1], "run"), sys.argv[1] + "/masks"
+obj = splats.new_splat_object("reef", read_ply(run / "result.ply"), scene.collection)
+bpy.context.view_layer.objects.active = obj
+obj.select_set(True)
+refused(bpy.ops.swag.label_run, "are from no run")
+obj["swag_run"] = str(run)
+refused(bpy.ops.swag.label_run, "There is no folder of masks: choose it", source="MASKS")
+refused(bpy.ops.swag.label_run, "There is nothing to look for: write words", source="WORDS", words=" ")
+refused(bpy.ops.swag.label_run, "One of the words to look for is empty", source="WORDS", words="coral,,")
+refused(bpy.ops.swag.label_run, "allow online access", source="WORDS", words="coral", download=True)
+refused(bpy.ops.swag.label_run, "There is no folder", source="MASKS", masks=masks + "/none")
+assert "swag:label" not in obj.data.attributes and not (run / "labels.json").exists()
+
+assert bpy.ops.swag.label_run(source="MASKS", masks=masks) == {"FINISHED"}
+assert {e.name for e in obj.swag_labels.entries if e.number} == {"left", "right"}
+assert np.array_equal(labels.attribute(obj, "swag:label"), read_ply(run / "result.ply").extras["label"])
+status = bpy.context.window_manager.swag
+assert status.message.startswith("2 labels: ") and not status.failed and not status.job
+x, left = splats.read_splats(obj).positions[:, 0], labels.attribute(obj, "swag:label")
+bpy.ops.swag.select_label(number=next(e.number for e in obj.swag_labels.entries if e.name == "left"))
+mask = labels.attribute(obj, "swag:selected")
+assert x[mask].mean() < x[~mask].mean() - 1
+bpy.ops.swag.keep_mask(name="kept")
+bpy.ops.swag.search_labels(words="left")
+assert labels.attribute(obj, "swag:similarity")[mask].mean() > labels.attribute(obj, "swag:similarity")[~mask].mean()
+
+# Labelled again, the splats stay and so does what was kept of them; in parts, they are not of the run.
+assert bpy.ops.swag.label_run(source="SALIENCY") == {"FINISHED"}
+assert np.array_equal(labels.attribute(obj, "mask:kept"), mask) and not {"left", "right"} & set(
+    e.name for e in obj.swag_labels.entries)
+bpy.ops.swag.select_label(number=obj.swag_labels.entries[0].number)
+bpy.ops.swag.separate_splats()
+part = bpy.context.active_object
+bpy.context.view_layer.objects.active = obj
+refused(bpy.ops.swag.label_run, "merge its parts, or open result.ply again", source="SALIENCY")
+part.select_set(True), obj.select_set(True)
+bpy.ops.swag.merge_splats()
+assert bpy.ops.swag.label_run(source="MASKS", masks=masks) == {"FINISHED"}
+assert np.array_equal(labels.attribute(obj, "swag:label"), read_ply(run / "result.ply").extras["label"])
+        """,
+        tmp_path,
+        SWAG_ENGINE_PYTHON=sys.executable,
+    )
+    assert "Labelling: Regions" in printed

@@ -259,16 +259,31 @@ def test_the_command_line_labels_searches_and_takes_out(untouched: Path, tmp_pat
     assert missing.returncode == 2 and "submarine" in missing.stderr and not (tmp_path / "no.ply").exists()
 
 
-def test_the_worker_searches(labelled: Path, tmp_path: Path) -> None:
-    request = {"request": "search", "run": str(labelled), "words": "wreck", "path": str(tmp_path / "wreck.npy")}
+def test_the_worker_labels_and_searches(run: Path, tmp_path: Path) -> None:
+    label = {"request": "label", "run": str(run)}
+    search = {"request": "search", "run": str(run), "words": "wreck", "path": str(tmp_path / "wreck.npy")}
+    requests = [
+        label | {"masks": str(tmp_path / "absent")},
+        label | {"words": "coral,,"},
+        label | {"masks": 3},
+        label | {"masks": str(MASKS)},
+        search,
+        search | {"words": "submarine"},
+    ]
     done = subprocess.run(
         [sys.executable, "-m", "swag_engine.worker"],
-        input=json.dumps(request) + "\n" + json.dumps(request | {"words": "submarine"}) + "\n",
+        input="".join(json.dumps(request) + "\n" for request in requests),
         capture_output=True,
         text=True,
         cwd=REEF.parents[2],
     )
-    found, refused = map(json.loads, done.stdout.splitlines())
+    events = [json.loads(line) for line in done.stdout.splitlines()]
+    *refused, made, found, unknown = [event for event in events if event["event"] != "progress"]
+    assert all(event["kind"] == "input" for event in refused)
+    for event, message in zip(refused, ("There is no folder", "One of the words", "which is no path"), strict=True):
+        assert message in event["message"]
+    assert any(event["event"] == "progress" and event["stage"] == "Regions" for event in events)
+    assert made["request"] == "label" and {entry["name"] for entry in made["labels"]} == set(NAMES)
     assert found["event"] == "result" and found["labels"] == ["wreck"]
-    np.testing.assert_array_equal(np.load(found["path"]), search_run(labelled, "wreck")[0])
-    assert refused["event"] == "error" and refused["kind"] == "input" and "submarine" in refused["message"]
+    np.testing.assert_array_equal(np.load(found["path"]), search_run(run, "wreck")[0])
+    assert unknown["event"] == "error" and unknown["kind"] == "input" and "submarine" in unknown["message"]
