@@ -151,6 +151,18 @@ def test_a_veil_that_the_darkest_light_does_not_show_is_no_backscatter():
     assert states(replace(observations, darkest=0 * observations.darkest))["backscatter"] == "off"
 
 
+def test_what_one_surface_loses_is_not_water():
+    """Shine makes one surface redder the nearer it is; water takes from all surfaces alike."""
+    observations = sightings(count=800)
+    _, first, track = np.unique(observations.track, return_index=True, return_inverse=True)
+    shining = (observations.place[first, 0] > 0)[track]
+    red = np.where(shining, np.exp(-0.1 * (observations.ranges - 2)), 1.0)
+    light = observations.light * np.column_stack([red, np.ones((len(red), 2))])
+    finding = water_findings(replace(observations, light=light)).effects["attenuation"]
+    assert finding.evidence["change"][0] > finding.evidence["change_least"]
+    assert finding.state == "unknown" and "shine" in finding.reason
+
+
 def test_grey_loss_is_a_lamp():
     """Water has a colour: what all channels lose alike is the lamp's light, and water's share of it cannot be told."""
     found = water_findings(sightings(grey=True, tau=0.5, beta_D=(0.2, 0.2, 0.2)))
