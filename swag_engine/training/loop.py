@@ -280,8 +280,10 @@ class Trainer:
         rates["means"] *= (end / rates["means"]) ** fraction * self.median_range
         if self.objective.in_stage_two(fraction):
             return {name: rate for name, rate in rates.items() if name not in GEOMETRY}
-        water = self.recipe.water_rate * 0.5 * (1 + math.cos(math.pi * fraction))
-        return rates | {f"medium.{name}": water for name in (self.medium.parameters() if self.medium else ())}
+        fall = 0.5 * (1 + math.cos(math.pi * fraction))
+        for name in self.medium.parameters() if self.medium else ():
+            rates[f"medium.{name}"] = fall * (self.recipe.veil_rate if name == "veil" else self.recipe.water_rate)
+        return rates
 
     def next_target(self, fraction: float) -> Target:
         """The photograph of this iteration: every epoch in its own order, which depends on the seed alone."""

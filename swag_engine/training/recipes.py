@@ -37,7 +37,9 @@ class Recipe:
     water_from: float = 0.0
     """Share of the run after which the water joins."""
     water_rate: float = 3e-3
-    """Adam's step size for the water's raw parameters at the start; falls to 0 as a cosine."""
+    """Adam's step size for the water's raw coefficients at the start; falls to 0 as a cosine."""
+    veil_rate: float = 3e-3
+    """The same for the water's colour: the sparse points see little of it where the water is endless."""
     veil_degrees_from: float = 0.4
     """Share of the run after which the water's colour may change with direction."""
 
@@ -98,7 +100,7 @@ PAPER_LOSS = Photometric(l1=(0.56, 0.96), ssim=0.2, l2=(0.0, 0.1))
 PAPER_LOSS_TWO = Photometric(l1=(0.7, 1.2), ssim=0.0, l2=(0.9, 0.9))
 
 RECIPES: dict[str, Recipe] = {
-    "swag": Recipe(water=True, water_rate=1e-3, stage_two_from=0.9),
+    "swag": Recipe(water=True, water_rate=1e-3, veil_rate=1e-2, stage_two_from=0.9),
     "3dgs": Recipe(),
     "seasplat": Recipe(
         water=True, light="srgb", fitted=False, water_from=0.33, veil_degrees_from=1.0, grey_world=0.02, smoothness=0.05
