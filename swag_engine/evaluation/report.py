@@ -218,7 +218,10 @@ def _effects(effects: dict[str, Any]) -> list[str]:
     ]
     heads = ("effect", "", "why", "evidence", "ms per iteration")
     styles = ("", "", "text", "meaning", "number")
-    return ["<h2>Effects and their evidence</h2>", table_html(rows, heads, styles)] if rows else []
+    shown = (
+        table_html(rows, heads, styles) if rows else paragraph_html("plan SCENE --out RUN, then report RUN, adds them.")
+    )
+    return ["<h2>Effects and their evidence</h2>", shown]
 
 
 def evidence_text(evidence: dict[str, Any]) -> str:

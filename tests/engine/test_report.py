@@ -82,7 +82,7 @@ def test_what_files_say_is_escaped(run):
 
 def test_parts_that_the_run_has_are_shown_and_others_left_out(run):
     plain = page_of(run)
-    assert "Forecast" not in plain and "Effects" not in plain and "Floater mass" not in plain
+    assert "Forecast" not in plain and "why</th>" not in plain and "Floater mass" not in plain
     expected = {"seconds": [10000, 12345, 20000], "psnr": [1, 2, 3], "memory_mb": 610}
     change(run / "forecast.json", expected=expected, outcome={"seconds": 9000, "psnr": 2.5})
     effect = {"state": "unknown", "reason": "Too alike.", "evidence": {"gain": 3.25, "gain_least": 10}, "cost_ms": 1.5}
