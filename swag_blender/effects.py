@@ -19,7 +19,7 @@ class SwagEffect(PropertyGroup):
         name="Choice",
         description="Whether training simulates this effect",
         items=[
-            ("PLAN", "As Planned", "What the photographs say; what they cannot tell stays off", "DOT", 0),
+            ("PLAN", "Plan", "What the photographs say; what they cannot tell stays off", "DOT", 0),
             ("ON", "On", "Simulate it whatever the photographs say", "CHECKBOX_HLT", 1),
             ("OFF", "Off", "Leave it out whatever the photographs say", "CHECKBOX_DEHLT", 2),
         ],

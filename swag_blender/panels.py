@@ -42,7 +42,6 @@ class SWAG_PT_scene(SwagPanel, bpy.types.Panel):
 class SWAG_PT_effects(SwagPanel, bpy.types.Panel):
     bl_label = "Effects"
     bl_order = 1
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, plan, status = self.layout, context.scene.swag.plan, context.window_manager.swag

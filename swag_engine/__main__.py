@@ -1,16 +1,13 @@
-"""The command line: `python -m swag_engine COMMAND ...`.
-
-Exit codes: 0 done, 1 a bug, 2 bad input or usage, 130 interrupted with what exists kept. Progress and errors go to
-stderr; with --json stdout carries one JSON document and nothing else.
-"""
+"""The command line: `python -m swag_engine COMMAND ...`."""
 
 import functools
 import operator
+import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,6 +24,10 @@ from .threads import wait_politely
 from .training.config import TrainSettings
 
 INTERRUPTED = 130
+DESCRIPTION = """Underwater photographs to 3D Gaussian splats. COMMAND --help says what a command takes.
+
+Exit codes: 0 done, 1 a bug, 2 bad input or usage, 130 interrupted with what exists kept. Progress and errors go to
+stderr; with --json stdout carries one JSON document and nothing else."""
 STARTED = time.monotonic()
 """What a time budget counts from: starting Python and its packages is the user's time too."""
 
@@ -407,6 +408,30 @@ class Extract:
         return 0
 
 
+@dataclass(frozen=True)
+class Batch:
+    """Run one command for every scene, or every run, in a folder; one that fails stops no other. Ends with a table.
+
+    All further options are the command's own: batch train SCENES --out RUNS --preset draft
+    """
+
+    command: tyro.conf.Positional[Literal["inspect", "plan", "train", "evaluate", "render", "label", "export"]]
+    """What to run."""
+    folder: tyro.conf.Positional[Path]
+    """Folder whose folders are scenes (inspect, plan, train) or runs (the others)."""
+    out: Path | None = None
+    """Folder in which each gets a folder, or a file where that is exported, of its own name."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self, options: Sequence[str] = ()) -> int:
+        from .batch import batch, describe
+
+        document = batch(self.command, self.folder, self.out, options, stop_on_interrupt())
+        show(document, self.json, describe(document))
+        return document["exit_code"]
+
+
 def stop_on_interrupt() -> Callable[[], bool]:
     """Whether Ctrl-C was pressed; pressed again, it ends the program at once."""
     stop = threading.Event()
@@ -443,7 +468,7 @@ class Doctor:
 
 COMMANDS = (
     Inspect, Sfm, Plan, Forecast, Train, Evaluate, Report, Ablate, Tradeoff, Render, Label, Search, Extract, Export,
-    Doctor,
+    Batch, Doctor,
 )  # fmt: skip
 
 
@@ -454,7 +479,13 @@ def main(arguments: list[str] | None = None) -> int:
     named = [Annotated[command, tyro.conf.subcommand(name=command.__name__.lower())] for command in COMMANDS]
     union: Any = functools.reduce(operator.or_, named)
     try:
-        return tyro.cli(union, prog="python -m swag_engine", description=__doc__, args=arguments).run()
+        # Blender's own command line has the same words behind other ones.
+        prog = os.environ.get("SWAG_PROG", "python -m swag_engine")
+        parse = functools.partial(tyro.cli, union, prog=prog, description=DESCRIPTION, args=arguments)
+        if arguments[:1] == ["batch"]:
+            command, options = parse(return_unknown_args=True)
+            return command.run(options)
+        return parse().run()
     except InputError as error:
         if "--json" in arguments:
             print(to_json({"error": str(error)}))
