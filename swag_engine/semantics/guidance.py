@@ -33,6 +33,8 @@ from .saliency import OPEN_WATER, open_water, saliency, small_copy
 
 PRUNED = ("haze", "fish", OPEN_WATER)
 """Classes that are no part of the place, by a word of their name."""
+EVERY = 4
+"""Features are learned in one iteration of so many: it costs as much as all else in an iteration."""
 SURE = 0.7
 """Cosine of a Gaussian's feature with a label's, and length of the feature, from which the Gaussian is taken for it."""
 
@@ -77,17 +79,20 @@ class Guidance:
         target: Target,
         medium: Medium | WaterNetwork | None,
         water_degree: int,
+        iteration: int,
         progress: float,
     ) -> Tensor:
-        """What the regions of a photograph add to its loss, `progress` (0..1) of the way through the run.
+        """What the regions of a photograph add to its loss in an iteration, `progress` (0..1) of the way through.
 
-        L_s, differentiable in the cloud's features alone, and, where the recipe says so, open_water_loss of the
-        picture's alpha (H, W) and of the medium, or of the cloud's background without one.
+        L_s, in one iteration of EVERY, differentiable in the cloud's features alone; and, where the recipe says so,
+        open_water_loss of the picture's alpha (H, W) and of the medium, or of the cloud's background without one.
         """
         labels = self.labels_at(target.camera)
-        with torch.no_grad():
-            targets, assigned = targets_in_view(cloud, target.camera, self.regions, self.backend, labels)
-        loss = max(0.01, 0.3 * (1 - progress)) * semantic_loss(cloud.features, targets, assigned)
+        loss = alpha.new_zeros(())
+        if iteration % EVERY == 0:
+            with torch.no_grad():
+                targets, assigned = targets_in_view(cloud, target.camera, self.regions, self.backend, labels)
+            loss = max(0.01, 0.3 * (1 - progress)) * semantic_loss(cloud.features, targets, assigned)
         if self.recipe.open_water and OPEN_WATER in self.regions.labels:
             water = torch.from_numpy(labels == self.regions.labels.index(OPEN_WATER) + 1).to(alpha.device)
             behind = tail(cloud, target.camera, medium, water_degree, self.backend)

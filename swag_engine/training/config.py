@@ -125,7 +125,7 @@ class LearningRates:
     sh0: float = 1.5e-2
     shN: float = 5e-4
     background: float = 1e-2
-    features: float = 1e-2
+    features: float = 2e-2
 
 
 @dataclass(frozen=True)

@@ -232,7 +232,9 @@ class Trainer:
             loss = loss + regularisation
         if self.guidance and target.weight == 1 and not self.objective.in_stage_two(fraction):
             with part("semantics"):
-                guided = self.guidance.loss(self.cloud, picture.alpha, target, medium, self.water_degree, fraction)
+                guided = self.guidance.loss(
+                    self.cloud, picture.alpha, target, medium, self.water_degree, self.iteration, fraction
+                )
             loss = loss + guided
         with part("backward between kernels"):
             loss.backward()
