@@ -235,36 +235,6 @@ def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: str = 
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 
-class SWAG_MT_splatting(bpy.types.Menu):
-    """Everything that the sidebar offers, for F3 and for shortcuts."""
-
-    bl_label = "SWAG Splatting"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
-        layout.operator_context = "INVOKE_DEFAULT"
-        for stage in MENU:
-            for name in stage:
-                layout.operator(f"swag.{name}")
-            layout.separator()
-
-
-# The operators of the menu, by stage of the work.
-MENU = (
-    ("import_scene", "inspect_scene"),
-    ("plan", "reset_effects"),
-    ("train", "pause", "cancel", "show_log"),
-    ("import_splats", "prepare_render"),
-    ("read_labels", "show_labels", "separate_splats", "merge_splats"),
-    ("export_splats",),
-    ("check_engine", "look_up_engine", "install_engine", "remove_engine"),
-)
-
-
-def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    menu.layout.menu(SWAG_MT_splatting.__name__)
-
-
 _CLASSES = (
     SWAG_PT_scene,
     SWAG_PT_effects,
@@ -274,17 +244,14 @@ _CLASSES = (
     SWAG_PT_labels,
     SWAG_PT_label,
     SWAG_PT_export,
-    SWAG_MT_splatting,
 )
 
 
 def register() -> None:
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
-    bpy.types.VIEW3D_MT_object.append(_menu)
 
 
 def unregister() -> None:
-    bpy.types.VIEW3D_MT_object.remove(_menu)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

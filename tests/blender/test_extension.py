@@ -3,19 +3,24 @@
 import zipfile
 
 REGISTER_TWICE = """
-import bpy, addon_utils
+import threading, bpy, addon_utils
 
 def state():
     handlers = {name: [h for h in getattr(bpy.app.handlers, name) if "swag" in h.__module__]
                 for name in dir(bpy.app.handlers) if isinstance(getattr(bpy.app.handlers, name), list)}
     menus = {name: len(getattr(getattr(bpy.types, name).draw, "_draw_funcs", ()))
-             for name in dir(bpy.types) if name.startswith("TOPBAR_MT_file_")}
+             for name in dir(bpy.types) if name.startswith(("TOPBAR_MT_file_", "VIEW3D_MT_"))}
     return {
         "classes": [name for name in dir(bpy.types) if "swag" in name.lower()],
         "operators": dir(bpy.ops.swag),
         "properties": [cls.__name__ for cls in (bpy.types.Scene, bpy.types.WindowManager) if hasattr(cls, "swag")],
         "handlers": {name: kept for name, kept in handlers.items() if kept},
         "menus": menus,
+        "threads": threading.active_count(),
+        "keys": [item.idname for keymap in bpy.context.window_manager.keyconfigs.addon.keymaps
+                 for item in keymap.keymap_items if item.idname.startswith("swag.")],
+        "attributes": [f"{cls.__name__}.{name}" for cls in bpy.types.ID.__subclasses__() for name in dir(cls)
+                       if name.startswith("swag")],
     }
 
 addon_utils.disable(EXTENSION)
