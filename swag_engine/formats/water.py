@@ -111,7 +111,10 @@ def _view(water: dict[str, Any], amount: float, metres_per_unit: float) -> View:
 
 
 def _array(water: dict[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarray:
-    values = np.array(water[name], np.float64)
+    try:
+        values = np.array(water[name], np.float64)
+    except OverflowError:
+        raise ValueError(f"{name} has a number that is too large") from None
     if values.shape != shape or not np.isfinite(values).all():
         raise ValueError(f"{name} has another shape")
     return values

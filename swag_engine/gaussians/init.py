@@ -4,6 +4,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from ..errors import InputError
 from ..scene.colmap import Points
 from .cloud import GaussianCloud
 
@@ -17,10 +18,15 @@ def gaussians_from_points(
     """One round Gaussian a point, as wide as the mean distance to its three nearest neighbours.
 
     `most` caps the number (a seeded random subset is taken); `background` (3,) display colour in 0..1 is what
-    lies behind everything at first. Points that are not finite are left out.
+    lies behind everything at first. Points that are not finite in float32 are left out.
+    Raises InputError when none is left.
     """
-    positions, colors = points.positions, points.colors
+    colors = points.colors
+    with np.errstate(over="ignore"):
+        positions = points.positions.astype(np.float32).astype(np.float64)
     keep = np.flatnonzero(np.isfinite(positions).all(axis=1))
+    if not len(keep):
+        raise InputError("No point of the scene's model has finite coordinates.")
     if len(keep) > most:
         keep = np.sort(np.random.default_rng(seed).choice(keep, most, replace=False))
     positions, colors = positions[keep], colors[keep]

@@ -44,11 +44,27 @@ def load_checkpoint(run: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]
         try:
             with safe_open(path, framework="pt") as stored:
                 tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 (not a dict)
-                return tensors, json.loads(stored.metadata()["state"])
-        except (SafetensorError, OSError, KeyError, TypeError, ValueError):
+                state = json.loads(stored.metadata()["state"])
+            if _is_whole(tensors, state):
+                return tensors, state
+        except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError):
             continue
     if found:
         raise InputError(
             f"No checkpoint in {run} can be read; the newest is {found[-1].name}. Train again to a new folder."
         )
     return None
+
+
+def _is_whole(tensors: dict[str, torch.Tensor], state: Any) -> bool:
+    """Whether a file has what a run goes on with, in shapes that fit. Raises KeyError for what is missing."""
+    cloud = {name: tensor for name, tensor in tensors.items() if name.startswith("cloud.")}
+    n, higher = len(cloud["cloud.means"]), cloud["cloud.shN"].shape[1]
+    known = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,), "sh0": (n, 1, 3)}
+    known |= {"shN": (n, higher, 3), "background": (3,)}
+    return (
+        all(tuple(cloud[f"cloud.{name}"].shape) == shape for name, shape in known.items())
+        and all(len(tensor) == n for name, tensor in cloud.items() if name != "cloud.background")
+        and all(tensor.dtype == torch.float32 for tensor in cloud.values())
+        and all(type(state[name]) is kind for name, kind in (("iteration", int), ("seconds", float), ("guard", dict)))
+    )

@@ -59,6 +59,10 @@ class TrainSettings:
             "sh_degree": (0, 3),
             "seed": (0, 2**31 - 1),
         }
+        for setting in fields(self):
+            value = getattr(self, setting.name)
+            if isinstance(setting.default, str) and not isinstance(value, str):
+                raise InputError(f"The setting {setting.name.replace('_', ' ')} must be a text, not {value!r}.")
         for name, choices in (("recipe", RECIPES), ("backend", BACKENDS), ("preset", PRESETS)):
             value = getattr(self, name)
             if value not in choices:

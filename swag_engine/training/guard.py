@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..gaussians.cloud import GaussianCloud
 from ..gaussians.grow import PER_GAUSSIAN
 from .optimizer import Optimizer
 
@@ -149,6 +150,15 @@ class Guard:
             name: tensors[f"guard.{name}"].to(parameter.device, copy=True)
             for name, parameter in optimizer.parameters().items()
         }
+
+
+def finite_part(cloud: GaussianCloud) -> GaussianCloud:
+    """The cloud without Gaussians that have a parameter that is not finite."""
+    values = {name: getattr(cloud, name) for name in PER_GAUSSIAN}
+    finite = torch.stack([torch.isfinite(value.reshape(len(cloud), -1)).all(1) for value in values.values()]).all(0)
+    if finite.all():
+        return cloud
+    return GaussianCloud(**{name: value[finite] for name, value in values.items()}, background=cloud.background)
 
 
 def copies(optimizer: Optimizer) -> dict[str, Tensor]:

@@ -34,7 +34,7 @@ from .budget import Budget, fit_budget
 from .checkpoint import load_checkpoint, save_checkpoint
 from .clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, Point, is_flat, next_minute
 from .config import LearningRates, Schedule, TrainSettings
-from .guard import Guard
+from .guard import Guard, finite_part
 from .objective import Objective
 from .optimizer import Optimizer
 from .prepare import find_depth, find_frames, find_water, take_water_away
@@ -171,6 +171,7 @@ class Trainer:
             )
         if isinstance(medium, Medium) and recipe.fitted:
             take_water_away(cloud, medium, self.training)
+        cloud = finite_part(cloud)
         self.objective = Objective(recipe, self.median_range, order, settings.backend)
         self.notes: list[str] = []
         self.curve: list[Point] = []

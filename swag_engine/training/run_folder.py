@@ -54,9 +54,10 @@ class RunFolder:
         """Scene folder, settings and up vector of a run. Raises InputError when this is not a run."""
         document = read_json(self.config, f"{self.path} is not a training run: it has no config.json.")
         try:
-            return Path(document["scene"]), TrainSettings.from_json(document["settings"]), list(document["up"])
-        except (KeyError, TypeError) as error:
-            raise InputError(f"{self.config} is not a training run's configuration: {error}.") from error
+            up = [float(value) for value in document["up"]]
+            return Path(document["scene"]), TrainSettings.from_json(document["settings"]), up
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise InputError(f"{self.config} is not a training run's configuration: {error!r}.") from error
 
     def discard(self) -> None:
         """Take back a run that never began."""
@@ -67,23 +68,30 @@ class RunFolder:
 
     def finished(self) -> bool:
         """Whether the run came to its end and not merely to a stop."""
-        return self.metrics.exists() and not read_json(self.metrics, "")["interrupted"]
+        return self.metrics.exists() and not self._ended("interrupted", bool)
 
     def iterations(self) -> int:
         """How many iterations a run that ended has; 0 for others."""
-        return read_json(self.metrics, "")["iteration"] if self.metrics.exists() else 0
+        return self._ended("iteration", int) if self.metrics.exists() else 0
+
+    def _ended(self, name: str, kind: type) -> Any:
+        value = read_json(self.metrics, "").get(name)
+        if type(value) is not kind:
+            raise InputError(f"{self.metrics} is damaged: {name} is {value!r}; remove the file to go on with the run.")
+        return value
 
     def log_until(self, iteration: int) -> None:
         """Drop lines of metrics.jsonl past `iteration`: a resumed run writes them again."""
         if not self.metrics_log.exists():
             return
         kept = []
-        for line in self.metrics_log.read_text(encoding="utf-8").splitlines():
+        for line in self.metrics_log.read_text(encoding="utf-8", errors="replace").splitlines():
             try:
                 entry = json.loads(line)
-            except ValueError:
-                continue
-            if entry.get("iteration", iteration + 1) <= iteration and "test_psnr" not in entry:
+                keep = entry["iteration"] <= iteration and "test_psnr" not in entry
+            except (ValueError, KeyError, TypeError, RecursionError):
+                continue  # half a line, of a run that was killed
+            if keep:
                 kept.append(line + "\n")
         with atomic_path(self.metrics_log) as temporary:
             temporary.write_text("".join(kept), encoding="utf-8")
@@ -108,7 +116,7 @@ def read_json(path: Path, missing: str) -> dict[str, Any]:
         document = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise InputError(missing) from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path} cannot be read: {error}.") from error
     if not isinstance(document, dict):
         raise InputError(f"{path} does not hold a JSON object.")

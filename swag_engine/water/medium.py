@@ -56,7 +56,9 @@ class Medium:
         veil = torch.zeros((MAX_DEGREE + 1) ** 2, 3)
         constant = sh_basis(torch.tensor([[0.0, 0.0, 1.0]]), 0)[0, 0]
         veil[0] = torch.logit((torch.full((3,), 0.2) if B is None else B.float()).clamp(1e-3, 1 - 1e-3)) / constant
-        attenuation, backscatter = (torch.log(torch.expm1(value.clamp(min=1e-3))) for value in first)
+        # The inverse of softplus, log(exp(x) - 1), without its overflow.
+        first = [value.clamp(min=1e-3) for value in first]
+        attenuation, backscatter = (value + torch.log(-torch.expm1(-value)) for value in first)
         return cls(attenuation, backscatter, veil, unit_range, light)
 
     def to(self, device: torch.device) -> "Medium":
@@ -142,7 +144,7 @@ def without_water(seen: Tensor, ranges: Tensor, medium: Medium) -> Tensor:
     r = ranges[:, None]
     B = _veil(torch.zeros_like(seen[:1]), medium.values(), 0)
     light = to_light(seen) if medium.light == "linear" else seen
-    J = (light + B * torch.expm1(-medium.beta_B * r)).clamp(min=0) * torch.exp(medium.beta_D * r)
+    J = (light + B * torch.expm1(-medium.beta_B * r)).clamp(min=0) * torch.exp((medium.beta_D * r).clamp(max=80.0))
     return (to_display(J) if medium.light == "linear" else J).clamp(max=BRIGHTEST)
 
 

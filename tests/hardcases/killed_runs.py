@@ -7,11 +7,13 @@ or removes a file, by the system in the middle of a random write, or is told in 
 """
 
 import argparse
+import faulthandler
 import json
 import os
 import random
 import resource
 import signal
+import stat
 import sys
 import tempfile
 import threading
@@ -52,6 +54,7 @@ def in_a_process(work: Callable[[], Any]) -> int:
     """Exit status of a forked process that does `work`: 0, REFUSED for an InputError, 1 for a bug, or -signal."""
     if pid := os.fork():
         return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    faulthandler.dump_traceback_later(60, exit=True)
     try:
         work()
         os._exit(0)
@@ -102,6 +105,8 @@ def ending(kind: str, chance: random.Random, seconds: float) -> Callable[[], Non
             setattr(os, name, deadly(getattr(os, name)))
 
     def in_a_write() -> None:
+        if stat.S_ISREG(os.fstat(2).st_mode):  # the limit is for the run's files, not for what is said
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         signal.signal(signal.SIGXFSZ, signal.SIG_DFL if kind == "write" else signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 

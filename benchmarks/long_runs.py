@@ -1,0 +1,123 @@
+"""What long runs do: memory over time, drift of the restored colours in stage two, steps that were not finite.
+
+    python benchmarks/long_runs.py [--part default|recipes]       writes benchmarks/results/long_runs.json
+
+The default recipe runs 20 000 iterations on two scenes, every other recipe 5 000 on the demo scene, at 320 pixels. Runs
+whose figures are in the file already are left out, and scenes that are not on this machine.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from swag_engine.threads import wait_politely  # noqa: E402
+
+wait_politely()
+
+import torch  # noqa: E402
+from raster import RESULTS  # noqa: E402
+from train_scenes import SCENES, processor  # noqa: E402
+
+from swag_engine.rasterize.render import render  # noqa: E402
+from swag_engine.training import loop  # noqa: E402
+from swag_engine.training.config import TrainSettings  # noqa: E402
+from swag_engine.training.recipes import RECIPES  # noqa: E402
+
+DEFAULT = TrainSettings().recipe
+LONG, SHORT = 20_000, 5_000
+SAMPLES = 40
+"""Looks at the memory in a run."""
+
+
+def resident() -> int:
+    """Bytes; Linux."""
+    status = Path("/proc/self/status").read_text()
+    return 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")))
+
+
+def restored(trainer: loop.Trainer) -> list[torch.Tensor]:
+    """The held-out views without water."""
+    with torch.no_grad():
+        return [
+            render(trainer.cloud, image.camera, medium=trainer.medium, amount=0.0).color.clamp(0, 1)
+            for image in trainer.test
+        ]
+
+
+def one(scene: Path, recipe: str, iterations: int) -> dict[str, Any]:
+    """Figures of one run, in this process."""
+    memory, before, skipped = [], [], []
+    step = loop.Trainer.step
+
+    def watched(trainer: loop.Trainer) -> float:
+        if not before and trainer.objective.in_stage_two(trainer.clock.fraction):
+            before.extend(restored(trainer))
+        loss = step(trainer)
+        if trainer.iteration % (iterations // SAMPLES) == 0:
+            memory.append([trainer.iteration, len(trainer.cloud), round(resident() / 1e6, 1)])
+        if trainer.iteration == iterations:
+            skipped.append(trainer.guard.watch)
+            if before:
+                after = restored(trainer)
+                change = torch.stack([(b - a).abs().mean() for a, b in zip(before, after, strict=True)])
+                shift = torch.stack([(b - a).mean((0, 1)) for a, b in zip(before, after, strict=True)]).mean(0)
+                drift.update(
+                    mean_change=round(float(change.mean()), 5), shift_rgb=[round(v, 5) for v in shift.tolist()]
+                )
+        return loss
+
+    drift: dict[str, Any] = {}
+    loop.Trainer.step = watched
+    with tempfile.TemporaryDirectory() as folder:
+        settings = TrainSettings(recipe=recipe, iterations=iterations, width=320, max_gaussians=30_000)
+        metrics = loop.train(scene, Path(folder) / "run", settings)["metrics"]
+    settled = [entry for entry in memory if entry[1] == memory[-1][1]]
+    return {
+        "seconds": metrics["seconds"],
+        "test_psnr": metrics["test_psnr"],
+        "gaussians": metrics["gaussians"],
+        "skipped": skipped[0].skipped,
+        "put_back": skipped[0].put_back,
+        "MB when the number of Gaussians was settled": settled[0][2],
+        "MB at the end": memory[-1][2],
+        "restored colours, change in stage two (display values)": drift,
+        "iteration, Gaussians, MB": memory,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--part", choices=("default", "recipes"))
+    parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.one:
+        print(json.dumps(one(Path(options.one[0]), options.one[1], int(options.one[2]))))
+        return
+    demo, *others = SCENES
+    runs = [] if options.part == "recipes" else [(scene, DEFAULT, LONG) for scene in (demo, others[0])]
+    runs += [] if options.part == "default" else [(demo, recipe, SHORT) for recipe in RECIPES if recipe != DEFAULT]
+    path = RESULTS / "long_runs.json"
+    document = json.loads(path.read_text()) if path.exists() else {}
+    document["machine"] = f"{processor()}, {os.cpu_count()} cores"
+    for scene, recipe, iterations in runs:
+        name = f"{recipe}, {scene}, {iterations} iterations"
+        if name in document or not SCENES[scene].exists():
+            continue
+        command = [sys.executable, __file__, "--one", str(SCENES[scene]), recipe, str(iterations)]
+        document[name] = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+        path.write_text(json.dumps(document, indent=1) + "\n")
+        print(
+            name, {key: value for key, value in document[name].items() if not key.startswith("iteration")}, flush=True
+        )
+
+
+if __name__ == "__main__":
+    main()
