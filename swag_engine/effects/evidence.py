@@ -233,7 +233,7 @@ def water_findings(
             effects["attenuation"],
             f"It cannot be told from a lamp, the lens, shine or blur, which take from all colours alike: {named} loses "
             f"{change.max():.0%} between the nearest and the farthest points ({least_change:.0%} at least), and "
-            f"fades beside another colour by {max(color, 0):.0%} for sure ({LEAST_COLOR:.0%} at least).",
+            f"fades beside another colour by {max(color, 1e-9):.0%} for sure ({LEAST_COLOR:.0%} at least).",
         )
     elif not dims and resolution > LEAST_CHANGE:
         effects["attenuation"] = _untold(
@@ -288,15 +288,17 @@ def _lamp(fits: Sequence[Fit], bic: Callable[[Fit], float], ranges: np.ndarray) 
     ambient = min((fit for fit in fits if not fit.family.lamp), key=bic)
     lit = min((fit for fit in fits if fit.family.lamp), key=bic)
     gain = bic(ambient) - bic(lit)
-    falloff = 1 - (lit.tau + near**2) / (lit.tau + far**2)
     loss = 1 - np.exp(-ambient.beta_D * (far - near))
     grey = float(1 - ambient.beta_D.min() / max(ambient.beta_D.max(), 1e-12)) if ambient.family.attenuation else 1.0
     even, falling = (
-        bic(next(fit for fit in fits if fit.family == Family(lamp=lamp, lens=lit.family.lens, gains=lit.family.gains)))
+        next(fit for fit in fits if fit.family == Family(lamp=lamp, lens=lit.family.lens, gains=lit.family.gains))
         for lamp in (False, True)
     )
-    colorless = grey < GREY and loss.max() >= LEAST_FALLOFF and even - falling > LEAST_BIC_GAIN
-    found = colorless or (falloff >= LEAST_FALLOFF and gain > LEAST_BIC_GAIN)
+    colorless = grey < GREY and loss.max() >= LEAST_FALLOFF and bic(even) - bic(falling) > LEAST_BIC_GAIN
+    if colorless:  # then water is no alternative, and the lamp is weighed against even light
+        lit, gain = falling, bic(even) - bic(falling)
+    falloff = 1 - (lit.tau + near**2) / (lit.tau + far**2)
+    found = falloff >= LEAST_FALLOFF and gain > LEAST_BIC_GAIN
     tied = falloff >= LEAST_FALLOFF and gain > -LEAST_BIC_GAIN
     figures = {
         "bic_gain": gain,
@@ -307,8 +309,9 @@ def _lamp(fits: Sequence[Fit], bic: Callable[[Fit], float], ranges: np.ndarray) 
         "color_of_loss_most": GREY,
     }
     reason = (
-        f"Light falls off from the camera by {falloff:.0%} over the scene's range ({LEAST_FALLOFF:.0%} at least) "
-        f"beyond what water takes; BIC gain {gain:,.0f} ({LEAST_BIC_GAIN:.0f} at least)"
+        f"Light falls off from the camera by {falloff:.0%} over the scene's range ({LEAST_FALLOFF:.0%} at least)"
+        + ("" if colorless else " beyond what water takes")
+        + f"; BIC gain {gain:,.0f} ({LEAST_BIC_GAIN:.0f} at least)"
         + (f", and the loss has no colour (spread {grey:.0%}, {GREY:.0%} at most)." if colorless else ".")
     )
     if tied and not found:
