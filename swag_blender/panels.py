@@ -196,10 +196,16 @@ class SWAG_PT_export(SwagPanel, bpy.types.Panel):
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """The job that runs: progress, figures, the curve of its quality, Pause and Cancel."""
+    """The job that runs: progress, Pause and Cancel, figures, the curve of its quality."""
     status = context.window_manager.swag
     text = "Stopping" if status.stopping else "Paused" if status.paused else status.text
     layout.progress(factor=status.factor, text=text)
+    row = layout.row(align=True)
+    if status.job == "Training":
+        row.operator(
+            "swag.pause", text="Go On" if status.paused else "Pause", icon="PLAY" if status.paused else "PAUSE"
+        )
+    row.operator("swag.cancel", text="Cancel", icon="CANCEL")
     figures = status.figures()
     if figures:
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
@@ -208,12 +214,6 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     curve = [float(psnr) for psnr in status.curve.split()]
     if len(curve) > 1:
         layout.label(text=f"{curve[0]:.1f} {sparkline(curve)} {curve[-1]:.1f} dB")
-    row = layout.row(align=True)
-    if status.job == "Training":
-        row.operator(
-            "swag.pause", text="Go On" if status.paused else "Pause", icon="PLAY" if status.paused else "PAUSE"
-        )
-    row.operator("swag.cancel", text="Cancel", icon="CANCEL")
 
 
 def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -18,7 +18,7 @@ import bpy
 bpy.context.preferences.view.show_splash = False
 OUT = Path(os.environ["SWAG_OUT"])
 # Where the buttons are on a screen of 1280 x 800, from its top left corner.
-TRAIN, CANCEL, CONTINUE = (900, 389), (900, 370), (960, 389)
+TRAIN, CONTINUE, PAUSE, CANCEL = (900, 470), (960, 470), (830, 424), (950, 424)
 report = {"version": bpy.app.version_string}
 
 
@@ -103,6 +103,15 @@ def steps():
     report["training"] = {"iteration": status.iteration, "gaussians": status.gaussians, "figures": status.figures()}
     report["preview"] = len(clouds()[0].data.points)
     photograph("3-training")
+
+    yield from click(*PAUSE)
+    yield from until(lambda: status.paused, 90)
+    yield 3.0  # what was on its way arrives
+    paused_at = status.iteration
+    yield 2.0
+    report["went_on_by"] = status.iteration - paused_at
+    yield from click(*PAUSE)
+    yield from until(lambda: not status.paused and status.iteration > paused_at, 90)
 
     yield from click(*CANCEL)
     report["stopping"] = status.stopping or not status.job

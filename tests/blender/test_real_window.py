@@ -68,6 +68,7 @@ def test_train_and_cancel_with_the_pointer(place, shared_python, tmp_path):
     assert report["training"]["iteration"] > 0 and report["preview"] > 0
     held = sorted(report["held_seconds"][:-1])  # all but the last, which takes in the result
     assert len(held) > 5 and held[-1] < 0.1, f"Blender's window is held up for {held[-1]:.2f} s"
+    assert report["went_on_by"] == 0
     assert report["stopping"]
     end = report["end"]
     assert not end["failed"] and end["interrupted"] and end["continue"]
