@@ -25,6 +25,7 @@ from ..scene.images import cache_folder, cache_root
 from ..strict_json import to_json
 from ..training.config import TrainSettings
 from ..training.loop import train
+from ..training.memory import needed
 from ..training.presets import PRESETS, Size
 from ..training.recipes import recipe_of
 from ..training.run_folder import RunFolder, read_json, write_json
@@ -44,7 +45,7 @@ ENOUGH = 3
 """Runs that tell how far time strays."""
 REMEMBERED = 200
 """Outcomes that are kept."""
-BYTES_PER_GAUSSIAN, BYTES_PER_PIXEL, BASE_MB = 1040, 24, 500
+BASE_MB = 500
 
 
 def forecast_scene(
@@ -205,8 +206,7 @@ def _psnr(looks: list[float] | None, iterations: int) -> tuple[float | None, flo
 
 
 def _memory_mb(extent: Extent, size: Size) -> float:
-    pixels = extent.pixels(size.width) * (extent.training + extent.held_out)
-    return BASE_MB + (size.max_gaussians * BYTES_PER_GAUSSIAN + pixels * BYTES_PER_PIXEL) / 1e6
+    return BASE_MB + needed(extent, size.width, size.max_gaussians) / 1e6
 
 
 def _history() -> Path:

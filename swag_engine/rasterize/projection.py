@@ -18,10 +18,14 @@ MAX_EXTENT = 128  # squared, in sigmas; an opacity that reaches farther is no nu
 MAX_PAIRS = 2**27  # of a Gaussian and a tile it meets; about 6 GB
 
 
+class TooManyPairs(InputError):
+    """Gaussians meet more tiles than can be blended."""
+
+
 def check_pairs(pairs: int) -> None:
-    """Raises InputError where blending would take more memory than a machine has to spare."""
+    """Raises TooManyPairs where blending would take more memory than a machine has to spare."""
     if pairs > MAX_PAIRS:
-        raise InputError(
+        raise TooManyPairs(
             f"The Gaussians meet {pairs} tiles of the picture, more than the {MAX_PAIRS} that can be blended: "
             "they are too many or too large. Use fewer Gaussians or a smaller width."
         )

@@ -111,9 +111,13 @@ class Guard:
             optimizer.restart(self.good)
         elif watch.count:
             watch.best = min(watch.best, mean)
-            self.good = copies(optimizer)
+            self.keep(optimizer)
         watch.losses, watch.count = 0.0, 0
         return bad
+
+    def keep(self, optimizer: Optimizer) -> None:
+        """Take the state as the last good one."""
+        self.good = copies(optimizer)
 
     def settle(self, optimizer: Optimizer) -> None:
         """Before the state becomes a result: one that is not finite is put back to the last good one."""

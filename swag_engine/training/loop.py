@@ -21,6 +21,7 @@ from ..gaussians.grow import Growth, GrowthStatistics, McmcGrowth, random_of
 from ..gaussians.init import gaussians_from_points
 from ..gaussians.reallocate import reallocate, scores, visibility
 from ..rasterize.backends import device_for
+from ..rasterize.projection import TooManyPairs
 from ..rasterize.render import Picture, render
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images
@@ -35,11 +36,13 @@ from .checkpoint import load_checkpoint, save_checkpoint
 from .clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, Point, is_flat, next_minute
 from .config import LearningRates, Schedule, TrainSettings
 from .guard import Guard, finite_part
+from .memory import Relief, fewer, fit_memory, free_memory, is_shortage
 from .objective import Objective
 from .optimizer import Optimizer
 from .prepare import find_depth, find_frames, find_water, take_water_away
 from .recipes import recipe_of
 from .run_folder import RunFolder, write_json
+from .speed import Extent
 from .targets import Target
 
 Event = dict[str, Any]
@@ -93,9 +96,13 @@ def trainer_of(
         )
     scene = load_scene(scene_folder)
     settings, budget = fit_budget(scene, settings.sized(), started)
+    note = ""
+    if not resume:
+        settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
     try:
         trainer = Trainer(scene, run, settings, on_event, weights_dir, budget)
+        trainer.notes += filter(None, [note])
     except InputError:
         if not resume:
             run.discard()
@@ -154,6 +161,7 @@ class Trainer:
         self.validation = [self.images[name] for name in split.validation]
         self.test = [self.images[name] for name in split.test]
         self.levels: dict[int, list[Target]] = {}
+        self.relief = Relief()
         self.median_range = median_range(scene, self.training)
         background = (
             np.median(np.stack([np.median(image.pixels, axis=(0, 1)) for image in self.training]), axis=0) / 255
@@ -210,7 +218,23 @@ class Trainer:
     # -- one iteration ------------------------------------------------------------------------------------------------
 
     def step(self) -> float:
-        """One iteration; returns its loss."""
+        """One iteration; returns its loss. One that memory does not reach for is given up, and the run cut down."""
+        try:
+            return self.iterate()
+        except (MemoryError, RuntimeError, TooManyPairs) as error:
+            if not is_shortage(error):
+                raise
+        self.optimizer.restart(self.guard.good)
+        self.optimizer.replace(*fewer(self.cloud))
+        self.guard.keep(self.optimizer)
+        self.relief.relieve(len(self.cloud))
+        self.levels = {}
+        self.statistics = GrowthStatistics.zeros(len(self.cloud), self.device)
+        if self.device.type == "cuda":
+            torch.cuda.empty_cache()
+        return float("nan")
+
+    def iterate(self) -> float:
         fraction = self.clock.fraction
         if self.objective.in_stage_two(fraction):
             for name in GEOMETRY:
@@ -298,6 +322,7 @@ class Trainer:
     def targets_at(self, fraction: float) -> list[Target]:
         """All photographs, and frames made between them, at the size that is trained at then."""
         factor = next((factor for until, factor in self.schedule.coarse if fraction < until), 1)
+        factor = max(factor, self.relief.shrink)
         if factor not in self.levels:
             photographs = [
                 Target.shrunk(image, factor, self.device, self.depth.get(image.camera.name)) for image in self.training
@@ -314,7 +339,8 @@ class Trainer:
             return
         progress = (fraction - schedule.grow_from) / (self.recipe.grow_until - schedule.grow_from)
         # The number grows to its limit evenly in time, so that late Gaussians still have time to settle.
-        budget = self.start_count + int((self.settings.max_gaussians - self.start_count) * min(1.0, 1.25 * progress))
+        most = self.relief.most or self.settings.max_gaussians
+        budget = self.start_count + int((most - self.start_count) * min(1.0, 1.25 * progress))
         weight = None
         if self.guidance:
             self.guidance.prune(self.cloud)
@@ -389,8 +415,7 @@ class Trainer:
                 self.save()
                 saved = time.monotonic()
         self.guard.settle(self.optimizer)
-        if note := self.guard.note(self.iteration):
-            self.notes.append(note)
+        self.notes += filter(None, [self.guard.note(self.iteration), self.relief.note])
         self.save()
         return self.finish(loss, interrupted)
 
@@ -529,6 +554,7 @@ class Trainer:
             "psnr": self.psnr,
             "ssim": self.ssim,
             "guard": self.guard.state(),
+            "relief": asdict(self.relief),
             "medium": self.medium and {name: getattr(self.medium, name, None) for name in SETTINGS},
         }
         path = save_checkpoint(self.run.path, self.iteration, tensors, state)
@@ -548,6 +574,7 @@ class Trainer:
         self.optimizer = Optimizer(cloud.to(self.device), medium and medium.to(self.device), self.settings.backend)
         self.optimizer.load_state(tensors)
         self.guard.load(state["guard"], tensors, self.optimizer)
+        self.relief = Relief(**state["relief"])
         if not cloud.features.shape[1]:  # the run began without regions
             self.guidance = None
         sums = (tensors[name].to(self.device, copy=True) for name in ("growth.gradient", "growth.views"))
