@@ -1,5 +1,6 @@
 """Train the scene's photographs; the splats appear while they are trained."""
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from ..swag_blender.engine_process import Engine, EngineError
 from ..swag_blender.job import Job
 from ..swag_blender.nodes import splat_preview
 from ..swag_blender.properties import time_text
+from ..swag_engine.errors import InputError
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.training.run_folder import RunFolder
 
@@ -67,7 +69,9 @@ class SWAG_OT_train(Job, bpy.types.Operator):
     def on_event(self, context: bpy.types.Context, event: dict[str, Any]) -> None:
         scene = bpy.data.scenes.get(self._scene)
         if event["event"] == "preview" and scene:
-            show_splats(scene, event["path"], self._run, self._photographs)
+            # A window that was busy comes late: the run has ended and its preview is gone.
+            with contextlib.suppress(InputError):
+                show_splats(scene, event["path"], self._run, self._photographs)
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         scene = bpy.data.scenes.get(self._scene)

@@ -57,6 +57,8 @@ def train(request):
         if iteration == 5:
             write_ply(run / "preview.ply", splats(50))
             send(event="preview", path=str(run / "preview.ply"), iteration=iteration)
+            if behaviour == "hasty":
+                (run / "preview.ply").unlink()
         if iteration == 6 and behaviour == "killed":
             print("the last line of the log", file=sys.stderr, flush=True)
             os.kill(os.getpid(), signal.SIGKILL)

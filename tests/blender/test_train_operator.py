@@ -53,6 +53,12 @@ print("AGAIN", json.dumps({"objects": len(objects), "run": again.run_folder}))
     assert "Training: Iteration 10 of 10, PSNR 30.00 dB, 1000 Gaussians, 7.5 iterations/s, 1:05 left" in printed
 
 
+def test_a_preview_that_is_gone_when_the_window_comes_to_it_harms_nothing(blender, fake_engine, tmp_path):
+    (tmp_path / "hasty").mkdir()
+    printed = blender.run(TRAIN + "train(str(root))", tmp_path / "hasty", SWAG_ENGINE_PYTHON=fake_engine)
+    assert blender.json_after("RETURNED", printed) == ["FINISHED"]
+
+
 @pytest.mark.parametrize(
     ("scene", "sentence"),
     [
