@@ -36,12 +36,12 @@ SCENES = {
 }
 SWITCHES = {
     "off": "",
-    "salient-growth": "salient-growth=on",
-    "salient-growth, reallocation": "salient-growth=on,reallocation=on",
-    "reallocation": "reallocation=on",
-    "salient-pixels": "salient-pixels=on",
     "open-water": "open-water=on",
+    "salient-growth": "salient-growth=on",
     "class-pruning": "class-pruning=on",
+    "salient-pixels": "salient-pixels=on",
+    "reallocation": "reallocation=on",
+    "salient-growth, reallocation": "salient-growth=on,reallocation=on",
 }
 SETTINGS = TrainSettings(iterations=1000, width=320, max_gaussians=20_000)
 SEEDS = 3

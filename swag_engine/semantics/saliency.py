@@ -62,7 +62,7 @@ def open_water(pixels: np.ndarray) -> np.ndarray:
                       for axis, pad in ((0, ((1, 0), (0, 0), (0, 0))), (1, ((0, 0), (1, 0), (0, 0))))))  # fmt: skip
     cells = _superpixels(pixels)
     count = cells.max() + 1
-    sizes = np.bincount(cells.ravel(), minlength=count)
+    sizes = np.maximum(np.bincount(cells.ravel(), minlength=count), 1)  # SLIC leaves some empty
     colour = np.stack([np.bincount(cells.ravel(), lab[..., i].ravel(), count) / sizes for i in range(3)], 1)
     rough = np.bincount(cells.ravel(), step.ravel(), count) / sizes
     neighbours = np.unique(
@@ -92,7 +92,7 @@ def saliency(pixels: np.ndarray) -> np.ndarray:
     lab = cv2.cvtColor(pixels.astype(np.float32) / 255, cv2.COLOR_RGB2Lab)
     cells = _superpixels(pixels)
     count = cells.max() + 1
-    sizes = np.bincount(cells.ravel(), minlength=count)
+    sizes = np.maximum(np.bincount(cells.ravel(), minlength=count), 1)  # SLIC leaves some empty
     colour = np.stack([np.bincount(cells.ravel(), lab[..., i].ravel(), count) / sizes for i in range(3)], 1)
     border = np.unique(np.concatenate([cells[0], cells[:, 0], cells[:, -1]]))
     # The nearest tenth of the border: one object that touches it must not hide itself.
