@@ -12,8 +12,10 @@ from . import (
     labels,
     plan,
     prepare_render,
+    set_scale,
     show_log,
     train,
+    water_objects,
 )
 
 _MODULES = (
@@ -26,6 +28,8 @@ _MODULES = (
     import_splats,
     labels,
     prepare_render,
+    water_objects,
+    set_scale,
     export_splats,
     install_engine,
 )

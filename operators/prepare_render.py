@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import BoolProperty
 
-from ..swag_blender import scene_import, splats
+from ..swag_blender import scene_import, splats, water
 from ..swag_blender.nodes import splat_preview
 
 
@@ -28,6 +28,7 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene = context.scene
         splat_preview.prepare_cycles(scene, self.display_values)
+        water.set_world(scene, self.display_values)
         if scene.camera and scene_import.SIZE_KEY in scene.camera:
             scene_import.look_through(scene, scene.camera)
         return {"FINISHED"}

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty
 
-from ..swag_blender import scene_import, splats
+from ..swag_blender import scene_import, splats, water
 from ..swag_blender.engine_process import Engine, EngineError
 from ..swag_blender.job import Job
 from ..swag_blender.nodes import splat_preview
@@ -71,7 +71,8 @@ class SWAG_OT_train(Job, bpy.types.Operator):
         if event["event"] == "preview" and scene:
             # A window that was busy comes late: the run has ended and its preview is gone.
             with contextlib.suppress(InputError):
-                show_splats(scene, event["path"], self._run, self._photographs)
+                obj = show_splats(scene, event["path"], self._run, self._photographs)
+                water.remember_water(obj, event.get("water"), 0.0)
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         scene = bpy.data.scenes.get(self._scene)
@@ -107,6 +108,7 @@ def remember_training(obj: bpy.types.Object, run: RunFolder, metrics: dict[str, 
     _, settings, _ = run.read_config()
     pixel_size = scene_import.pixel_size(root, settings.width) if root else 0.0
     splat_preview.remember_training(obj, pixel_size, metrics["background"])
+    water.remember_water(obj, run.read_water(), settings.metres_per_unit)
 
 
 def show_splats(scene: bpy.types.Scene, ply: str, run: str, photographs: str) -> bpy.types.Object:

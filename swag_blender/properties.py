@@ -104,6 +104,14 @@ class SwagScene(PropertyGroup):
     seed: _mirrored("seed", "Seed", "The same seed on the same machine gives the same result")
     backend: _mirrored("backend", "Backend", "What draws the Gaussians during training")
 
+    water: FloatProperty(
+        name="Water",
+        description="How much of the fitted water is shown: 0 none, 1 as photographed; it can be animated",
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+    )
+
     result_ply: StringProperty(name="Result", description="Splats of the last run", subtype="FILE_PATH")
     result_gaussians: IntProperty(name="Gaussians")
     result_psnr: FloatProperty(name="PSNR", description="PSNR on photographs that the training never saw, in dB")

@@ -114,8 +114,10 @@ def arranged(tree: bpy.types.NodeTree) -> None:
             column[name] = 1 + max((column[source] for source in incoming[name]), default=-1)
             pending.remove(name)
     rows: dict[int, int] = {}
+    places: list[float] = []
     for node in tree.nodes:
         x = column[node.name]
-        node.location = (220 * x, -180 * rows.get(x, 0))
-        node.hide = node.bl_idname in {"ShaderNodeMath", "ShaderNodeVectorMath"}
+        places += (220 * x, -180 * rows.get(x, 0))
         rows[x] = rows.get(x, 0) + 1
+    # At once: each node that is moved alone makes Blender look through the whole tree.
+    tree.nodes.foreach_set("location", places)

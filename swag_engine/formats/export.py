@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..gaussians.splats import Splats
 from ..gaussians.transform import transformed
 from ..scene.cameras import Camera
-from ..training.run_folder import RunFolder, read_json, write_json
+from ..training.run_folder import RunFolder, write_json
 from . import water
 from .cameras import Photograph, moved, write_cameras
 from .choice import Choice, box_between, label_ids, something
@@ -87,7 +87,7 @@ def export_run(folder: Path, format: str, out: Path, options: ExportOptions | No
         extras=options.extras,
     )
     splats = something(choice.of(read_ply(run.ply)))
-    medium = read_json(run.water, "") if run.water.exists() else None
+    medium = run.read_water()
     if options.water and scene:
         splats = with_water(splats, medium, [v.camera for v in scene.views], options.water, settings.metres_per_unit)
     metres = options.metres_per_unit or settings.metres_per_unit

@@ -409,7 +409,9 @@ class Trainer:
                 self.on_event(self.progress(loss))
             if preview and now - shown > schedule.preview_seconds:
                 write_ply(self.run.preview, self.cloud.to_splats(sh_degree=0))
-                self.on_event({"event": "preview", "path": str(self.run.preview), "iteration": self.iteration})
+                water = self.medium.to_json() if self.medium else None  # per scene unit
+                path = str(self.run.preview)
+                self.on_event({"event": "preview", "path": path, "iteration": self.iteration, "water": water})
                 shown = time.monotonic()
             if now - saved > schedule.checkpoint_seconds:
                 self.save()

@@ -66,6 +66,10 @@ class RunFolder:
     def write_metrics(self, metrics: dict[str, Any]) -> None:
         write_json(self.metrics, metrics)
 
+    def read_water(self) -> dict[str, Any] | None:
+        """The water that the run found; None where it modelled none. Raises InputError when the file is damaged."""
+        return read_json(self.water, "") if self.water.exists() else None
+
     def finished(self) -> bool:
         """Whether the run came to its end and not merely to a stop."""
         return self.metrics.exists() and not self._ended("interrupted", bool)
