@@ -29,7 +29,7 @@ from mathutils import Color
 from ..swag_engine.errors import InputError
 from ..swag_engine.gaussians.splats import Splats, concatenate
 from ..swag_engine.gaussians.transform import transformed
-from . import splats
+from . import splats, water
 from .nodes.splat_preview import HIDDEN, TINT, copy_inputs
 
 LABEL, SIMILARITY = "swag:label", "swag:similarity"
@@ -404,6 +404,7 @@ def _copy_settings(source: bpy.types.Object, target: bpy.types.Object) -> None:
         if key.startswith("swag_") and key not in ("swag_labels",):
             target[key] = source[key]
     copy_inputs(source, target)
+    water.follow_slider(target)
 
 
 def _set(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray) -> None:

@@ -110,6 +110,8 @@ class SwagScene(PropertyGroup):
         min=0.0,
         max=1.0,
         subtype="FACTOR",
+        # Drivers read the scene, and Blender does not see by itself that a property of an extension changed in it.
+        update=lambda self, context: self.id_data.update_tag(),
     )
 
     result_ply: StringProperty(name="Result", description="Splats of the last run", subtype="FILE_PATH")

@@ -3,52 +3,7 @@
 import numpy as np
 import pytest
 
-SETUP = """
-import json, sys, time
-import numpy as np
-from bl_ext.user_default.swag_splatting.swag_blender import scene_import, splats
-from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
-from bl_ext.user_default.swag_splatting.swag_engine.gaussians.splats import Splats
-
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
-
-def random_splats(count, coefficients, seed=0):
-    random = np.random.default_rng(seed)
-    rotations = random.normal(size=(count, 4))
-    rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
-    return Splats(
-        random.normal(size=(count, 3)).astype("f4"), rotations.astype("f4"),
-        random.uniform(0.01, 0.1, (count, 3)).astype("f4"), random.uniform(0, 1, count).astype("f4"),
-        random.normal(size=(count, coefficients, 3)).astype("f4"),
-        {"label": random.integers(-5, 9, count).astype("i4"), "importance": random.random(count).astype("f4")},
-    )
-
-def saved(path):
-    held = np.load(path)
-    return Splats(*(held[name] for name in ("positions", "rotations", "scales", "opacities", "sh")))
-
-def point_sampled(width, height):
-    # The first sample of a pixel is at its centre: no filter between the formula and the figure.
-    scene.cycles.samples = 1
-    scene.render.film_transparent = True
-    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
-    scene.render.filepath = sys.argv[-1] + "/render.exr"
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(scene.render.filepath)
-    pixels = np.empty(width * height * 4, "f4")
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    return pixels.reshape(height, width, 4)[::-1]
-
-def view(width, height, focal):
-    root = bpy.data.objects.new("root", None)
-    scene.collection.objects.link(root)
-    pinhole = {"name": "view", "width": width, "height": height, "fx": focal, "fy": focal, "cx": width / 2 - 3,
-               "cy": height / 2 + 2}
-    camera = scene_import.camera_object(pinhole | {"world_to_camera": np.eye(4).tolist()}, root, scene.collection)
-    scene_import.look_through(scene, camera)
-"""
+from tests.blender.splat_pictures import SETUP, drawn_by_the_engine, heap, psnr
 
 
 def test_what_goes_in_comes_out_bit_for_bit(blender):
@@ -86,26 +41,6 @@ equal(splats.read_splats(bpy.data.objects[name]), made)
     )
 
 
-def test_two_hundred_thousand_splats_are_quick(blender):
-    printed = blender.run(
-        SETUP
-        + """
-made = random_splats(200_000, 16)
-start = time.perf_counter()
-obj = splats.new_splat_object("reef", made, scene.collection)
-middle = time.perf_counter()
-splats.replace_splats(obj, random_splats(1, 1))
-flat = Splats(made.positions, made.rotations, made.scales, made.opacities, made.sh[:, :1])
-before = time.perf_counter()
-splats.replace_splats(obj, flat)
-print("SECONDS", json.dumps([middle - start, time.perf_counter() - before]))
-        """
-    )
-    new, replaced = blender.json_after("SECONDS", printed)
-    print(new, replaced)
-    assert new < 1.5 and replaced < 0.5
-
-
 def test_an_ellipsoid_has_the_gaussians_alpha(blender, tmp_path):
     """The solid form, from the front: alpha = opacity exp(-r^2 / 2 sigma^2); BT.709 linear light of display grey .7."""
     blender.run(
@@ -132,59 +67,29 @@ for facing in (False, True):
         assert np.allclose(row[:, :3] / row[:, 3:], colour, atol=1e-4), facing
 
 
-@pytest.fixture(scope="module")
-def heap():
-    """A heap of splats in front of a camera at the origin, with degree-3 harmonics."""
-    random = np.random.default_rng(3)
-    count = 400
-    rotations = random.normal(size=(count, 4))
-    rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
-    sh = random.normal(size=(count, 16, 3)) * 0.2
-    sh[:, 0] = random.uniform(-1.5, 1.5, (count, 3))
-    held = {
-        "positions": np.c_[random.uniform(-3, 3, (count, 2)), random.uniform(3, 9, count)],
-        "rotations": rotations,
-        "scales": np.exp(random.uniform(np.log(0.01), np.log(0.3), (count, 3))),
-        "opacities": random.uniform(0.1, 1, count),
-        "sh": sh,
-    }
-    return {name: array.astype(np.float32) for name, array in held.items()}
+# Turned, squeezed and sheared about the heap's middle.
+UNEVEN = np.array([[1.6, 0.5, 0, -1], [-0.2, 0.5, 0.1, 0.5], [0.1, 0.3, 0.8, 2], [0, 0, 0, 1]])
 
 
-def drawn_by_the_engine(held, width, height, focal):
-    import torch
-
-    from swag_engine.gaussians.sh import evaluate_sh
-    from swag_engine.rasterize.api import rasterize
-
-    t = {name: torch.tensor(array, dtype=torch.float64) for name, array in held.items()}
-    directions = torch.nn.functional.normalize(t["positions"], dim=1)
-    colors = evaluate_sh(t["sh"][:, :1], t["sh"][:, 1:], directions, 3)
-    K = torch.tensor([[focal, 0, width / 2 - 3], [0, focal, height / 2 + 2], [0, 0, 1]], dtype=torch.float64)
-    drawn = rasterize(
-        t["positions"], t["rotations"], t["scales"], t["opacities"], colors, torch.eye(4, dtype=torch.float64), K,
-        width, height, torch.zeros(3, dtype=torch.float64), backend="torch",
-    )  # fmt: skip
-    return drawn.channels.numpy(), drawn.alpha.numpy()
-
-
-def psnr(a, b):
-    return -10 * np.log10(np.mean((a - b) ** 2))
-
-
-@pytest.mark.parametrize("moved", [False, True])
-def test_cycles_draws_the_engines_picture(blender, heap, tmp_path, moved):
-    """Display values, a camera with shift: equal to the rasteriser, also when scene and splats are turned together."""
-    np.savez(tmp_path / "heap.npz", **heap)
+@pytest.mark.parametrize("moved", ["still", "together", "uneven"])
+def test_cycles_draws_the_engines_picture(blender, tmp_path, moved):
+    """Display values, a camera with shift: equal to the rasteriser, also when scene and splats are turned together
+    or the splats alone are scaled unevenly and sheared."""
+    np.savez(tmp_path / "heap.npz", **heap())
     blender.run(
         SETUP
         + f"""
-moved = {moved}
+moved, uneven = "{moved}", {UNEVEN.tolist()}
 """
         + """
 view(160, 100, 150.0)
 obj = splats.new_splat_object("heap", saved(sys.argv[1]), scene.collection, bpy.data.objects["root"])
-if moved:
+if moved == "uneven":
+    obj.parent = bpy.data.objects.new("shear", None)
+    scene.collection.objects.link(obj.parent)
+    from mathutils import Matrix
+    obj.matrix_parent_inverse = Matrix(uneven)
+if moved == "together":
     bpy.data.objects["root"].matrix_world = splats.FILE_FRAME
     bpy.data.objects["root"].rotation_euler.z = 0.7
     bpy.data.objects["root"].location = (3, 1, -2)
@@ -198,7 +103,8 @@ np.save(sys.argv[-1] + "/render.npy", point_sampled(160, 100))
         tmp_path,
     )
     render = np.load(tmp_path / "render.npy")
-    color, alpha = drawn_by_the_engine(heap, 160, 100, 150.0)
+    matrix = UNEVEN if moved == "uneven" else None
+    color, alpha = drawn_by_the_engine(heap(), 160, 100, 150.0, matrix=matrix)
     print(psnr(render[..., :3], color), psnr(render[..., 3], alpha))
     assert psnr(render[..., :3], color) > 55 and psnr(render[..., 3], alpha) > 55
 
