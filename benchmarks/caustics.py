@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from swag_engine.effects.caustics import Illumination, illuminated  # noqa: E402
-from swag_engine.water.medium import to_display, to_light  # noqa: E402
+from swag_engine.water.light import to_display, to_light  # noqa: E402
 
 ROWS, COLUMNS, VIEWS, STEPS = 60, 96, 16, 640
 WAYS = ("as it is", "weight", "field")
@@ -51,14 +51,14 @@ def trust(photograph: Tensor, picture: Tensor) -> Tensor:
 
 def learned(seen: list[Tensor], way: str) -> Tensor:
     picture = torch.stack(seen).mean(0).requires_grad_()
-    field = Illumination.starting(VIEWS, COLUMNS, ROWS)
+    field = Illumination.starting([str(view) for view in range(VIEWS)], COLUMNS, ROWS)
     field.log_light.requires_grad_()
     optimizer = torch.optim.Adam([{"params": [picture]}, {"params": [field.log_light]}])
     for step in range(STEPS):
         for group, rate in zip(optimizer.param_groups, (5e-3, 2e-2), strict=True):
             group["lr"] = rate * (1 - step / STEPS)
         view = step % VIEWS
-        shown = illuminated(picture, field, view) if way == "field" else picture
+        shown = illuminated(picture, field, str(view)) if way == "field" else picture
         weight = trust(seen[view], shown.detach()) if way == "weight" else torch.ones(ROWS, COLUMNS)
         optimizer.zero_grad()
         ((shown - seen[view]).abs().mean(2) * weight).mean().backward()

@@ -17,6 +17,7 @@ import torch  # noqa: E402
 from raster import MAIN, RESULTS, make_cloud  # noqa: E402
 from train_scenes import processor  # noqa: E402
 
+from swag_engine.effects.simulated import Simulated  # noqa: E402
 from swag_engine.rasterize.render import render  # noqa: E402
 from swag_engine.training.config import LearningRates  # noqa: E402
 from swag_engine.training.guard import MOST_APART, Guard  # noqa: E402
@@ -29,7 +30,7 @@ ROUNDS = 40
 def main() -> None:
     n, width, height = MAIN
     cloud, camera = make_cloud(n, width, height)
-    optimizer, rates, target = Optimizer(cloud, None), asdict(LearningRates()), torch.rand(height, width, 3)
+    optimizer, rates, target = Optimizer(cloud, Simulated()), asdict(LearningRates()), torch.rand(height, width, 3)
     guard = Guard(optimizer, 10_000)
     loss = torch.zeros(())
 

@@ -20,6 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from swag_engine.effects.simulated import Simulated  # noqa: E402
 from swag_engine.threads import wait_politely  # noqa: E402
 
 wait_politely()
@@ -74,7 +75,7 @@ def make_cloud(n: int, width: int, height: int) -> tuple[GaussianCloud, Camera]:
 def iteration(n: int, width: int, height: int, backend: str) -> Callable[[], None]:
     """One training iteration: project, blend, L1 + SSIM, backward, Adam."""
     cloud, camera = make_cloud(n, width, height)
-    optimizer, rates = Optimizer(cloud, None, backend), asdict(LearningRates())
+    optimizer, rates = Optimizer(cloud, Simulated(), backend), asdict(LearningRates())
     target = torch.rand(height, width, 3)
 
     def step() -> None:

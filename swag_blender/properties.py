@@ -58,7 +58,7 @@ class SwagScene(PropertyGroup):
         "Method",
         "swag takes the water away, 3dgs shows the place as photographed; the others follow published methods",
     )
-    effects: _mirrored("effects", "Effects", "Parts of the method switched by hand, as in water=off,depth=on")
+    effects: _mirrored("effects", "Effects", "Parts of the method switched by hand, as in water=off,lamp=on")
     water_type: _mirrored(
         "water_type",
         "Water",

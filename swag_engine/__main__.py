@@ -77,20 +77,22 @@ class Sfm:
 
 @dataclass(frozen=True)
 class Plan:
-    """Say which effects a scene calls for, why, and what each would cost; --out writes plan.json."""
+    """Say which effects a scene calls for, why, and what each costs; writes plan.json, which training goes by."""
 
     scene: tyro.conf.Positional[Path]
     """Folder of the scene: photographs and a COLMAP model."""
     out: Path | None = None
-    """Folder for plan.json."""
+    """Folder for plan.json; the scene's own without it."""
+    effects: str = ""
+    """Effects that you decide yourself, as in attenuation=off,lamp=on."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
-        from .effects.plan import describe, plan_scene
+        from .effects.plan import describe, plan_and_keep
 
-        plan = plan_scene(self.scene, self.out)
-        show(plan.to_json(), self.json, describe(plan))
+        plan, written = plan_and_keep(self.scene, self.out, self.effects)
+        show(plan.to_json(), self.json, f"{describe(plan)}\n\n{written}")
         return 0
 
 
@@ -150,6 +152,7 @@ class Train:
             f"{metrics['seconds'] / 60:.1f} minutes, {metrics['gaussians']} Gaussians.\n"
             f"{quality if metrics['views'] else 'Too few photographs to hold any out for a figure.'}\n"
             f"{metrics['water'] or 'The water is left in the colours.'}\n"
+            f"{''.join(trial['sentence'] + chr(10) for trial in metrics['trials'])}"
             f"{''.join(note + chr(10) for note in metrics['notes'])}"
             f"Result: {result['ply']}"
             f"{chr(10) + 'Report: ' + result['report'] if result['report'] else ''}"

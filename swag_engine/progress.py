@@ -64,11 +64,19 @@ def training_progress() -> Iterator[Callable[[dict[str, Any]], None]]:
     with progress_display() as show:
 
         def update(event: dict[str, Any]) -> None:
+            if event["event"] == "plan":
+                show(plan_line(event["plan"]), 0.0, True)
             if event["event"] == "progress":
                 done = event["iteration"] == event["iterations"]
                 show(progress_line(event), event["iteration"] / event["iterations"], done)
 
         yield update
+
+
+def plan_line(plan: dict[str, Any]) -> str:
+    """The effects that a `plan` event has on, in words."""
+    on = [name.replace("_", " ") for name, effect in plan["effects"].items() if effect["state"] == "on"]
+    return f"The scene calls for {', '.join(on) or 'no effect'} (plan.json says why)"
 
 
 def progress_line(event: dict[str, Any]) -> str:

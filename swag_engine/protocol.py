@@ -38,6 +38,16 @@ class ForecastRequest:
 
 
 @dataclass(frozen=True)
+class PlanRequest:
+    """Say which effects `scene` calls for; `settings` are those of a run that would follow. The plan goes to plan.json
+    in the folder `out`, or in the scene's."""
+
+    scene: Path
+    out: Path | None = None
+    settings: TrainSettings = field(default_factory=TrainSettings)
+
+
+@dataclass(frozen=True)
 class ExportRequest:
     """Write the result of the run folder `run` to the file `out`."""
 
@@ -84,6 +94,7 @@ class GoOnRequest:
 
 Request = (
     InspectRequest
+    | PlanRequest
     | TrainRequest
     | ForecastRequest
     | ExportRequest
@@ -95,6 +106,7 @@ Request = (
 )
 REQUESTS: dict[str, type[Request]] = {
     "inspect": InspectRequest,
+    "plan": PlanRequest,
     "train": TrainRequest,
     "forecast": ForecastRequest,
     "export": ExportRequest,

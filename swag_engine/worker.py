@@ -20,6 +20,7 @@ from .protocol import (
     InspectRequest,
     LabelRequest,
     PauseRequest,
+    PlanRequest,
     Request,
     SearchRequest,
     TrainRequest,
@@ -107,6 +108,14 @@ class Worker:
         """The `result` event of one request."""
         if isinstance(request, InspectRequest):
             return inspect(request.scene, request.arrays)
+        if isinstance(request, PlanRequest):
+            from .effects.plan import plan_and_keep
+            from .water.identify import FIT_WIDTH
+
+            settings = request.settings.sized()
+            width = settings.width or FIT_WIDTH  # a time budget finds its own
+            plan, _ = plan_and_keep(request.scene, request.out, settings.effects, width)
+            return {"event": "result", "request": "plan", "plan": plan.to_json()}
         if isinstance(request, TrainRequest):
             from .evaluation.reported import train_and_report
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..water.medium import to_display, to_light
+from ..water.light import relit
 
 
 @dataclass
@@ -39,6 +39,9 @@ class Lamp:
         return (tau + 1) / (tau + (ranges / self.unit_range).square())
 
 
-def lit(colors: Tensor, ranges: Tensor, lamp: Lamp) -> Tensor:
-    """Display colours (N, 3) of Gaussians at ranges (N,) in the lamp's light, from those at the median range."""
-    return to_display(to_light(colors) * lamp.light(ranges)[:, None])
+def lit(colors: Tensor, ranges: Tensor, lamp: Lamp, amount: float = 1.0) -> Tensor:
+    """Display colours (N, 3) of Gaussians at ranges (N,) in the lamp's light, from those at the median range.
+
+    amount: 0 (even light) to 1, the exponent of the fall-off.
+    """
+    return relit(colors, amount * lamp.light(ranges).log()[:, None])

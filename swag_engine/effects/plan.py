@@ -4,6 +4,7 @@ plan = plan_scene(Path("SCENE"), out=Path("FOLDER"))    writes FOLDER/plan.json
 print(describe(plan))
 """
 
+import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -24,6 +25,7 @@ from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images, mask_of
 from ..scene.split import split_views
 from ..strict_json import strict, to_json
+from ..water import identify
 from ..water.identify import FIT_WIDTH, observe
 from ..water.medium import Medium, open_water, through_water
 from . import evidence
@@ -31,19 +33,8 @@ from .caustics import Illumination, illuminated
 from .evidence import Finding, State, WaterFindings
 from .exposure import Exposure, exposed
 from .lamp import Lamp, lit
+from .names import EFFECTS, parse_effects
 
-EFFECTS = (
-    "attenuation",
-    "backscatter",
-    "separate_backscatter",
-    "lamp",
-    "exposure",
-    "caustics",
-    "moving_objects",
-    "interpolation",
-    "semantics",
-    "depth_prior",
-)
 DepthNetwork = Callable[[TrainingImage], np.ndarray]
 FrameNetwork = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 TIMED_GAUSSIANS = 30_000
@@ -69,22 +60,22 @@ class Effect:
 @dataclass(frozen=True)
 class Plan:
     """effects by name, in the order of EFFECTS; water: fitted beta_D, beta_B, B_inf with what they are `per` and in
-    which `light`, and their 95 % intervals; None where there is no water to begin with."""
+    which `light`, and their 95 % intervals; None where nothing was fitted. scene: what made_from gave for the scene."""
 
     effects: dict[str, Effect]
     water: dict[str, Any] | None
+    scene: str
 
     def on(self, name: str) -> bool:
         """Whether a run simulates the effect: what is unknown stays off."""
         return self.effects[name].state == "on"
 
-    def overruled(self, choices: Mapping[str, bool]) -> "Plan":
-        """The plan with the user's choices in place of its own."""
+    def overruled(self, choices: Mapping[str, bool], reason: str = "The user's choice.") -> "Plan":
+        """The plan with choices, those of EFFECTS, in place of its own."""
         changed = {
-            name: replace(
-                self.effects[name], state="on" if chosen else "off", reason="The user's choice.", overruled=True
-            )
+            name: replace(self.effects[name], state="on" if chosen else "off", reason=reason, overruled=True)
             for name, chosen in choices.items()
+            if name in self.effects
         }
         return replace(self, effects=self.effects | changed)
 
@@ -103,13 +94,18 @@ class Plan:
                 for name, effect in self.effects.items()
             },
             "water": self.water,
+            "scene": self.scene,
         }
 
     @classmethod
     def from_json(cls, document: dict[str, Any]) -> "Plan":
         """What to_json gave. Raises InputError for anything else."""
         try:
-            return cls({name: Effect(**document["effects"][name]) for name in EFFECTS}, document["water"])
+            effects = {name: Effect(**document["effects"][name]) for name in EFFECTS}
+            wrong = sorted({str(effect.state) for effect in effects.values()} - set(STATES))
+            if wrong:
+                raise InputError(f"This is no plan: a state is {wrong[0]!r}, not one of {', '.join(STATES)}.")
+            return cls(effects, document["water"], str(document["scene"]))
         except (KeyError, TypeError) as error:
             raise InputError(f"This is no plan: {error} is missing or wrong; make it again.") from error
 
@@ -117,22 +113,26 @@ class Plan:
 def read_plan(path: Path) -> Plan:
     """The plan in a plan.json. Raises InputError when it cannot be read."""
     try:
-        return Plan.from_json(json.loads(path.read_text()))
+        document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as a plan: {error}.") from error
+    try:
+        return Plan.from_json(document)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
-def parse_effects(text: str) -> dict[str, bool]:
-    """What `--effects attenuation=off,lamp=on` says. Raises InputError naming the word that is wrong."""
-    choices = {}
-    for part in filter(None, (piece.strip() for piece in text.split(","))):
-        name, _, state = part.partition("=")
-        if name not in EFFECTS:
-            raise InputError(f"There is no effect {name!r}; there are {', '.join(EFFECTS)}.")
-        if state not in ("on", "off"):
-            raise InputError(f"The effect {name} can be on or off, not {state!r}: write {name}=on or {name}=off.")
-        choices[name] = state == "on"
-    return choices
+def made_from(scene: Scene) -> str:
+    """A word that changes with the photographs, the masks, the cameras and points, and with the code that plans."""
+    hashed = hashlib.sha256()
+    for view in scene.views:
+        for path in (view.path, mask_of(scene, view)):
+            hashed.update(f"{view.name} {path and path.stat().st_size} {path and path.stat().st_mtime_ns};".encode())
+        hashed.update(view.camera.world_to_camera.tobytes())
+    hashed.update(scene.points.positions.tobytes())
+    for source in sorted((*Path(__file__).parent.glob("*.py"), Path(identify.__file__))):
+        hashed.update(source.read_bytes())
+    return hashed.hexdigest()[:16]
 
 
 # Making it ------------------------------------------------------------------------------------------------------------
@@ -145,6 +145,7 @@ def plan_scene(
     labels: bool = False,
     depth: DepthNetwork | None = None,
     interpolator: FrameNetwork | None = None,
+    width: int = FIT_WIDTH,
     backend: str = "auto",
 ) -> Plan:
     """Look at a scene and decide; written to out/plan.json where `out` is given.
@@ -163,11 +164,30 @@ def plan_scene(
         labels=labels,
         depth=depth,
         interpolator=interpolator,
+        width=width,
         backend=backend,
     )
     if out is not None:
         write_plan(out / "plan.json", plan)
     return plan
+
+
+def plan_and_keep(scene_folder: Path, out: Path | None, effects: str, width: int = FIT_WIDTH) -> tuple[Plan, str]:
+    """The plan of a scene with the user's choices, as parse_effects takes them, and a sentence on where it was written:
+    to plan.json in `out`, else in the scene's folder, where training finds it.
+
+    Raises InputError as plan_scene does, for wrong choices, and where `out` cannot be written.
+    """
+    choices = parse_effects(effects)
+    plan = plan_scene(scene_folder, width=width).overruled(choices)
+    path = (out or scene_folder) / "plan.json"
+    try:
+        write_plan(path, plan)
+    except InputError as error:
+        if out:
+            raise
+        return plan, f"Not kept: {error}"  # a scene that is read-only can be planned all the same
+    return plan, f"Written to {path}."
 
 
 def write_plan(path: Path, plan: Plan) -> None:
@@ -183,9 +203,13 @@ def make_plan(
     labels: bool = False,
     depth: DepthNetwork | None = None,
     interpolator: FrameNetwork | None = None,
+    width: int = FIT_WIDTH,
     backend: str = "auto",
 ) -> Plan:
-    """Decide from photographs of the scene that are not for testing, FIT_WIDTH wide or as wide as they are."""
+    """Decide from photographs of the scene that are not for testing, FIT_WIDTH wide or as wide as they are.
+
+    width: pixels that training takes, which costs are measured at.
+    """
     names = [image.camera.name for image in images]
     views = {view.name: view for view in scene.views}
     observations = observe(images, [views[name].point_indices for name in names], scene.points)
@@ -194,13 +218,21 @@ def make_plan(
     flicker = caustics.evidence["flicker"] if caustics.state == "on" else 0.0
     water = evidence.water_findings(observations, evidence.open_water_light(images, scene), flicker)
     findings = water.effects | {"caustics": caustics}
+    separate = findings["separate_backscatter"]
+    if findings["backscatter"].state == "on" and separate.state == "off":
+        # Water has two coefficients (Akkaynak and Treibitz 2018) even where points cannot tell them apart, and one in
+        # place of two costs colours: delta E 13.6 against 10.8 on the demo.
+        findings["separate_backscatter"] = replace(
+            separate, state="on", reason=f"Water has two coefficients, and the second costs nothing. {separate.reason}"
+        )
     findings["moving_objects"] = evidence.moving_objects_finding(
         [name for name in names if mask_of(scene, views[name])]
     )
     findings["interpolation"] = _interpolation(scene, images, interpolator)
     findings["semantics"] = evidence.semantics_finding(labels, images, scene, findings["backscatter"].state == "on")
     findings["depth_prior"] = _depth_prior(scene, images, depth)
-    costs = measured_costs(images[0].camera.width, images[0].camera.height, backend)
+    trained = images[0].camera.resized(min(width, images[0].camera.width))
+    costs = measured_costs(trained.width, trained.height, backend)
     starts = _starts(water, names)
     effects = {
         name: Effect(
@@ -212,7 +244,7 @@ def make_plan(
         )
         for name in EFFECTS
     }
-    return Plan(effects, _water(water))
+    return Plan(effects, _water(water), made_from(scene))
 
 
 def _interpolation(scene: Scene, images: Sequence[TrainingImage], network: FrameNetwork | None) -> Finding:
@@ -253,7 +285,7 @@ def _starts(water: WaterFindings, names: Sequence[str]) -> dict[str, dict[str, A
 
 def _water(water: WaterFindings) -> dict[str, Any] | None:
     fit = water.fit
-    if fit is None or water.effects["attenuation"].state != "on":
+    if fit is None or not fit.family.attenuation:
         return None
 
     def rounded(values: np.ndarray) -> list[Any]:
@@ -289,8 +321,8 @@ def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, 
     features, targets = random(TIMED_GAUSSIANS, 32), random(TIMED_GAUSSIANS, 32).detach()
     weights = random(height, width, 3).detach()
     medium = Medium.starting(2.0).to(device)
-    lamp, exposure = Lamp(torch.zeros((), device=device), 2.0), Exposure(torch.zeros(1, 1, device=device))
-    illumination = Illumination.starting(1, width, height)
+    lamp, exposure = Lamp(torch.zeros((), device=device), 2.0), Exposure(torch.zeros(1, 1, device=device), [""])
+    illumination = Illumination.starting([""], width, height)
     illumination.log_light = illumination.log_light.to(device)
     for tensor in (*medium.parameters().values(), lamp.log_tau, exposure.raw, illumination.log_light):
         tensor.requires_grad_()
@@ -305,8 +337,8 @@ def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, 
         "attenuation": lambda: through_water(colors, offsets, medium, backend=backend).sum(),
         "backscatter": lambda: (open_water(medium, viewmat, K, width, height, backend=backend) * weights).sum(),
         "lamp": lambda: lit(colors, offsets.norm(dim=1), lamp).sum(),
-        "exposure": lambda: (exposed(picture, exposure, 0) * weights).sum(),
-        "caustics": lambda: (illuminated(picture, illumination, 0) * weights).sum(),
+        "exposure": lambda: (exposed(picture, exposure, "") * weights).sum(),
+        "caustics": lambda: (illuminated(picture, illumination, "") * weights).sum(),
         "semantics": lambda: (features - targets).square().mean(),
         "depth_prior": prior,
     }
@@ -336,7 +368,7 @@ def describe(plan: Plan) -> str:
     for name, effect in plan.effects.items():
         title = name.replace("_", " ")
         lines.append(f"{title:<21}{STATES[effect.state]:<13}{effect.cost_ms:6.2f} ms  {effect.reason}")
-    if plan.water:
+    if plan.water and plan.on("attenuation"):
         lines.append("")
         titles = {"beta_D": "attenuation per unit"}
         if plan.on("backscatter"):

@@ -7,15 +7,19 @@ from typing import Any
 
 import numpy as np
 
+from ..effects.names import TOGETHER
+from ..effects.plan import Plan, plan_scene
 from ..errors import InputError
 from ..files import atomic_path
 from ..training.config import TrainSettings
 from ..training.loop import train
-from ..training.recipes import EFFECTS, RECIPES
+from ..training.recipes import RECIPES, SWITCHES, has, recipe_of
 from ..training.run_folder import RunFolder, read_json, write_json
 from .run import evaluate_run
 
 OURS = "swag"
+ALL = "separate_backscatter=on,lamp=on,exposure=on,caustics=on,moving_objects=on"
+"""Every effect that needs no network."""
 FIGURES = {
     "psnr": "validation PSNR",
     "test_psnr": "test PSNR",
@@ -36,13 +40,19 @@ class Row:
     effects: str = ""
 
 
-def rows() -> list[Row]:
-    """Every recipe, and ours with each effect switched to what it is not."""
+def rows(plan: Plan | None = None) -> list[Row]:
+    """Every recipe, and ours with each effect switched to what it is not for a scene with these effects.
+
+    plan: the scene's, None where it is not known.
+    """
+    ours = recipe_of(OURS, "", plan)
     table = [Row(name, name) for name in RECIPES]
-    for effect, (_, off) in EFFECTS.items():
-        has = any(getattr(RECIPES[OURS], field) != value for field, value in off.items())
-        state, word = ("off", "without") if has else ("on", "with")
-        table.append(Row(f"{OURS} {word} {effect}", OURS, f"{effect}={state}"))
+    for effect in (*TOGETHER, *SWITCHES):
+        on = has(ours, TOGETHER.get(effect, (effect,))[0])
+        state, word = ("off", "without") if on else ("on", "with")
+        if recipe_of(OURS, f"{effect}={state}", plan) != ours:
+            table.append(Row(f"{OURS} {word} {effect.replace('_', ' ')}", OURS, f"{effect}={state}"))
+    table.append(Row(f"{OURS} with all", OURS, ALL))
     return table
 
 
@@ -67,7 +77,7 @@ def ablate(
         raise InputError(f"The number of seeds must be 1 or more, not {seeds}.")
     document: dict[str, Any] = {"scene": str(scene), "settings": settings.to_json(), "seeds": seeds, "rows": []}
     document["interrupted"] = False
-    for row in rows():
+    for row in rows(plan_scene(scene)):
         figures: list[dict[str, Any]] = []
         for seed in range(seeds):
             changed: dict[str, Any] = {"recipe": row.recipe, "effects": row.effects, "seed": seed}

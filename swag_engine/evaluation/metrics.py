@@ -7,14 +7,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..effects.simulated import Simulated
 from ..gaussians.cloud import GaussianCloud
 from ..rasterize.api import rasterize
 from ..rasterize.render import render
 from ..scene.cameras import Camera
 from ..scene.images import TrainingImage
 from ..training.losses import ssim
-from ..water.medium import Medium
-from ..water.network import WaterNetwork
 
 FLOATER_GAP = 0.05
 """How far in front of a surface a floater is, in median ranges."""
@@ -43,10 +42,10 @@ def score_views(
     images: Sequence[TrainingImage],
     sh_degree: int,
     backend: str = "auto",
-    medium: Medium | WaterNetwork | None = None,
+    simulated: Simulated | None = None,
 ) -> list[ViewScore]:
     """Render every image's view and compare, at the size of the images, in 8 bits as both would be stored."""
-    return [score_picture(image, picture(cloud, image.camera, sh_degree, backend, medium)) for image in images]
+    return [score_picture(image, picture(cloud, image.camera, sh_degree, backend, simulated)) for image in images]
 
 
 @torch.no_grad()
@@ -55,11 +54,16 @@ def picture(
     camera: Camera,
     sh_degree: int,
     backend: str = "auto",
-    medium: Medium | WaterNetwork | None = None,
+    simulated: Simulated | None = None,
     amount: float = 1.0,
 ) -> Tensor:
-    """What `camera` sees through `amount` (0..1) of the water: (H, W, 3) on the CPU in 0..1, rounded as in 8 bits."""
-    color = render(cloud, camera, sh_degree, medium, amount=amount, backend=backend).color.cpu()
+    """What `camera` sees through `amount` (0..1) of all that is simulated: (H, W, 3) on the CPU in 0..1, rounded as in
+    8 bits. A photograph that nothing was learned of gets the gain that its neighbours let expect, and even light."""
+    simulated = simulated or Simulated()
+    color = render(
+        cloud, camera, sh_degree, simulated.medium, amount=amount, backend=backend, lamp=simulated.lamp
+    ).color
+    color = simulated.developed(color, camera.name, amount).cpu()
     return (color.clamp(0, 1) * 255).round() / 255
 
 

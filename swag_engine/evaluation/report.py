@@ -44,7 +44,7 @@ def write_report(folder: Path) -> Path:
     """
     run = RunFolder(folder)
     scene_folder, settings, _ = run.read_config()
-    cloud, medium, state = newest(folder)
+    cloud, simulated, state = newest(folder)
     metrics, forecast = _optional(run.metrics), _optional(folder / "forecast.json")
     evaluation = _optional(folder / "evaluation.json")
     if evaluation.get("iteration") != state["iteration"]:
@@ -57,8 +57,10 @@ def write_report(folder: Path) -> Path:
     by_name = {view.name: view for view in scene.views if view.name in chosen}
     pictures: list[Compared] = []
     for image in load_images(scene, [by_name[name] for name in chosen if name in by_name], settings.width):
-        shown = [picture(cloud, image.camera, settings.sh_degree, medium=medium, amount=amount) for amount in (1, 0)]
-        pictures.append(compared(image, shown[0], shown[1] if medium else None))
+        shown = [
+            picture(cloud, image.camera, settings.sh_degree, simulated=simulated, amount=amount) for amount in (1, 0)
+        ]
+        pictures.append(compared(image, shown[0], shown[1] if simulated.owners() else None))
 
     where = machine(cloud.means.device)
     parts = [

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ..doctor import examine
+from ..effects.simulated import Simulated
 from ..errors import InputError
 from ..files import atomic_path
 from ..gaussians.cloud import GaussianCloud
@@ -18,10 +19,9 @@ from ..scene.images import TrainingImage, load_images, read_picture
 from ..scene.inspect import inspect_scene
 from ..scene.split import split_views
 from ..training.checkpoint import load_checkpoint
-from ..training.loop import cloud_from_tensors, median_range, medium_from_tensors
+from ..training.loop import cloud_from_tensors
+from ..training.prepare import median_range
 from ..training.run_folder import RunFolder, write_json
-from ..water.medium import Medium
-from ..water.network import WaterNetwork
 from .evaluation_page import write_evaluation_page
 from .lpips import BACKBONES, load_lpips
 from .metrics import (
@@ -54,7 +54,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
     """
     run = RunFolder(folder)
     scene_folder, settings, _ = run.read_config()
-    cloud, medium, state = newest(folder)
+    cloud, simulated, state = newest(folder)
     lpips, notes = load_lpips(weights_dir)
     scene = load_scene(scene_folder)
     split = split_views([view.name for view in scene.views])
@@ -65,8 +65,8 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
 
     scores, views, shown = [], {}, []
     for image in test:
-        color = picture(cloud, image.camera, settings.sh_degree, medium=medium)
-        restored = picture(cloud, image.camera, settings.sh_degree, medium=medium, amount=0)
+        color = picture(cloud, image.camera, settings.sh_degree, simulated=simulated)
+        restored = picture(cloud, image.camera, settings.sh_degree, simulated=simulated, amount=0)
         shown_color, target, _ = comparable(image, color)
         score = score_picture(image, color)
         figures: dict[str, Any] = {"psnr": score.psnr, "ssim": score.ssim}
@@ -76,7 +76,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
             figures["restored"] = {"psnr": psnr, "delta_e": delta_e}
         scores.append(score)
         views[score.name] = figures
-        shown.append(compared(image, color, restored if medium else None))
+        shown.append(compared(image, color, restored if simulated.owners() else None))
 
     test_psnr, test_ssim = mean_score(scores)
     summary = inspect_scene(scene)
@@ -181,7 +181,7 @@ def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) 
     if not 0 <= water <= 1:
         raise InputError(f"The amount of water must be from 0 to 1, not {water}.")
     scene_folder, settings, _ = RunFolder(folder).read_config()
-    cloud, medium, _ = newest(folder)
+    cloud, simulated, _ = newest(folder)
     scene = load_scene(scene_folder)
     names = [view.camera.name for view in scene.views]
     wanted = split_views(names).test if camera is None else [camera]
@@ -192,7 +192,9 @@ def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) 
         if view.camera.name not in wanted:
             continue
         sized = view.camera.resized(min(settings.width, view.camera.width))
-        pixels = (picture(cloud, sized, settings.sh_degree, medium=medium, amount=water) * 255).round().byte().numpy()
+        pixels = (
+            (picture(cloud, sized, settings.sh_degree, simulated=simulated, amount=water) * 255).round().byte().numpy()
+        )
         path = (out / view.camera.name).with_suffix(".png")
         with atomic_path(path) as temporary:
             temporary.write_bytes(cv2.imencode(".png", pixels[..., ::-1])[1].tobytes())
@@ -200,12 +202,11 @@ def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) 
     return files
 
 
-def newest(folder: Path) -> tuple[GaussianCloud, Medium | WaterNetwork | None, dict[str, Any]]:
-    """Gaussians and water of a run's newest checkpoint, where they are rendered fastest, and its state."""
+def newest(folder: Path) -> tuple[GaussianCloud, Simulated, dict[str, Any]]:
+    """Gaussians and effects of a run's newest checkpoint, where they are rendered fastest, and its state."""
     loaded = load_checkpoint(folder)
     if loaded is None:
         raise InputError(f"The run {folder} has no checkpoint yet; continue it with train --resume.")
     tensors, state = loaded
     device = device_for("auto")
-    medium = medium_from_tensors(tensors, state)
-    return cloud_from_tensors(tensors).to(device), medium.to(device) if medium else None, state
+    return cloud_from_tensors(tensors).to(device), Simulated.from_checkpoint(tensors, state).to(device), state

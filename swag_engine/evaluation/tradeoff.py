@@ -94,12 +94,12 @@ def tradeoff(
 
 def held_out_scores(folder: Path, images: Sequence[TrainingImage], lpips: dict[str, Lpips]) -> dict[str, float | None]:
     """Mean of each of QUALITIES over the views, rendered from a run's newest checkpoint at the size of the images."""
-    cloud, medium, _ = newest(folder)
+    cloud, simulated, _ = newest(folder)
     _, settings, _ = RunFolder(folder).read_config()
     scores: list[ViewScore] = []
     distances: dict[str, list[float]] = {name: [] for name in lpips}
     for image in images:
-        color = picture(cloud, image.camera, settings.sh_degree, medium=medium)
+        color = picture(cloud, image.camera, settings.sh_degree, simulated=simulated)
         scores.append(score_picture(image, color))
         shown, target, _ = comparable(image, color)
         for name, network in lpips.items():

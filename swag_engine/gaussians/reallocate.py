@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 import torch
 from torch import Tensor
 
+from ..effects.lamp import Lamp, lit
 from ..rasterize.api import contributions
 from ..rasterize.render import render
 from ..scene.cameras import Camera
@@ -31,6 +32,7 @@ def scores(
     medium: Medium | WaterNetwork | None = None,
     water_degree: int = MAX_DEGREE,
     backend: str = "auto",
+    lamp: Lamp | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Importance S (N,) and error E (N,) of the Gaussians over all `views`, as sums of rasterize.api.Contributions.
 
@@ -40,7 +42,7 @@ def scores(
     S, E = torch.zeros_like(cloud.opacity_logits), torch.zeros_like(cloud.opacity_logits)
     for camera, loss in views:
         with torch.no_grad():
-            color = render(cloud, camera, sh_degree, medium, water_degree, backend=backend).color
+            color = render(cloud, camera, sh_degree, medium, water_degree, backend=backend, lamp=lamp).color
         gradient = torch.autograd.grad(loss(color.requires_grad_()), color)[0]
         with torch.no_grad():
             centre, viewmat, K = (
@@ -48,7 +50,11 @@ def scores(
             )
             offsets = cloud.means - centre
             colors, background = cloud.colors(centre, sh_degree, backend), cloud.background.sigmoid()
-            if isinstance(medium, Medium):
+            if lamp is not None:
+                colors = lit(colors, offsets.norm(dim=1), lamp)
+            if isinstance(medium, Medium) and medium.veil is None:
+                colors = through_water(colors, offsets, medium, water_degree, 1.0, backend)
+            elif isinstance(medium, Medium):
                 # Open water has no constant colour, but over one Gaussian it nearly has: taken off both sides of
                 # the formula, the colours are differences from it and nothing is behind.
                 water = through_water(torch.zeros_like(colors), ENDLESS * offsets, medium, water_degree, 1.0, backend)

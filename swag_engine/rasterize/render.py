@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..effects.lamp import Lamp, lit
 from ..gaussians.cloud import GaussianCloud
 from ..scene.cameras import Camera
 from ..water.medium import MAX_DEGREE, Medium, open_water, through_water
@@ -15,9 +16,9 @@ from .api import Rendering, rasterize
 @dataclass
 class Picture:
     """color (H, W, 3) display values; alpha (H, W) in 0..1; range (H, W) Euclidean distance to the camera in scene
-    units, alpha-weighted and normalised, 0 where alpha is 0; restored (H, W, 3): the same without water, black where
-    nothing is (both None unless asked for); offsets (N, 3): from the camera to the Gaussians, scene units, without a
-    gradient; rendering: what made it."""
+    units, alpha-weighted and normalised, 0 where alpha is 0; restored (H, W, 3): the same without water and lamp, black
+    where nothing is (both None unless asked for); offsets (N, 3): from the camera to the Gaussians, scene units,
+    without a gradient; rendering: what made it."""
 
     color: Tensor
     alpha: Tensor
@@ -37,12 +38,14 @@ def render(
     with_range: bool = False,
     with_restored: bool = False,
     backend: str = "auto",
+    lamp: Lamp | None = None,
 ) -> Picture:
     """Rasterise `cloud` as `camera` sees it, in the cloud's dtype; differentiable.
 
     medium: the water in front of the cloud, and behind it in place of the cloud's background (a network has none of its
-    own); water_degree and amount as in water.medium.through_water. No gradient flows from colour to position through
-    the range: it would push Gaussians along rays to correct their colours.
+    own); water_degree and amount as in water.medium.through_water. lamp: one at the camera, by the same amount. No
+    gradient flows from colour to position through the range: it would push Gaussians along rays to correct their
+    colours.
     """
     centre, viewmat, intrinsics = (
         torch.from_numpy(array).to(cloud.means) for array in (camera.centre, camera.world_to_camera, camera.K)
@@ -50,10 +53,13 @@ def render(
     offsets = cloud.means.detach() - centre
     colors = channels = cloud.colors(centre, sh_degree, backend)
     background = cloud.background.sigmoid()
+    veiled = isinstance(medium, Medium) and medium.veil is not None
+    if lamp is not None:
+        channels = lit(channels, offsets.norm(dim=1), lamp, amount)
     if medium is not None:
         if isinstance(medium, Medium):
             channels = through_water(channels, offsets, medium, water_degree, amount, backend)
-            background = torch.zeros_like(background)
+            background = torch.zeros_like(background) if veiled else background
         else:
             channels = medium.through(channels, offsets, amount)
             background = amount * background
@@ -78,7 +84,7 @@ def render(
     )
     color, seen = rendering.channels[..., :3], None
     restored = rendering.channels[..., 3:6] if with_restored else None
-    if isinstance(medium, Medium) and amount > 0:
+    if isinstance(medium, Medium) and veiled and amount > 0:
         behind = open_water(medium, viewmat, intrinsics, camera.width, camera.height, water_degree, amount, backend)
         color = color + (1 - rendering.alpha[..., None]) * behind
     if with_range:
@@ -96,7 +102,7 @@ def tail(
     backend: str = "auto",
 ) -> Tensor:
     """Display colour behind all Gaussians, (H, W, 3) or (3,), as render() shows it; differentiable."""
-    if not isinstance(medium, Medium):
+    if not isinstance(medium, Medium) or medium.veil is None:
         return cloud.background.sigmoid()
     viewmat, K = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
     return open_water(medium, viewmat, K, camera.width, camera.height, water_degree, backend=backend)

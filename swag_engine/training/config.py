@@ -21,7 +21,7 @@ class TrainSettings:
     """The method: swag models the water and takes it away, 3dgs shows the place as photographed; the others follow
     published ones (docs/recipes.md)."""
     effects: str = ""
-    """Parts of the method switched by hand, as in water=off,depth=on (docs/recipes.md has their names)."""
+    """Parts of the method switched by hand, as in water=off,lamp=on (docs/recipes.md has their names)."""
     water_type: str = "auto"
     """Water to start from: auto asks the photographs; a Jerlov type (I IA IB II III 1C 3C 5C 7C 9C), or attenuation of
     red, green and blue per metre as in 0.3,0.1,0.06."""

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ..errors import InputError
-from ..evaluation.metrics import mean_score, median_control, score_views
+from ..evaluation.metrics import ViewScore, mean_score, median_control, score_views
 from ..files import claimed
 from ..formats.gltf import write_glb
 from ..formats.ply import write_ply
@@ -29,21 +29,22 @@ from ..scene.split import split_views
 from ..semantics.embed import DIMENSIONS
 from ..semantics.guidance import Guidance, find_guidance
 from ..timing import Ledger, part
-from ..water.medium import MAX_DEGREE, SETTINGS, Medium
+from ..water.medium import MAX_DEGREE, Medium
 from ..water.network import WaterNetwork
 from .budget import Budget, fit_budget
 from .checkpoint import load_checkpoint, save_checkpoint
 from .clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, Point, is_flat, next_minute
 from .config import LearningRates, Schedule, TrainSettings
+from .effects_of_run import EffectsOfRun
 from .guard import Guard, finite_part
 from .memory import Relief, fewer, fit_memory, free_memory, is_shortage
-from .objective import Objective
 from .optimizer import Optimizer
-from .prepare import find_depth, find_frames, find_water, take_water_away
-from .recipes import recipe_of
+from .planning import plan_of_run
+from .prepare import find_depth, find_frames, median_range
 from .run_folder import RunFolder, write_json
 from .speed import Extent
 from .targets import Target
+from .trials import trials_due, try_effects
 
 Event = dict[str, Any]
 GEOMETRY = ("means", "quats", "log_scales", "features")
@@ -89,7 +90,7 @@ def trainer_of(
     """The trainer of a new run, or of one as far as it came; arguments as of `train`."""
     longer = False
     if resume:
-        settings, longer = resumed_settings(run, scene_folder, settings)
+        settings, longer = run.resumed_settings(scene_folder, settings)
     elif run.config.exists():
         raise InputError(
             f"{run.path} holds a training run already; continue it with --resume or choose another folder."
@@ -101,7 +102,7 @@ def trainer_of(
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
     try:
-        trainer = Trainer(scene, run, settings, on_event, weights_dir, budget)
+        trainer = Trainer(scene, run, settings, on_event, weights_dir, budget, resume)
         trainer.notes += filter(None, [note])
     except InputError:
         if not resume:
@@ -112,29 +113,7 @@ def trainer_of(
     return trainer
 
 
-def resumed_settings(run: RunFolder, scene_folder: Path, asked: TrainSettings) -> tuple[TrainSettings, bool]:
-    """The settings that the run was started with, and whether it is to go on for longer than these say: with more
-    iterations, or for a further time budget. Raises InputError where the request names others, or nothing is left."""
-    scene, settings, _ = run.read_config()
-    if scene.resolve() != scene_folder.resolve():
-        raise InputError(f"The run {run.path} belongs to the scene {scene}, not to {scene_folder}.")
-    longer = asked.iterations > max(settings.iterations, run.iterations()) or bool(asked.budget and run.finished())
-    if longer:
-        settings = replace(settings, iterations=asked.iterations, time_budget=asked.time_budget)
-    elif run.finished():
-        raise InputError(
-            f"The run {run.path} is finished already; its result is {run.ply.name}. More --iterations than "
-            f"{run.iterations()}, or a --time-budget, make it go on."
-        )
-    default, kept = TrainSettings().to_json(), settings.to_json()
-    for name, value in asked.to_json().items():
-        if value not in (default[name], kept[name]):
-            title = name.replace("_", " ")
-            raise InputError(f"The run {run.path} was started with {title} {kept[name]}; it cannot go on with {value}.")
-    return settings, longer
-
-
-class Trainer:
+class Trainer(EffectsOfRun):
     """One run: the scene's photographs, the cloud, its optimiser, and what was measured so far."""
 
     def __init__(
@@ -145,6 +124,7 @@ class Trainer:
         on_event: Callable[[Event], None],
         weights_dir: Path | None,
         budget: Budget | None = None,
+        resume: bool = False,
     ) -> None:
         self.run, self.settings, self.on_event, self.scene = run, settings, on_event, scene
         self.schedule = Schedule()
@@ -170,17 +150,12 @@ class Trainer:
             scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, background
         )
         self.start_count = len(cloud)
-        self.recipe = recipe = recipe_of(settings.recipe, settings.effects)
+        plan = plan_of_run(scene, self.training + self.validation, settings, run.plan, weights_dir, resume)
+        if plan:
+            on_event({"event": "plan", "plan": plan.to_json()})
+        simulated, recipe = self.begin_effects(plan, cloud), self.recipe
         self.growth = McmcGrowth() if recipe.growth == "mcmc" else Growth()
-        self.water_note, medium, order = "", None, None
-        if recipe.water:
-            self.water_note, medium, order = find_water(
-                scene, self.training + self.validation, recipe, settings, self.median_range
-            )
-        if isinstance(medium, Medium) and recipe.fitted:
-            take_water_away(cloud, medium, self.training)
         cloud = finite_part(cloud)
-        self.objective = Objective(recipe, self.median_range, order, settings.backend)
         self.notes: list[str] = []
         self.curve: list[Point] = []
         self.depth: dict[str, np.ndarray] = {}
@@ -196,17 +171,9 @@ class Trainer:
             note, self.guidance = find_guidance(scene, self.training, recipe, settings, weights_dir)
             self.notes.append(note)
             cloud.features = cloud.means.new_zeros(len(cloud), DIMENSIONS if self.guidance else 0)
-        self.optimizer = Optimizer(cloud.to(self.device), medium and medium.to(self.device), settings.backend)
+        self.optimizer = Optimizer(cloud.to(self.device), simulated, settings.backend)
         self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
         self.guard = Guard(self.optimizer, self.clock.iterations)
-
-    @property
-    def cloud(self) -> GaussianCloud:
-        return self.optimizer.cloud
-
-    @property
-    def medium(self) -> Medium | WaterNetwork | None:
-        return self.optimizer.medium
 
     def load_photographs(self) -> dict[str, TrainingImage]:
         def progress(done: int, total: int) -> None:
@@ -250,7 +217,9 @@ class Trainer:
             with_range=self.objective.needs_range(target, fraction),
             with_restored=self.objective.needs_restored(medium, fraction),
             backend=self.settings.backend,
+            lamp=self.simulated.lamp,
         )
+        picture.color = self.simulated.developed(picture.color, target.camera.name)
         with part("losses"):
             loss = self.objective(picture, target, medium, fraction)
         if (regularisation := self.growth.regularisation(self.cloud, self.median_range)) is not None:
@@ -290,6 +259,8 @@ class Trainer:
                 self.growth.perturb(self.cloud, rates["means"], self.median_range, random)
                 self.grow(random)
                 self.reallocate()
+            if self.recipe.moving_objects:
+                self.leave_out_moving(self.clock.fraction)
 
     def sh_degree(self, fraction: float) -> int:
         """SH degree of the Gaussians' colours, `fraction` (0..1) of the way through the run."""
@@ -307,10 +278,7 @@ class Trainer:
         rates["means"] *= (end / rates["means"]) ** fraction * self.median_range
         if self.objective.in_stage_two(fraction):
             return {name: rate for name, rate in rates.items() if name not in GEOMETRY}
-        fall = 0.5 * (1 + math.cos(math.pi * fraction))
-        for name in self.medium.parameters() if self.medium else ():
-            rates[f"medium.{name}"] = fall * (self.recipe.veil_rate if name == "veil" else self.recipe.water_rate)
-        return rates
+        return rates | self.effect_rates(0.5 * (1 + math.cos(math.pi * fraction)))
 
     def next_target(self, fraction: float) -> Target:
         """The photograph of this iteration: every epoch in its own order, which depends on the seed alone."""
@@ -325,7 +293,8 @@ class Trainer:
         factor = max(factor, self.relief.shrink)
         if factor not in self.levels:
             photographs = [
-                Target.shrunk(image, factor, self.device, self.depth.get(image.camera.name)) for image in self.training
+                Target.shrunk(self.still(image), factor, self.device, self.depth.get(image.camera.name))
+                for image in self.training
             ]
             made = [Target.shrunk(image, factor, self.device, None, self.recipe.interpolation) for image in self.frames]
             if self.guidance:
@@ -361,13 +330,20 @@ class Trainer:
             or not self.recipe.grow_until <= fraction <= last
         ):
             return
+
+        def loss(color: Tensor, target: Target) -> Tensor:
+            developed = self.simulated.developed(color, target.camera.name)
+            return self.objective.reconstruction(developed, target, fraction)
+
         views = [
-            (target.camera, lambda color, target=target: self.objective.reconstruction(color, target, fraction))
+            (target.camera, lambda color, target=target: loss(color, target))
             for target in self.targets_at(fraction)
             if target.weight == 1
         ]
         degree = self.sh_degree(fraction)
-        S, E = scores(self.cloud, views, degree, self.medium, self.water_degree, self.settings.backend)
+        S, E = scores(
+            self.cloud, views, degree, self.medium, self.water_degree, self.settings.backend, self.simulated.lamp
+        )
         if self.guidance and (weight := self.guidance.growth_weights(self.cloud)) is not None:
             E = E * weight
         cloud, source = reallocate(self.cloud, S, E, identical=self.recipe.reallocation == "identical")
@@ -393,6 +369,12 @@ class Trainer:
                 self.began, planned = self.began + paused, planned + paused
                 if self.budget:
                     self.budget.started += paused
+            if trials_due(self):
+                asked = time.monotonic()
+                if interrupted := not try_effects(self, should_stop):
+                    break
+                planned += time.monotonic() - asked
+                continue
             with self.ledger.iteration():
                 loss = self.step()
             if self.validation and self.validations_due > validations and not self.clock.done:
@@ -461,11 +443,14 @@ class Trainer:
             "iterations_per_second": round(speed, 2),
         }
 
+    def scored(self, images: Sequence[TrainingImage]) -> list[ViewScore]:
+        """Scores of photographs in what the run has learned so far."""
+        return score_views(self.cloud, images, self.settings.sh_degree, self.settings.backend, self.simulated)
+
     def validate(self, loss: float) -> None:
         """Score the validation views and log it. Test views are never looked at here."""
         started, seconds = time.monotonic(), self.seconds
-        scores = score_views(self.cloud, self.validation, self.settings.sh_degree, self.settings.backend, self.medium)
-        self.psnr, self.ssim = mean_score(scores)
+        self.psnr, self.ssim = mean_score(self.scored(self.validation))
         self.curve.append((round(self.clock.fraction, 4), round(seconds, 2), self.psnr))
         if self.budget:
             each = (time.monotonic() - started) / len(self.validation)
@@ -493,7 +478,7 @@ class Trainer:
         else:
             write_ply(self.run.ply, splats)
             write_glb(self.run.glb, splats, self.scene.up)
-        scores = score_views(self.cloud, self.test, self.settings.sh_degree, self.settings.backend, self.medium)
+        scores = self.scored(self.test)
         test_psnr, test_ssim = mean_score(scores)
         metrics: Event = {
             "test_psnr": test_psnr,
@@ -509,6 +494,7 @@ class Trainer:
             "interrupted": interrupted,
             "background": self.background(),
             "water": self.water_note,
+            **self.effect_figures(),
             "notes": self.notes,
             "views": {score.name: {"psnr": score.psnr, "ssim": score.ssim} for score in scores},
         }
@@ -534,33 +520,47 @@ class Trainer:
 
     def background(self) -> list[float]:
         """Display colour (3,) behind the Gaussians: black where the water that was there has been taken away."""
-        color = torch.zeros(3) if isinstance(self.medium, Medium) else self.cloud.background.detach().sigmoid()
+        open_water = isinstance(self.medium, Medium) and self.medium.veil is not None
+        color = torch.zeros(3) if open_water else self.cloud.background.detach().sigmoid()
         return [round(value, 6) for value in color.tolist()]
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
     def save(self) -> None:
-        tensors = {f"cloud.{name}": tensor.detach() for name, tensor in self.cloud.parameters().items()}
-        if self.medium:
-            tensors |= {f"medium.{name}": tensor.detach() for name, tensor in self.medium.parameters().items()}
-        tensors |= self.optimizer.state_tensors()
-        tensors |= self.guard.tensors()
+        path = save_checkpoint(self.run.path, self.iteration, *self.state())
+        self.on_event({"event": "checkpoint", "path": str(path)})
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """All that `load` needs to go on from here, not shared with what goes on."""
+        tensors = {f"cloud.{name}": tensor for name, tensor in self.cloud.parameters().items()}
+        tensors |= self.effect_tensors() | self.optimizer.state_tensors() | self.guard.tensors()
         tensors |= {"growth.gradient": self.statistics.gradient, "growth.views": self.statistics.views}
-        state = {
+        state = self.effect_state() | {
             "iteration": self.iteration,
             "seconds": self.seconds,
             "clock": asdict(self.clock),
-            "curve": self.curve,
+            "curve": list(self.curve),
             "spent": time.monotonic() - self.budget.started if self.budget else 0.0,
             "start_count": self.start_count,
             "psnr": self.psnr,
             "ssim": self.ssim,
             "guard": self.guard.state(),
             "relief": asdict(self.relief),
-            "medium": self.medium and {name: getattr(self.medium, name, None) for name in SETTINGS},
         }
-        path = save_checkpoint(self.run.path, self.iteration, tensors, state)
-        self.on_event({"event": "checkpoint", "path": str(path)})
+        return {name: tensor.detach().clone() for name, tensor in tensors.items()}, state
+
+    def load(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
+        """Go on from what `state` gave."""
+        simulated = self.load_effects(tensors, state)
+        self.optimizer = Optimizer(cloud_from_tensors(tensors).to(self.device), simulated, self.settings.backend)
+        self.optimizer.load_state(tensors)
+        self.guard.load(state["guard"], tensors, self.optimizer)
+        self.relief = Relief(**state["relief"])
+        sums = (tensors[name].to(self.device, copy=True) for name in ("growth.gradient", "growth.views"))
+        self.statistics = GrowthStatistics(*sums)
+        self.iteration, self.clock = state["iteration"], Clock(**state["clock"])
+        self.curve = [tuple(point) for point in state["curve"]]
+        self.start_count, self.psnr, self.ssim = state["start_count"], state["psnr"], state["ssim"]
 
     def resume(self, longer: bool = False) -> None:
         """Go on from the newest checkpoint; from the start when the run was stopped before its first.
@@ -572,25 +572,16 @@ class Trainer:
             self.run.log_until(0)
             return
         tensors, state = loaded
-        cloud, medium = cloud_from_tensors(tensors), medium_from_tensors(tensors, state)
-        self.optimizer = Optimizer(cloud.to(self.device), medium and medium.to(self.device), self.settings.backend)
-        self.optimizer.load_state(tensors)
-        self.guard.load(state["guard"], tensors, self.optimizer)
-        self.relief = Relief(**state["relief"])
-        if not cloud.features.shape[1]:  # the run began without regions
+        planned = self.clock
+        self.load(tensors, state)
+        if not self.cloud.features.shape[1]:  # the run began without regions
             self.guidance = None
-        sums = (tensors[name].to(self.device, copy=True) for name in ("growth.gradient", "growth.views"))
-        self.statistics = GrowthStatistics(*sums)
-        self.iteration, self.seconds_before = state["iteration"], state["seconds"]
-        if not longer:
-            self.clock = Clock(**state["clock"])
-            if self.budget:
-                self.budget.started -= state["spent"]
+        self.seconds_before = state["seconds"]
+        if longer:
+            self.clock = Clock(self.iteration + self.budget.iterations) if self.budget else planned
         elif self.budget:
-            self.clock = Clock(self.iteration + self.budget.iterations)
+            self.budget.started -= state["spent"]
         self.clock.advance(self.iteration)
-        self.curve = [tuple(point) for point in state["curve"]]
-        self.start_count, self.psnr, self.ssim = state["start_count"], state["psnr"], state["ssim"]
         self.run.log_until(self.iteration)
 
 
@@ -598,27 +589,3 @@ def cloud_from_tensors(tensors: dict[str, Tensor]) -> GaussianCloud:
     """The cloud of a checkpoint's tensors."""
     prefix = "cloud."
     return GaussianCloud(**{name[len(prefix) :]: t.clone() for name, t in tensors.items() if name.startswith(prefix)})
-
-
-def medium_from_tensors(tensors: dict[str, Tensor], state: dict[str, Any]) -> Medium | WaterNetwork | None:
-    """The water of a checkpoint, None where it has none."""
-    prefix = "medium."
-    found = {name[len(prefix) :]: t.clone() for name, t in tensors.items() if name.startswith(prefix)}
-    if not found:
-        return None
-    settings = state["medium"]
-    if "weights" in found:
-        return WaterNetwork(**found, unit_range=settings["unit_range"])
-    return Medium(**found, unit_range=settings["unit_range"], light=settings["light"])
-
-
-def median_range(scene: Scene, images: Sequence[TrainingImage]) -> float:
-    """r_bar: median Euclidean distance between the training cameras and the sparse points in front of them."""
-    ranges = []
-    for image in images:
-        in_camera = (
-            scene.points.positions @ image.camera.world_to_camera[:3, :3].T + image.camera.world_to_camera[:3, 3]
-        )
-        ranges.append(np.linalg.norm(in_camera[in_camera[:, 2] > 0], axis=1))
-    together = np.concatenate(ranges)
-    return float(np.median(together)) if len(together) else 1.0

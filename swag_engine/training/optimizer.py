@@ -1,13 +1,12 @@
-"""Adam over a cloud whose number of Gaussians changes, and over the water."""
+"""Adam over a cloud whose number of Gaussians changes, and over the effects that are simulated."""
 
 import torch
 from torch import Tensor
 
+from ..effects.simulated import Simulated
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.grow import PER_GAUSSIAN
 from ..rasterize.backends import kernels_for
-from ..water.medium import Medium
-from ..water.network import WaterNetwork
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 BETAS = (0.9, 0.999)
@@ -17,26 +16,31 @@ EPS = 1e-15
 class Optimizer:
     """Adam (arXiv 1412.6980) with one learning rate a parameter; its moments follow the Gaussians through growth.
 
-    cloud and medium (None: no water): optimised in place.
+    cloud and simulated (what the run learns beside it): optimised in place.
     """
 
-    def __init__(self, cloud: GaussianCloud, medium: Medium | WaterNetwork | None, backend: str = "auto") -> None:
+    def __init__(self, cloud: GaussianCloud, simulated: Simulated, backend: str = "auto") -> None:
         self.backend = backend
         self.cloud = cloud
-        self.medium = medium
+        self.simulated = simulated
         self.steps = 0
-        for owner in (cloud, medium) if medium else (cloud,):
+        self.moments: dict[str, tuple[Tensor, Tensor]] = {}
+        self.adopt()
+
+    def adopt(self) -> None:
+        """Take up effects that were added to `simulated`, and drop what was taken from it; moments begin at 0."""
+        for owner in (self.cloud, *self.simulated.owners().values()):
             for name, parameter in owner.parameters().items():
-                setattr(owner, name, parameter.detach().contiguous().requires_grad_())
+                if not parameter.requires_grad:
+                    setattr(owner, name, parameter.detach().contiguous().requires_grad_())
         self.moments = {
-            name: (torch.zeros_like(parameter.detach()), torch.zeros_like(parameter.detach()))
+            name: self.moments.get(name, (torch.zeros_like(parameter.detach()), torch.zeros_like(parameter.detach())))
             for name, parameter in self.parameters().items()
         }
 
     def parameters(self) -> dict[str, Tensor]:
-        """Name -> tensor; those of the medium begin with "medium."."""
-        medium = self.medium.parameters() if self.medium else {}
-        return self.cloud.parameters() | {f"medium.{name}": tensor for name, tensor in medium.items()}
+        """Name -> tensor; those of effects begin with the effect's name, as in "medium.veil"."""
+        return self.cloud.parameters() | self.simulated.parameters()
 
     def step(self, rates: dict[str, float]) -> None:
         """One update of the parameters that have a rate and a gradient; clears all gradients.
@@ -67,9 +71,10 @@ class Optimizer:
 
     def restart(self, values: dict[str, Tensor]) -> None:
         """Take up other values, named as by parameters(), of as many Gaussians as they have; Adam begins anew."""
+        owners = self.simulated.owners() | {"": self.cloud}
         for name, value in values.items():
-            owner = self.medium if name.startswith("medium.") else self.cloud
-            setattr(owner, name.removeprefix("medium."), value.clone().requires_grad_())
+            owner, _, own_name = name.rpartition(".")
+            setattr(owners[owner], own_name, value.clone().requires_grad_())
             self.moments[name] = torch.zeros_like(value), torch.zeros_like(value)
         self.steps = 0
 

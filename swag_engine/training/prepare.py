@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..effects.plan import Plan
 from ..errors import InputError
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.sh import C0
@@ -17,8 +18,9 @@ from ..priors.depth import InverseDepth, StoredDepth, depth_priors
 from ..priors.interpolate import Interpolator, admission, interpolated_pose, neighbour_pairs
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage, load_images
-from ..water.identify import FIT_WIDTH, Observations, fit_water, observe
-from ..water.medium import Medium, to_display, without_water
+from ..water.identify import FIT_WIDTH, observe
+from ..water.light import to_display
+from ..water.medium import Medium, without_water
 from ..water.network import WaterNetwork
 from ..water.presets import water_of_type
 from ..weights.registry import find
@@ -28,39 +30,63 @@ from .recipes import Recipe
 DEPTH_NETWORK, FRAME_NETWORK = "depth-anything-v2-small", "rife"
 
 
-def sightings(scene: Scene, known: Sequence[TrainingImage]) -> Observations:
-    """The light of the sparse points in the photographs that may be looked at, read at FIT_WIDTH pixels or more."""
+def at_least_wide(scene: Scene, known: Sequence[TrainingImage], width: int) -> Sequence[TrainingImage]:
+    """The photographs at `width` pixels, or as they are where they are wider or the files are smaller."""
+    if max(image.camera.width for image in known) >= width:
+        return known
     views = {view.camera.name: view for view in scene.views}
-    seen = [views[image.camera.name] for image in known]
-    if max(image.camera.width for image in known) < FIT_WIDTH:
-        known = load_images(scene, seen, FIT_WIDTH)
-    return observe(known, [view.point_indices for view in seen], scene.points)
+    return load_images(scene, [views[image.camera.name] for image in known], width)
 
 
 def find_water(
-    scene: Scene, known: Sequence[TrainingImage], recipe: Recipe, settings: TrainSettings, median_range: float
+    scene: Scene,
+    known: Sequence[TrainingImage],
+    recipe: Recipe,
+    plan: Plan | None,
+    settings: TrainSettings,
+    median_range: float,
 ) -> tuple[str, Medium | WaterNetwork | None, tuple[int, int, int] | None]:
     """A sentence, the medium that training starts from (None: no water is modelled), and the channels by attenuation,
     largest first (None where that is not known).
 
+    It starts from a water type where the user names one, else from what the plan fitted, else from a usual water.
     Raises InputError for a water type that is none, or one per metre where the scene has no scale.
     """
+    if not recipe.attenuation:
+        return (f"No water is modelled: {plan.effects['attenuation'].reason}" if plan else ""), None, None
     if recipe.medium == "network":
         return "Water is modelled by a network.", WaterNetwork.starting(median_range, settings.seed), None
-    observations = sightings(scene, known)
+    why, order, fitted = "as the method always does.", None, plan.water if plan else None
     if settings.water_type != "auto":
         betas = water_of_type(settings.water_type, settings.metres_per_unit)
         beta_D, beta_B = (torch.from_numpy(beta).float() for beta in betas)
-        medium = Medium.starting(median_range, recipe.light, beta_D, beta_B, dark_and_far(observations, recipe))
-        return f"Water is modelled, from the type {settings.water_type}.", medium, _order(betas[0])
-    if not recipe.fitted:
-        medium = Medium.starting(median_range, recipe.light, B=dark_and_far(observations, recipe))
-        return "Water is modelled, as the method always does.", medium, None
-    fit = fit_water(observations)
-    if not fit.found:
-        return fit.reason, None, None
-    start = (torch.from_numpy(values).float() for values in (fit.beta_D, fit.beta_B, fit.B))
-    return fit.reason, Medium.starting(median_range, recipe.light, *start), _order(fit.beta_D)
+        why, order = f"from the type {settings.water_type}.", _order(betas[0])
+        medium = Medium.starting(median_range, recipe.light, beta_D, beta_B, dark_and_far(scene, known, recipe))
+    elif fitted:
+        assert plan
+        beta_D, beta_B, B = (torch.tensor(fitted[name]) for name in ("beta_D", "beta_B", "B_inf"))
+        why, order = plan.effects["attenuation"].reason, _order(beta_D.numpy())
+        medium = Medium.starting(median_range, recipe.light, beta_D, beta_B, B)
+    else:
+        why = plan.effects["attenuation"].reason if plan else why
+        medium = Medium.starting(median_range, recipe.light, B=dark_and_far(scene, known, recipe))
+    if not recipe.separate_backscatter:
+        medium.backscatter = None
+    if not recipe.backscatter:
+        medium.backscatter = medium.veil = None
+    return f"Water is modelled: {why}", medium, order
+
+
+def median_range(scene: Scene, images: Sequence[TrainingImage]) -> float:
+    """r_bar: median Euclidean distance between the training cameras and the sparse points in front of them."""
+    ranges = []
+    for image in images:
+        in_camera = (
+            scene.points.positions @ image.camera.world_to_camera[:3, :3].T + image.camera.world_to_camera[:3, 3]
+        )
+        ranges.append(np.linalg.norm(in_camera[in_camera[:, 2] > 0], axis=1))
+    together = np.concatenate(ranges)
+    return float(np.median(together)) if len(together) else 1.0
 
 
 def _order(attenuation: np.ndarray) -> tuple[int, int, int]:
@@ -68,8 +94,11 @@ def _order(attenuation: np.ndarray) -> tuple[int, int, int]:
     return first, second, third
 
 
-def dark_and_far(observations: Observations, recipe: Recipe) -> Tensor | None:
-    """A first B (3,) in the recipe's light: the median of the darkest hundredth of the farthest fifth."""
+def dark_and_far(scene: Scene, known: Sequence[TrainingImage], recipe: Recipe) -> Tensor | None:
+    """A first B (3,) in the recipe's light: the median of the darkest hundredth of the farthest fifth of sightings."""
+    views = {view.camera.name: view for view in scene.views}
+    seen = at_least_wide(scene, known, FIT_WIDTH)
+    observations = observe(seen, [views[image.camera.name].point_indices for image in seen], scene.points)
     if not len(observations.track):
         return None
     far = observations.light[observations.ranges >= np.quantile(observations.ranges, 0.8)]

@@ -1,9 +1,14 @@
 """Methods as values of one configuration; docs/recipes.md says line by line what each shares with its namesake."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+from ..effects.names import EFFECTS, PARTS, parse_effects
 from ..errors import InputError
+
+if TYPE_CHECKING:
+    from ..effects.plan import Plan
 
 Weights = tuple[float, float]
 """A loss weight at the start and at the end of the run; linear between, unless said otherwise."""
@@ -26,14 +31,27 @@ TRUE_L2 = Photometric(l1=(0.05, 0.05), ssim=0.0, l2=(0.9, 0.9))
 class Recipe:
     """What a run computes beside plain Gaussian splatting (arXiv 2308.04079). A weight of 0 is not computed at all."""
 
-    water: bool = False
+    planned: bool = False
+    """Let the scene's plan (effects/plan.py) say which effects to simulate; else only what the recipe names."""
+    attenuation: bool = False
     """Model the water."""
+    backscatter: bool = False
+    """Let the water add light of its own."""
+    separate_backscatter: bool = False
+    """Let that light grow with range by a coefficient of its own, else by the attenuation's."""
+    lamp: bool = False
+    """Light that falls off from the camera (effects/lamp.py)."""
+    exposure: bool = False
+    """A gain for each photograph (effects/exposure.py)."""
+    caustics: bool = False
+    """A coarse field of light for each photograph (effects/caustics.py)."""
+    moving_objects: bool = False
+    """Leave out what moved between photographs, by what stays unexplained (effects/moving_objects.py)."""
+
     medium: Literal["analytic", "network"] = "analytic"
     """Coefficients of the whole scene (water/medium.py), or a network of direction and range (water/network.py)."""
     light: Literal["linear", "srgb"] = "linear"
     """What the water's formula works on."""
-    fitted: bool = True
-    """Ask the sparse points whether there is water, and start from what they say; else always model it."""
     water_from: float = 0.0
     """Share of the run after which the water joins."""
     water_rate: float = 3e-3
@@ -99,22 +117,19 @@ class Recipe:
 PAPER_LOSS = Photometric(l1=(0.56, 0.96), ssim=0.2, l2=(0.0, 0.1))
 PAPER_LOSS_TWO = Photometric(l1=(0.7, 1.2), ssim=0.0, l2=(0.9, 0.9))
 
+WATER: dict[str, Any] = {"attenuation": True, "backscatter": True, "separate_backscatter": True}
+
 RECIPES: dict[str, Recipe] = {
-    "swag": Recipe(water=True, water_rate=1e-3, veil_rate=1e-2, stage_two_from=0.9),
+    "swag": Recipe(planned=True, water_rate=1e-3, veil_rate=1e-2, stage_two_from=0.9),
     "3dgs": Recipe(),
-    "seasplat": Recipe(
-        water=True, light="srgb", fitted=False, water_from=0.33, veil_degrees_from=1.0, grey_world=0.02, smoothness=0.05
-    ),
-    "uw-gs": Recipe(water=True, light="srgb", fitted=False, veil_degrees_from=1.0, depth=0.1, undimmed_growth=True),
-    "watersplatting": Recipe(water=True, light="srgb", fitted=False, veil_degrees_from=0.0, relative=True),
-    "rusplatting": Recipe(
-        water=True, light="srgb", fitted=False, veil_degrees_from=1.0, smoothness=0.05, interpolation=0.1
-    ),
+    "seasplat": Recipe(**WATER, light="srgb", water_from=0.33, veil_degrees_from=1.0, grey_world=0.02, smoothness=0.05),
+    "uw-gs": Recipe(**WATER, light="srgb", veil_degrees_from=1.0, depth=0.1, undimmed_growth=True),
+    "watersplatting": Recipe(**WATER, light="srgb", veil_degrees_from=0.0, relative=True),
+    "rusplatting": Recipe(**WATER, light="srgb", veil_degrees_from=1.0, smoothness=0.05, interpolation=0.1),
     "paper": Recipe(
-        water=True,
+        **WATER,
         medium="network",
         light="srgb",
-        fitted=False,
         photometric=PAPER_LOSS,
         stage_two_from=0.6,
         photometric_two=PAPER_LOSS_TWO,
@@ -132,43 +147,63 @@ RECIPES: dict[str, Recipe] = {
     ),
 }
 
-EFFECTS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    "water": ({"water": True}, {"water": False}),
-    "stages": ({"stage_two_from": 0.6}, {"stage_two_from": 1.0}),
-    "reallocation": ({"reallocation": "balanced"}, {"reallocation": "off"}),
-    "depth": ({"depth": 0.1}, {"depth": 0.0}),
-    "grey-world": ({"grey_world": 0.02}, {"grey_world": 0.0}),
-    "smoothness": ({"smoothness": 0.05}, {"smoothness": 0.0}),
-    "hinge": ({"hinge": 1e-3}, {"hinge": 0.0}),
+SWITCHES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    **{
+        name: ({name: True}, {name: False})
+        for name in (
+            "attenuation",
+            "backscatter",
+            "separate_backscatter",
+            "lamp",
+            "exposure",
+            "caustics",
+            "moving_objects",
+        )
+    },
     "interpolation": ({"interpolation": 0.1}, {"interpolation": 0.0}),
     "semantics": ({"semantics": True}, {"semantics": False}),
-    "salient-growth": ({"salient_growth": True}, {"salient_growth": False}),
-    "salient-pixels": ({"salient_pixels": True}, {"salient_pixels": False}),
-    "open-water": ({"open_water": 0.1}, {"open_water": 0.0}),
-    "class-pruning": ({"class_pruning": True}, {"class_pruning": False}),
+    "depth_prior": ({"depth": 0.1}, {"depth": 0.0}),
+    "stages": ({"stage_two_from": 0.6}, {"stage_two_from": 1.0}),
+    "reallocation": ({"reallocation": "balanced"}, {"reallocation": "off"}),
+    "grey_world": ({"grey_world": 0.02}, {"grey_world": 0.0}),
+    "smoothness": ({"smoothness": 0.05}, {"smoothness": 0.0}),
+    "hinge": ({"hinge": 1e-3}, {"hinge": 0.0}),
+    "salient_growth": ({"salient_growth": True}, {"salient_growth": False}),
+    "salient_pixels": ({"salient_pixels": True}, {"salient_pixels": False}),
+    "open_water": ({"open_water": 0.1}, {"open_water": 0.0}),
+    "class_pruning": ({"class_pruning": True}, {"class_pruning": False}),
 }
-"""What a user can switch: the recipe's values with it and without it."""
+"""The recipe's values with an effect or a part, and without it."""
+assert set(SWITCHES) == {*EFFECTS, *PARTS}
 
 
-def recipe_of(name: str, effects: str = "") -> Recipe:
-    """The recipe `name` with switches such as "water=off,depth=on" applied.
+def recipe_of(name: str, effects: str = "", plan: "Plan | None" = None) -> Recipe:
+    """The recipe `name` with the effects that `plan` has on, where it takes one, and with switches such as
+    "water=off,lamp=on" applied.
 
     Switching on what the recipe has keeps the recipe's own values. Raises InputError for unknown names and states.
     """
     if name not in RECIPES:
         raise InputError(f"The setting recipe must be one of {', '.join(RECIPES)}, not {name!r}.")
-    recipe = RECIPES[name]
-    for switch in filter(None, (part.strip() for part in effects.split(","))):
-        effect, _, state = switch.partition("=")
-        if effect not in EFFECTS or state not in ("on", "off"):
-            raise InputError(
-                f"The effect {switch!r} cannot be switched: write name=on or name=off, with a name of "
-                f"{', '.join(EFFECTS)}."
-            )
-        on, off = EFFECTS[effect]
-        already = any(getattr(recipe, field) != value for field, value in off.items())
-        if state == "off":
+    recipe, choices = RECIPES[name], parse_effects(effects)
+    if recipe.planned and plan:
+        # Names for things change no picture, and can be given afterwards (`label`): they are learned when asked for.
+        planned = {effect: plan.on(effect) for effect in EFFECTS if effect != "semantics"}
+        choices = planned | choices
+    return switched(recipe, choices)
+
+
+def switched(recipe: Recipe, choices: Mapping[str, bool]) -> Recipe:
+    """The recipe with effects and parts on or off by name; what is on already keeps its values."""
+    for effect, chosen in choices.items():
+        on, off = SWITCHES[effect]
+        if not chosen:
             recipe = replace(recipe, **off)
-        elif not already:
+        elif not has(recipe, effect):
             recipe = replace(recipe, **on)
     return recipe
+
+
+def has(recipe: Recipe, effect: str) -> bool:
+    """Whether the recipe has an effect or a part on."""
+    return any(getattr(recipe, field) != value for field, value in SWITCHES[effect][1].items())

@@ -1,7 +1,7 @@
 """What a run leaves in its folder, and how it is found again."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,10 @@ class RunFolder:
         return self.path / "water.json"
 
     @property
+    def plan(self) -> Path:
+        return self.path / "plan.json"
+
+    @property
     def preview(self) -> Path:
         return self.path / "preview.ply"
 
@@ -59,9 +63,38 @@ class RunFolder:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{self.config} is not a training run's configuration: {error!r}.") from error
 
+    def resumed_settings(self, scene_folder: Path, asked: TrainSettings) -> tuple[TrainSettings, bool]:
+        """The settings that the run was started with, and whether it is to go on for longer than these say.
+
+        With more iterations it does, or for a further time budget. Raises InputError where the request names other
+        settings, or nothing is left.
+        """
+        scene, settings, _ = self.read_config()
+        if scene.resolve() != scene_folder.resolve():
+            raise InputError(f"The run {self.path} belongs to the scene {scene}, not to {scene_folder}.")
+        longer = asked.iterations > max(settings.iterations, self.iterations()) or bool(
+            asked.budget and self.finished()
+        )
+        if longer:
+            settings = replace(settings, iterations=asked.iterations, time_budget=asked.time_budget)
+        elif self.finished():
+            raise InputError(
+                f"The run {self.path} is finished already; its result is {self.ply.name}. More --iterations than "
+                f"{self.iterations()}, or a --time-budget, make it go on."
+            )
+        default, kept = TrainSettings().to_json(), settings.to_json()
+        for name, value in asked.to_json().items():
+            if value not in (default[name], kept[name]):
+                title = name.replace("_", " ")
+                raise InputError(
+                    f"The run {self.path} was started with {title} {kept[name]}; it cannot go on with {value}."
+                )
+        return settings, longer
+
     def discard(self) -> None:
         """Take back a run that never began."""
         self.config.unlink(missing_ok=True)
+        self.plan.unlink(missing_ok=True)
 
     def write_metrics(self, metrics: dict[str, Any]) -> None:
         write_json(self.metrics, metrics)

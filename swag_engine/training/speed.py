@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import torch
 
+from ..effects.simulated import Simulated
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.init import gaussians_from_points
 from ..rasterize.backends import device_for
@@ -89,12 +90,14 @@ def _milliseconds(cloud: GaussianCloud, image: TrainingImage, factor: int, setti
 
     device = device_for(settings.backend)
     target = Target.shrunk(image, factor, device)
-    optimizer = Optimizer(cloud.to(device), Medium.starting(1.0).to(device), settings.backend)
+    optimizer = Optimizer(cloud.to(device), Simulated(Medium.starting(1.0)).to(device), settings.backend)
     rates = dict.fromkeys(optimizer.parameters(), 0.0)
     times = []
     for _ in range(TIMINGS):
         started = time.perf_counter()
-        picture = render(optimizer.cloud, target.camera, settings.sh_degree, optimizer.medium, backend=settings.backend)
+        picture = render(
+            optimizer.cloud, target.camera, settings.sh_degree, optimizer.simulated.medium, backend=settings.backend
+        )
         loss = photometric(picture.color, target.color, target.valid, 0.8, 0.2, 0.0, False, settings.backend)
         loss.backward()
         optimizer.step(rates)

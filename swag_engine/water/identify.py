@@ -15,6 +15,7 @@ from scipy.optimize import minimize
 
 from ..scene.colmap import Points
 from ..scene.images import TrainingImage
+from .light import light_of_bytes
 
 FIT_WIDTH = 640
 """Pixels that the photographs should at least be wide."""
@@ -116,8 +117,7 @@ def _patches(image: TrainingImage, pixels: np.ndarray, half: np.ndarray) -> tupl
     """Mean linear light (P, 3) of squares of half width `half` (P,) around pixels (P, 2), the darkest (P, 3) around
     them, and which squares (P,) lie whole in valid pixels."""
     height, width = image.valid.shape
-    display = np.arange(256) / 255
-    to_light = np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+    to_light = light_of_bytes()
     planes = np.concatenate([to_light[image.pixels], image.valid[..., None]], axis=2)
     sums = cv2.integral(planes)
     low = np.round(pixels - half[:, None]).astype(int)

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from ..gaussians.sh import sh_basis
 from ..rasterize.backends import kernels_for
+from .light import relit, to_display, to_light
 
 Light = Literal["linear", "srgb"]
 MAX_DEGREE = 2
@@ -31,11 +32,13 @@ class Medium:
     attenuation, backscatter (3,): raw; the coefficients are softplus(raw) / unit_range per scene unit, so that they
     stay positive and never lose their gradient. veil (9, 3): raw SH of degree 2; B = sigmoid(their sum).
     unit_range: the scene's median range. light: what the formula works on.
+
+    backscatter None: beta_B is beta_D. veil None: water that only attenuates, B = 0.
     """
 
     attenuation: Tensor
-    backscatter: Tensor
-    veil: Tensor
+    backscatter: Tensor | None
+    veil: Tensor | None
     unit_range: float
     light: Light = "linear"
 
@@ -68,7 +71,8 @@ class Medium:
 
     def parameters(self) -> dict[str, Tensor]:
         """Name -> tensor of what is learned."""
-        return {field.name: getattr(self, field.name) for field in fields(self) if field.name not in SETTINGS}
+        named = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in SETTINGS}
+        return {name: tensor for name, tensor in named.items() if tensor is not None}
 
     @property
     def beta_D(self) -> Tensor:
@@ -78,6 +82,8 @@ class Medium:
     @property
     def beta_B(self) -> Tensor:
         """(3,) growth of the backscatter per scene unit."""
+        if self.backscatter is None:
+            return self.beta_D
         return torch.nn.functional.softplus(self.backscatter) / self.unit_range
 
     def to_json(self, metres_per_unit: float = 0.0) -> dict[str, Any]:
@@ -88,22 +94,29 @@ class Medium:
         """
         scale = metres_per_unit or 1.0
         with torch.no_grad():
-            constant = _veil(torch.tensor([[0.0, 0.0, 1.0]]).to(self.veil), self.values(), 0)[0]
+            veil = self.veil
+            if veil is None:
+                veil = self.attenuation.new_zeros((MAX_DEGREE + 1) ** 2, 3)
+                veil[0] = NO_VEIL
+            constant = (veil[0] * sh_basis(torch.tensor([[0.0, 0.0, 1.0]]).to(veil), 0)[0, 0]).sigmoid()
             return {
                 "beta_D": _rounded(self.beta_D / scale),
                 "beta_B": _rounded(self.beta_B / scale),
                 "B_inf": _rounded(constant),
-                "veil_sh": [_rounded(row) for row in self.veil],
+                "veil_sh": [_rounded(row) for row in veil],
                 "light": self.light,
                 "per": "metre" if metres_per_unit else "unit",
             }
 
     def values(self) -> Tensor:
-        """(33,) beta_D, beta_B and veil, as the kernels take them."""
+        """(33,) beta_D, beta_B and veil, as the kernels take them; of water that has a veil."""
+        assert self.veil is not None
         return torch.cat([self.beta_D, self.beta_B, self.veil.reshape(-1)])
 
 
 SETTINGS = ("unit_range", "light")
+NO_VEIL = -100.0
+"""Raw SH of degree 0 whose sigmoid is no light at all."""
 
 
 def _rounded(values: Tensor) -> list[float]:
@@ -123,7 +136,11 @@ def through_water(
     offsets (N, 3): from the camera to the Gaussians, scene units; detach them to stop the gradient of the range (there
     is none of the direction). degree: SH of B that count, 0 to 2. amount: 0 (no water) to 1, scales coefficients and B.
     """
-    values, linear = medium.values(), medium.light == "linear"
+    linear = medium.light == "linear"
+    if medium.veil is None:
+        depth = amount * medium.beta_D * offsets.norm(dim=1, keepdim=True)
+        return relit(colors, -depth) if linear else colors * torch.exp(-depth)
+    values = medium.values()
     kernels = kernels_for(backend, colors)
     if kernels and amount == 1:
         return kernels.through_water(colors, offsets, values, degree, linear)
@@ -142,7 +159,7 @@ def without_water(seen: Tensor, ranges: Tensor, medium: Medium) -> Tensor:
     The inverse of through_water with B of degree 0, for starting values: what the water has drowned stays dark.
     """
     r = ranges[:, None]
-    B = _veil(torch.zeros_like(seen[:1]), medium.values(), 0)
+    B = torch.zeros_like(seen[:1]) if medium.veil is None else _veil(torch.zeros_like(seen[:1]), medium.values(), 0)
     light = to_light(seen) if medium.light == "linear" else seen
     J = (light + B * torch.expm1(-medium.beta_B * r)).clamp(min=0) * torch.exp((medium.beta_D * r).clamp(max=80.0))
     return (to_display(J) if medium.light == "linear" else J).clamp(max=BRIGHTEST)
@@ -177,15 +194,3 @@ def open_water(
 def _veil(directions: Tensor, values: Tensor, degree: int) -> Tensor:
     """B (N, 3) in the medium's light, for unit directions (N, 3)."""
     return (sh_basis(directions, degree) @ values[6:].reshape(-1, 3)[: (degree + 1) ** 2]).sigmoid()
-
-
-def to_light(display: Tensor) -> Tensor:
-    """Linear light of sRGB values (IEC 61966-2-1), any shape."""
-    power = ((display.clamp(min=0.04045) + 0.055) / 1.055) ** 2.4
-    return torch.where(display <= 0.04045, display / 12.92, power)
-
-
-def to_display(light: Tensor) -> Tensor:
-    """sRGB values of linear light, any shape; the inverse of to_light."""
-    power = 1.055 * light.clamp(min=0.0031308) ** (1 / 2.4) - 0.055
-    return torch.where(light <= 0.0031308, 12.92 * light, power)

@@ -12,20 +12,23 @@ from swag_engine.evaluation import ablate as module
 from swag_engine.evaluation.ablate import Row, ablate, rows, table
 from swag_engine.training.config import TrainSettings
 from swag_engine.training.loop import train
-from swag_engine.training.recipes import EFFECTS, RECIPES, recipe_of
+from swag_engine.training.recipes import RECIPES, SWITCHES, recipe_of
 
 SETTINGS = TrainSettings(iterations=12, width=48, max_gaussians=320, sh_degree=0)
 
 
 @pytest.fixture
 def two_rows(monkeypatch):
-    monkeypatch.setattr(module, "rows", lambda: [Row("3dgs", "3dgs"), Row("swag without water", "swag", "water=off")])
+    monkeypatch.setattr(
+        module, "rows", lambda plan: [Row("3dgs", "3dgs"), Row("swag without water", "swag", "water=off")]
+    )
 
 
 def test_every_recipe_and_every_switch_has_a_row():
     table_rows = rows()
     assert {row.recipe for row in table_rows if not row.effects} == set(RECIPES)
-    assert {row.effects.partition("=")[0] for row in table_rows if row.effects} == set(EFFECTS)
+    switched = {row.effects.partition("=")[0] for row in table_rows if row.effects}
+    assert switched == {"water", *SWITCHES}
     for row in table_rows:
         TrainSettings(recipe=row.recipe, effects=row.effects)
         assert not row.effects or recipe_of(row.recipe, row.effects) != RECIPES[row.recipe], row

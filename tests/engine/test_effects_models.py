@@ -9,7 +9,7 @@ from swag_engine.effects.caustics import Illumination, illuminated
 from swag_engine.effects.exposure import Exposure, exposed
 from swag_engine.effects.lamp import Lamp, lit
 from swag_engine.effects.moving_objects import moving_mask, share_with_objects
-from swag_engine.water.medium import to_display, to_light
+from swag_engine.water.light import to_display, to_light
 
 
 def random(*shape, seed=0):
@@ -54,19 +54,19 @@ def test_a_lamp_at_extremes_stays_finite(log_tau, range_):
 
 
 def test_gains_have_no_common_part():
-    exposure = Exposure.starting(torch.tensor([0.1, 0.3, 0.5]), channels=3)
+    exposure = Exposure.starting({"a": 0.1, "b": 0.3, "c": 0.5}, channels=3)
     assert exposure.raw.shape == (3, 3)
     torch.testing.assert_close(exposure.log_gains.mean(0), torch.zeros(3))
     picture = random(4, 5, 3).float()
-    torch.testing.assert_close(exposed(picture, exposure, 1), picture)
-    twice = to_light(exposed(picture, exposure, 2)) / to_light(picture)
+    torch.testing.assert_close(exposed(picture, exposure, "b"), picture)
+    twice = to_light(exposed(picture, exposure, "c")) / to_light(picture)
     torch.testing.assert_close(twice, torch.full_like(twice, 0.2).exp())
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_gradients_of_the_exposure(channels):
     def function(picture, raw):
-        return exposed(picture, Exposure(raw), 1)
+        return exposed(picture, Exposure(raw, list("abcd")), "b")
 
     inputs = (random(3, 4, 3), random(4, channels, seed=1))
     assert torch.autograd.gradcheck(function, [value.requires_grad_() for value in inputs])
@@ -75,13 +75,14 @@ def test_gradients_of_the_exposure(channels):
 def test_gains_are_learned():
     truth = torch.tensor([0.2, -0.3, 0.1])
     picture = random(8, 9, 3).float()
-    photographs = [exposed(picture, Exposure.starting(truth), view) for view in range(3)]
-    exposure = Exposure.starting(torch.zeros(3))
+    known = Exposure.starting(dict(zip("abc", truth.tolist(), strict=True)))
+    photographs = [exposed(picture, known, name) for name in "abc"]
+    exposure = Exposure.starting(dict.fromkeys("abc", 0.0))
     exposure.raw.requires_grad_()
     optimizer = torch.optim.Adam([exposure.raw], lr=0.03)
     for step in range(150):
         optimizer.zero_grad()
-        (exposed(picture, exposure, step % 3) - photographs[step % 3]).square().mean().backward()
+        (exposed(picture, exposure, "abc"[step % 3]) - photographs[step % 3]).square().mean().backward()
         optimizer.step()
     torch.testing.assert_close(exposure.log_gains[:, 0].detach(), truth, atol=0.02, rtol=0)
 
@@ -90,21 +91,21 @@ def test_gains_are_learned():
 
 
 def test_a_field_of_light_is_even_at_first_and_keeps_the_brightness():
-    illumination = Illumination.starting(2, 64, 36)
+    illumination = Illumination.starting(["a", "b"], 64, 36)
     assert illumination.log_light.shape == (2, 18, 32)
     picture = random(36, 64, 3).float() + 0.1
-    torch.testing.assert_close(illuminated(picture, illumination, 0), picture)
+    torch.testing.assert_close(illuminated(picture, illumination, "a"), picture)
     illumination.log_light[1] += 0.5  # the exposure's, not the field's
-    torch.testing.assert_close(illuminated(picture, illumination, 1), picture)
+    torch.testing.assert_close(illuminated(picture, illumination, "b"), picture)
     illumination.log_light[0, :, :16] += 1.0
-    ratio = to_light(illuminated(picture, illumination, 0)) / to_light(picture)
+    ratio = to_light(illuminated(picture, illumination, "a")) / to_light(picture)
     torch.testing.assert_close(ratio[:, 0].log(), torch.full((36, 3), 0.5))
     torch.testing.assert_close(ratio[:, -1].log(), torch.full((36, 3), -0.5))
 
 
 def test_gradients_of_the_field():
     def function(picture, log_light):
-        return illuminated(picture, Illumination(log_light), 1)
+        return illuminated(picture, Illumination(log_light, ["a", "b"]), "b")
 
     inputs = (random(6, 8, 3), random(2, 3, 4, seed=1))
     assert torch.autograd.gradcheck(function, [value.requires_grad_() for value in inputs])
@@ -123,13 +124,13 @@ def test_flicker_stays_out_of_the_colours_that_are_learned():
     errors = {}
     for modelled in (False, True):
         learned = torch.stack(photographs).mean(0).requires_grad_()
-        field = Illumination.starting(16, columns, rows)
+        field = Illumination.starting([str(view) for view in range(16)], columns, rows)
         field.log_light.requires_grad_()
         optimizer = torch.optim.Adam([{"params": [learned]}, {"params": [field.log_light]}])
         for step in range(400):
             for group, rate in zip(optimizer.param_groups, (5e-3, 2e-2), strict=True):
                 group["lr"] = rate * (1 - step / 400)
-            shown = illuminated(learned, field, step % 16) if modelled else learned
+            shown = illuminated(learned, field, str(step % 16)) if modelled else learned
             optimizer.zero_grad()
             (shown - photographs[step % 16]).abs().mean().backward()
             optimizer.step()

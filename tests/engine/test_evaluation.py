@@ -403,7 +403,7 @@ def test_colours_without_water_are_compared_where_truth_is_known(tiny_scene, tmp
         cv2.imwrite(str(scene / folder / "view_08.png"), pixels)
     train(scene, tmp_path / "run", replace(SETTINGS, iterations=2))
 
-    def picture(cloud, camera, sh_degree, medium=None, amount=1):
+    def picture(cloud, camera, sh_degree, simulated=None, amount=1):
         pixels = torch.full((48, 64, 3), 128 / 255 + (0.1 if amount else 0.01))
         pixels[:, 32:] = 1  # open water has no true colour
         return pixels

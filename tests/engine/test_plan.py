@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from swag_engine.effects import plan as planning
-from swag_engine.effects.plan import EFFECTS, Plan, describe, parse_effects, plan_scene, read_plan
+from swag_engine.effects.names import EFFECTS, parse_effects
+from swag_engine.effects.plan import Plan, describe, plan_scene, read_plan
 from swag_engine.errors import InputError
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
@@ -27,8 +28,13 @@ def planned(tmp_path_factory):
 
 def test_the_demo_scene_is_planned(planned):
     plan, _ = planned
-    assert tuple(plan.effects) == EFFECTS
-    assert [name for name in EFFECTS if plan.on(name)] == ["attenuation", "backscatter", "semantics"]
+    assert list(plan.effects) == list(EFFECTS)
+    assert [name for name in EFFECTS if plan.on(name)] == [
+        "attenuation",
+        "backscatter",
+        "separate_backscatter",
+        "semantics",
+    ]
     truth = json.loads((REEF / "truth.json").read_text())["water"]
     for name in ("beta_D", "B_inf"):
         assert plan.water[name] == pytest.approx(truth[name], rel=0.35)
@@ -51,7 +57,7 @@ def test_costs_are_measured_on_this_machine(planned):
 def test_plan_json_is_read_back(planned):
     plan, path = planned
     document = json.loads(path.read_text())
-    assert set(document) == {"effects", "water"}
+    assert set(document) == {"effects", "water", "scene"}
     assert {"state", "evidence", "reason", "cost_ms"} <= set(document["effects"]["lamp"])
     assert read_plan(path) == plan
 
@@ -80,9 +86,20 @@ def test_no_test_view_is_looked_at(monkeypatch, tmp_path):
 
 
 def test_the_user_decides():
-    assert parse_effects("attenuation=off, lamp=on") == {"attenuation": False, "lamp": True}
+    assert parse_effects("caustics=off, lamp=on,lamp=off") == {"caustics": False, "lamp": False}
     assert parse_effects("") == {}
-    for text, words in (("fog=on", "no effect 'fog'"), ("lamp=maybe", "not 'maybe'"), ("lamp", "lamp=on or lamp=off")):
+    assert parse_effects("grey-world=on") == {"grey_world": True}
+    water = ("attenuation", "backscatter", "separate_backscatter")
+    assert parse_effects("water=off") == parse_effects("attenuation=off") == dict.fromkeys(water, False)
+    assert parse_effects("separate_backscatter=on") == dict.fromkeys(water, True)
+    wrong = {
+        "fog=on": "no effect 'fog'",
+        "=on": "no effect ''",
+        "lamp=maybe": "not 'maybe'",
+        "lamp": "lamp=on or lamp=off",
+        "attenuation=off,backscatter=on": "backscatter needs attenuation: switch both on, or both off",
+    }
+    for text, words in wrong.items():
         with pytest.raises(InputError, match=words):
             parse_effects(text)
 

@@ -23,7 +23,7 @@ from swag_engine.training.config import TrainSettings
 from swag_engine.training.loop import GEOMETRY, Trainer, train
 from swag_engine.training.objective import Objective
 from swag_engine.training.prepare import find_depth, find_frames
-from swag_engine.training.recipes import EFFECTS, RECIPES, Photometric, Recipe, recipe_of
+from swag_engine.training.recipes import RECIPES, SWITCHES, Photometric, Recipe, recipe_of
 from swag_engine.training.run_folder import RunFolder
 from swag_engine.training.targets import Target
 
@@ -42,9 +42,10 @@ def test_the_settings_name_every_recipe():
 
 
 def test_switches_turn_parts_on_and_off():
-    assert recipe_of("swag", "water=off") == replace(RECIPES["swag"], water=False)
-    assert recipe_of("3dgs", "depth=on, grey-world=on") == Recipe(depth=0.1, grey_world=0.02)
-    for effect in EFFECTS:
+    water = {"attenuation": False, "backscatter": False, "separate_backscatter": False}
+    assert recipe_of("seasplat", "water=off") == replace(RECIPES["seasplat"], **water)
+    assert recipe_of("3dgs", "depth_prior=on, grey-world=on") == Recipe(depth=0.1, grey_world=0.02)
+    for effect in SWITCHES:
         assert recipe_of("swag", f"{effect}=on,{effect}=off") == recipe_of("swag", f"{effect}=off")
 
 
@@ -54,7 +55,7 @@ def test_switching_on_what_a_recipe_has_keeps_its_own_values():
 
 @pytest.mark.parametrize("effects", ["fog=on", "water", "water=yes", "=on"])
 def test_unknown_switches_are_one_sentence(effects):
-    with pytest.raises(InputError, match="cannot be switched: write name=on"):
+    with pytest.raises(InputError, match="There is no effect|can be on or off"):
         TrainSettings(effects=effects)
 
 
@@ -76,7 +77,7 @@ def test_every_recipe_trains_and_resumes_bit_equal(recipe, tiny_scene, tmp_path)
 
 
 def test_stage_two_freezes_geometry_and_water_bit_by_bit(tiny_scene, tmp_path, monkeypatch):
-    trainer = trainer_of(tiny_scene, tmp_path, monkeypatch, water=True, fitted=False, stage_two_from=0.5)
+    trainer = trainer_of(tiny_scene, tmp_path, monkeypatch, **recipes.WATER, stage_two_from=0.5)
     while trainer.iteration < 30:
         trainer.step()
     kept = {name: tensor.detach().clone() for name, tensor in trainer.optimizer.parameters().items()}
@@ -140,7 +141,7 @@ def test_a_reallocation_keeps_the_number_and_ends_before_stage_two(tiny_scene, t
 
 def test_training_goes_on_without_networks_and_says_so(tiny_scene, tmp_path, monkeypatch):
     monkeypatch.setenv("SWAG_CACHE_DIR", str(tmp_path / "cache"))
-    settings = replace(SETTINGS, recipe="3dgs", effects="depth=on,interpolation=on", iterations=10)
+    settings = replace(SETTINGS, recipe="3dgs", effects="depth_prior=on,interpolation=on", iterations=10)
     metrics = train(tiny_scene, tmp_path / "run", settings)["metrics"]
     depth, frames = metrics["notes"]
     assert depth.startswith("No depth prior: The network depth-anything-v2-small") and "get it" in depth
@@ -197,7 +198,7 @@ def test_presets_that_make_no_sense_are_one_sentence(values, message):
 def test_a_water_type_is_modelled_whatever_the_points_say(tiny_scene, tmp_path):
     settings = replace(SETTINGS, water_type="II", metres_per_unit=0.5, iterations=10)
     metrics = train(tiny_scene, tmp_path / "run", settings)["metrics"]
-    assert metrics["water"] == "Water is modelled, from the type II."
+    assert metrics["water"] == "Water is modelled: from the type II."
     water = json.loads((tmp_path / "run" / "water.json").read_text())
     assert water["per"] == "metre"
     np.testing.assert_allclose(water["beta_D"], (0.260, 0.076, 0.062), rtol=0.15)
@@ -217,7 +218,7 @@ def test_photographs_that_say_little_train_all_the_same(case, recipe, tmp_path):
     tensors, _ = load_checkpoint(tmp_path / "run")
     assert all(tensor.isfinite().all() for tensor in tensors.values())
     if recipe == "swag":  # one range and little colour: the photographs cannot tell
-        assert metrics["water"].startswith(("The water cannot be told", "No water is modelled"))
+        assert metrics["water"].startswith("No water is modelled: ")
 
 
 # Interpolated frames --------------------------------------------------------------------------------------------------

@@ -97,7 +97,7 @@ def test_features_are_learned_and_grow_with_the_gaussians(scene: Path, learned: 
 def test_stage_two_freezes_features(scene: Path, tmp_path: Path) -> None:
     settings = replace(SETTINGS, effects="semantics=on")  # stage two from 90 % on
     asked = iter(range(1000))
-    train(scene, tmp_path / "run", settings, should_stop=lambda: next(asked) >= 91)
+    train(scene, tmp_path / "run", settings, should_stop=lambda: next(asked) >= 97)
     before = tensors_of(tmp_path / "run")
     train(scene, tmp_path / "run", settings, resume=True)
     after = tensors_of(tmp_path / "run")

@@ -30,7 +30,7 @@ def runs(tmp_path_factory):
 
 def test_the_water_is_found_and_written(runs):
     metrics = json.loads((runs / "swag" / "metrics.json").read_text())
-    assert metrics["water"].startswith("Water is modelled: it takes 7") and metrics["background"] == [0, 0, 0]
+    assert metrics["water"].startswith("Water is modelled: Red loses 7") and metrics["background"] == [0, 0, 0]
     water, truth = (json.loads(path.read_text()) for path in (runs / "swag" / "water.json", REEF / "truth.json"))
     truth = truth["water"]
     assert (water["light"], water["per"]) == ("linear", "unit")

@@ -11,7 +11,8 @@ import torch
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.water.identify import Observations, fit_water, observe
-from swag_engine.water.medium import Medium, open_water, through_water, to_display, to_light, without_water
+from swag_engine.water.light import to_display, to_light
+from swag_engine.water.medium import Medium, open_water, through_water, without_water
 
 CAMERA = torch.eye(4, dtype=torch.float64), torch.tensor([[20.0, 0, 11], [0, 21, 8], [0, 0, 1]], dtype=torch.float64)
 

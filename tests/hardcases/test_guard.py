@@ -10,6 +10,7 @@ import pytest
 import torch
 from clouds import make_cloud
 
+from swag_engine.effects.simulated import Simulated
 from swag_engine.formats.ply import read_ply
 from swag_engine.training import loop
 from swag_engine.training.checkpoint import load_checkpoint
@@ -117,7 +118,7 @@ def test_a_run_that_was_put_back_resumes_bit_equal(tiny_scene, tmp_path, monkeyp
 @pytest.fixture
 def optimizer():
     cloud = make_cloud(20, dtype=torch.float32)
-    made = Optimizer(cloud, None)
+    made = Optimizer(cloud, Simulated())
     for parameter in made.parameters().values():
         parameter.grad = torch.ones_like(parameter)
     return made
