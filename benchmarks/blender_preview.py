@@ -1,0 +1,131 @@
+"""How near the preview's nodes come to the engine's own picture in Cycles, and how long a million splats take.
+
+    python benchmarks/blender_preview.py RUN [MILLION]
+
+RUN: a finished training run with water, such as `train tests/scenes/reef_wreck --width 320 --iterations 1000
+--max-gaussians 20000`. Its middle held-out view is drawn by the engine and by Cycles through the preview, as trained
+(display values, view transform Raw), in light (view transform Standard, saved as sRGB) and as solid ellipsoids, each
+without and with the fitted water. MILLION: how many splats with harmonics of degree 3 are put into Blender and shown as
+points in its viewport's evaluation. Writes results/blender_preview.json and .png.
+"""
+
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import cv2  # noqa: E402
+import numpy as np  # noqa: E402
+import torch  # noqa: E402
+from formats import make_splats  # noqa: E402
+from train_scenes import processor  # noqa: E402
+
+from demo.run import blender_with_extension  # noqa: E402
+from swag_engine.formats.ply import read_ply  # noqa: E402
+from swag_engine.rasterize.render import render  # noqa: E402
+from swag_engine.scene.colmap import load_scene  # noqa: E402
+from swag_engine.scene.images import load_images  # noqa: E402
+from swag_engine.training.checkpoint import load_checkpoint  # noqa: E402
+from swag_engine.training.loop import cloud_from_tensors, medium_from_tensors  # noqa: E402
+from swag_engine.training.run_folder import RunFolder  # noqa: E402
+
+RESULTS = ROOT / "benchmarks" / "results" / "blender_preview"
+# Name -> display values are blended, splats face the camera, samples a pixel.
+WAYS = {"as trained": (True, True, 1), "in light": (False, True, 1), "ellipsoids as trained": (True, False, 1)}
+
+
+def engine_pictures(run: RunFolder) -> tuple[dict, dict[float, np.ndarray]]:
+    """The middle held-out view's pinhole as the importer takes it, and the engine's picture by amount of water."""
+    scene_folder, settings, _ = run.read_config()
+    metrics = json.loads(run.metrics.read_text(encoding="utf-8"))
+    held_out = sorted(metrics["views"], key=lambda name: metrics["views"][name]["psnr"])
+    scene = load_scene(scene_folder)
+    views = [view for view in scene.views if view.name == held_out[len(held_out) // 2]]
+    camera = load_images(scene, views, settings.width)[0].camera
+    tensors, state = load_checkpoint(run.path)
+    cloud, medium = cloud_from_tensors(tensors), medium_from_tensors(tensors, state)
+    with torch.no_grad():
+        pictures = {amount: render(cloud, camera, 3, medium, amount=amount).color.numpy() for amount in (0.0, 1.0)}
+    pinhole = {name: getattr(camera, name) for name in ("name", "width", "height", "fx", "fy", "cx", "cy")}
+    return pinhole | {"world_to_camera": camera.world_to_camera.tolist()}, pictures
+
+
+def cycles_picture(bpy, path: Path, width: int, height: int, display_values: bool) -> np.ndarray:
+    """Display values (H, W, 3) of the scene as Cycles renders it."""
+    scene = bpy.context.scene
+    scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path))
+    pixels = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
+    light = pixels.reshape(height, width, 4)[::-1, :, :3]
+    if display_values:
+        return light
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def main() -> None:
+    run = RunFolder(Path(sys.argv[1]))
+    million = int(sys.argv[2]) if len(sys.argv) > 2 else 1_000_000
+    pinhole, expected = engine_pictures(run)
+    folder = tempfile.TemporaryDirectory()
+    bpy = blender_with_extension(Path(folder.name))
+    from bl_ext.user_default.swag_splatting.swag_blender import scene_import, splats, water
+    from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+
+    bpy.ops.wm.read_homefile(use_empty=True)
+    scene = bpy.context.scene
+    root = bpy.data.objects.new("root", None)
+    scene.collection.objects.link(root)
+    scene_import.look_through(scene, scene_import.camera_object(pinhole, root, scene.collection))
+    obj = splats.new_splat_object("splats", read_ply(run.ply), scene.collection, root)
+    splat_preview.remember_training(obj, 1 / pinhole["fx"], [0, 0, 0])
+    water.remember_water(obj, run.read_water(), run.read_config()[1].metres_per_unit)
+    result = {"machine": processor(), "blender": bpy.app.version_string, "splats": len(obj.data.points), "psnr": {}}
+    rows = []
+    for name, (display_values, facing, samples) in WAYS.items():
+        splat_preview.set_input(obj, splat_preview.FACE_CAMERA, facing)
+        for amount, picture in expected.items():
+            scene.swag.water = amount
+            bpy.ops.swag.prepare_render(display_values=display_values)
+            scene.cycles.samples = samples
+            started = time.perf_counter()
+            drawn = cycles_picture(
+                bpy, Path(folder.name) / "out.exr", pinhole["width"], pinhole["height"], display_values
+            )
+            seconds = time.perf_counter() - started
+            error = np.mean((np.clip(drawn, 0, 1) - np.clip(picture, 0, 1)) ** 2)
+            result["psnr"][f"{name}, water {amount:g}"] = round(float(-10 * np.log10(error)), 2)
+            print(f"{name}, water {amount:g}: {-10 * np.log10(error):.2f} dB, {seconds:.1f} s", flush=True)
+            if facing:
+                rows.append(np.concatenate([picture, drawn, np.abs(drawn - picture) * 10], axis=1))
+    picture = np.clip(np.concatenate(rows), 0, 1)[..., ::-1] * 255
+    cv2.imwrite(str(RESULTS.with_suffix(".png")), picture.round().astype(np.uint8))
+
+    made = make_splats(million)
+    started, busy = time.perf_counter(), time.process_time()
+    many = splats.new_splat_object("many", made, scene.collection)
+    result["into blender"] = {"splats": million, "seconds": round(time.perf_counter() - started, 3)}
+    result["into blender"]["processor_seconds"] = round(time.process_time() - busy, 3)
+    for name, change in (
+        ("evaluated for the viewport", lambda: None),
+        ("evaluated again", many.update_tag),
+        ("at a tenth", lambda: splat_preview.set_input(many, splat_preview.DENSITY, 10.0)),
+    ):
+        change()
+        started, busy = time.perf_counter(), time.process_time()
+        bpy.context.view_layer.update()
+        seconds, busy = time.perf_counter() - started, time.process_time() - busy
+        result["into blender"][name] = {"seconds": round(seconds, 3), "processor_seconds": round(busy, 3)}
+    print(result["into blender"])
+    RESULTS.with_suffix(".json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
