@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from swag_engine.files import atomic_path  # noqa: E402
 from tests.scenes.boxes import ground, passes_of, room, street  # noqa: E402
-from tests.scenes.make_scene import VOLUME, Rendered, Settings, focal_length  # noqa: E402
+from tests.scenes.make_scene import Rendered, Settings, focal_length  # noqa: E402
 from tests.scenes.reef_model import Model, Passes, Renderer, camera_path  # noqa: E402
 
 PATTERNS = ("orbit", "oblique", "nadir")
@@ -24,8 +24,6 @@ PLACES = {"walk": street, "around": room, "survey": ground}
 """Patterns over places of boxes."""
 FISHY = 0.4
 """Share of the photographs that fish swim through in scenes with fish."""
-VOLUME_PATTERN = "orbit"
-"""The pattern that Cycles renders in a real scattering volume too."""
 VIEWS = 20
 SIZE = (320, 180)
 
@@ -87,7 +85,7 @@ PASSES = {"colour": "f2", "alpha": "f2", "range": "f4", "sun_share": "f2", "fish
 
 def render_clean(folder: Path, seed: int) -> None:
     """Render the model of this seed along all patterns without water to folder/PATTERN-SEED.npz, with fish before some
-    of the views; and along VOLUME_PATTERN in a volume to folder/volume-SEED.npz."""
+    of the views."""
     settings = settings_for(folder)
     factor = settings.supersample
     width, height, focal = (n * factor for n in (settings.width, settings.height, focal_length(settings)))
@@ -109,11 +107,6 @@ def render_clean(folder: Path, seed: int) -> None:
         }
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             np.savez(file, poses=np.stack(poses), fishy_views=chosen, **arrays)
-    path = folder / f"volume-{seed}.npz"
-    if not path.exists():  # last: it changes the light
-        volume = renderer.volume(camera_poses(VOLUME_PATTERN), factor, 16 * settings.samples, **VOLUME)
-        with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, volume=np.stack(volume).astype("f2"))
 
 
 def render_boxes(folder: Path, pattern: str, seed: int) -> None:
@@ -128,7 +121,7 @@ def render_boxes(folder: Path, pattern: str, seed: int) -> None:
         np.savez(file, poses=np.stack(poses), fishy_views=np.zeros(0, int), **arrays, **fishy)
 
 
-def rendered(folder: Path, pattern: str, seed: int, fish: bool = False, volume: bool = False) -> Rendered:
+def rendered(folder: Path, pattern: str, seed: int, fish: bool = False) -> Rendered:
     """The clean renders that `render_clean` left in `folder`."""
     if pattern in PLACES and not (folder / f"{pattern}-{seed}.npz").exists():
         render_boxes(folder, pattern, seed)
@@ -144,10 +137,7 @@ def rendered(folder: Path, pattern: str, seed: int, fish: bool = False, volume: 
     if fish:
         swimming = dict(zip(chosen.tolist(), passes(fishy), strict=True))
         seen = [swimming.get(k, view) for k, view in enumerate(clean)]
-    if not volume:
-        return Rendered(poses, clean, seen, None)
-    with np.load(folder / f"volume-{seed}.npz", allow_pickle=False) as arrays:
-        return Rendered(poses, clean, seen, list(arrays["volume"].astype(np.float32)))
+    return Rendered(poses, clean, seen, None)
 
 
 if __name__ == "__main__":
