@@ -43,8 +43,8 @@ def relit(display: Tensor, log_factor: Tensor) -> Tensor:
     if not somewhere:
         return curved
     place = crossing.nonzero(as_tuple=True)
-    factor = log_factor.expand_as(display)[place].exp()
-    return curved.index_put(place, to_display(to_light(display[place]) * factor))
+    factor = log_factor.expand_as(curved)[place].exp()
+    return curved.index_put(place, to_display(to_light(display.expand_as(curved)[place]) * factor))
 
 
 def light_of_bytes() -> np.ndarray:

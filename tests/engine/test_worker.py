@@ -61,6 +61,15 @@ def worker():
         yield started
 
 
+def test_a_plan_is_answered_with_the_choices_in_it(worker, tiny_scene, tmp_path):
+    worker.send(request="plan", scene=str(tiny_scene), out=str(tmp_path), settings={"effects": "lamp=on"})
+    answer = worker.until("result", "error")
+    assert answer["request"] == "plan" and answer["plan"]["effects"]["lamp"]["overruled"]
+    assert json.loads((tmp_path / "plan.json").read_text()) == answer["plan"]
+    worker.send(request="plan", scene=str(tiny_scene), settings={"effects": "fog=on"})
+    assert "There is no effect 'fog'" in worker.until("result", "error")["message"]
+
+
 def test_inspect_train_cancel_and_export(worker, tiny_scene, tmp_path):
     worker.send(request="inspect", scene=str(tiny_scene), arrays=str(tmp_path / "arrays"))
     found = worker.until("result", "error")
