@@ -12,6 +12,9 @@ from ..water.medium import MAX_DEGREE, Medium, open_water, through_water
 from ..water.network import WaterNetwork
 from .api import Rendering, rasterize
 
+DAZZLING = 1e4  # display value
+FARTHEST = 1e15  # scene units; the square of what is farther overflows
+
 
 @dataclass
 class Picture:
@@ -50,7 +53,7 @@ def render(
     centre, viewmat, intrinsics = (
         torch.from_numpy(array).to(cloud.means) for array in (camera.centre, camera.world_to_camera, camera.K)
     )
-    offsets = cloud.means.detach() - centre
+    offsets = (cloud.means.detach() - centre).clamp(-FARTHEST, FARTHEST)
     colors = channels = cloud.colors(centre, sh_degree, backend)
     background = cloud.background.sigmoid()
     veiled = isinstance(medium, Medium) and medium.veil is not None
@@ -58,7 +61,8 @@ def render(
         channels = lit(channels, offsets.norm(dim=1), lamp, amount)
     if medium is not None:
         if isinstance(medium, Medium):
-            channels = through_water(channels, offsets, medium, water_degree, amount, backend)
+            # Light is display to the power of 2.4: without a limit a Gaussian that nobody sees makes it overflow.
+            channels = through_water(channels.clamp(max=DAZZLING), offsets, medium, water_degree, amount, backend)
             background = torch.zeros_like(background) if veiled else background
         else:
             channels = medium.through(channels, offsets, amount)

@@ -319,7 +319,16 @@ def _image_names(model_folder: Path, images: list[pycolmap.Image]) -> dict[int, 
             f"The COLMAP model {model_folder} has image names that are not UTF-8: rename the photographs with plain "
             "letters and reconstruct the scene again."
         ) from error
-    return {image_id: name.replace("\\", "/") for image_id, name in names.items()}
+    inside = {image_id: _inside(name) for image_id, name in names.items()}
+    if len(set(inside.values())) < len(inside):
+        raise InputError(f"The COLMAP model {model_folder} gives two photographs the same name: reconstruct it again.")
+    return inside
+
+
+def _inside(name: str) -> str:
+    """A name that leads nowhere but into its folder, with forward slashes: pictures are written under it too."""
+    parts = name.replace("\\", "/").split("/")
+    return "/".join(part for part in parts if part not in ("", ".", "..") and not part.endswith(":")) or "_"
 
 
 def _read_points(

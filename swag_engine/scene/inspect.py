@@ -78,7 +78,7 @@ def describe(summary: dict[str, Any]) -> str:
             " views" + (f", reprojection error {error:.2f} px" if error is not None else ""),
         )
     )
-    if ranges["p50"] is not None:
+    if None not in (ranges["p5"], ranges["p50"], ranges["p95"]):
         rows.append(
             (
                 "Ranges",

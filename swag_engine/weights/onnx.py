@@ -120,7 +120,10 @@ def _session(path: Path, kind: str) -> Any:
     options.intra_op_num_threads = torch.get_num_threads()
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        for tensor in [*session.get_inputs(), *session.get_outputs()]:
+            _ = tensor.name, tensor.shape, tensor.type  # words that need not be UTF-8
+        return session
     except Exception as error:  # onnxruntime's errors have no base class of their own
         raise InputError(
             f"{path} cannot be opened as an ONNX file ({_cause(error)}): get it again or choose another file."
