@@ -71,11 +71,14 @@ class Optimizer:
 
     def restart(self, values: dict[str, Tensor]) -> None:
         """Take up other values, named as by parameters(), of as many Gaussians as they have; Adam begins anew."""
-        owners = self.simulated.owners() | {"": self.cloud}
-        for name, value in values.items():
+        owners, known = self.simulated.owners() | {"": self.cloud}, self.parameters()
+        for name in values.keys() & known.keys():  # effects come and go
             owner, _, own_name = name.rpartition(".")
-            setattr(owners[owner], own_name, value.clone().requires_grad_())
-            self.moments[name] = torch.zeros_like(value), torch.zeros_like(value)
+            setattr(owners[owner], own_name, values[name].clone().requires_grad_())
+        self.moments = {
+            name: (torch.zeros_like(value.detach()), torch.zeros_like(value.detach()))
+            for name, value in self.parameters().items()
+        }
         self.steps = 0
 
     def state_tensors(self) -> dict[str, Tensor]:

@@ -175,3 +175,8 @@ def test_a_loss_that_another_phase_makes_larger_is_no_failure(optimizer):
             assert guard.admits(torch.tensor(loss), optimizer, "a", phase)
         assert guard.puts_back(optimizer, window * guard.every) == (loss == 0.9)
     assert "the loss rose from 0.2 to 0.9" in guard.watch.finding
+
+
+def test_a_state_from_before_an_effect_was_dropped_can_be_put_back(optimizer):
+    optimizer.restart(Guard(optimizer, 100).good | {"lamp.fall_off": torch.zeros(3)})
+    assert optimizer.moments.keys() == optimizer.parameters().keys()
