@@ -1,6 +1,10 @@
 """The sidebar: its plan, what it keeps in the .blend, the offer to go on, and that everything can be found by F3."""
 
+import sys
+
 import pytest
+
+from swag_engine.training.config import TrainSettings
 
 SETUP = """
 import json, sys, pathlib, bpy
@@ -163,3 +167,25 @@ print("CPU", json.dumps(time.process_time() - before))
     )
     assert blender.json_after("THREADS", printed) == []
     assert blender.json_after("CPU", printed) < 0.05
+
+
+def test_the_engine_plans_and_takes_every_choice_of_the_list(blender, tiny_scene):
+    printed = blender.run(
+        SETUP
+        + """
+swag.scene_folder = sys.argv[-1]
+bpy.ops.swag.plan()
+print("LINES", json.dumps([len(swag.plan.lines), all(line.reason for line in swag.plan.lines)]))
+for choice in ("ON", "OFF"):
+    for line in swag.plan.lines:
+        line.choice = choice
+    print(choice, json.dumps(swag.train_settings()))
+""",
+        tiny_scene,
+        SWAG_ENGINE_PYTHON=sys.executable,
+    )
+    count, reasoned = blender.json_after("LINES", printed)
+    assert count >= 10 and reasoned
+    for choice in ("ON", "OFF"):
+        settings = TrainSettings.from_json(blender.json_after(choice, printed))
+        assert settings.effects.count(f"={choice.lower()}") == count

@@ -1,0 +1,172 @@
+"""Runs inside the real Blender, with a window: the whole way of a user, with a picture of each stage for docs/.
+
+Environment as for real_window.py; SWAG_SCENE is the demo scene. Panels are opened and operators called by their names;
+that buttons react to the pointer is real_window.py's part.
+"""
+
+import json
+import os
+import subprocess
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+
+bpy.context.preferences.view.show_splash = False
+OUT = Path(os.environ["SWAG_OUT"])
+EXTENSION = "bl_ext.user_default.swag_splatting"
+LIMIT = 300  # seconds to wait for anything
+report = {"version": bpy.app.version_string, "stages": []}
+
+
+def view3d():
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    return window, area, next(region for region in area.regions if region.type == "UI")
+
+
+def call(operator, **options):
+    """As a button of the sidebar calls it."""
+    window, area, _ = view3d()
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        return operator("INVOKE_DEFAULT", **options)
+
+
+def photograph(name):
+    window, area, region = view3d()
+    for _ in range(2):  # panels that open or close take their time
+        area.tag_redraw()
+        region.tag_redraw()
+        yield 2.0
+    subprocess.run(["import", "-window", "root", str(OUT / f"{name}.png")], check=True)
+    report["stages"].append(name)
+    (OUT / "report.json").write_text(json.dumps(report))
+
+
+def until(condition):
+    end = time.monotonic() + LIMIT
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError(f"waited {LIMIT} s")
+        yield 0.1
+
+
+def job(operator, **options):
+    """Start it, and wait for its end; what it said."""
+    status = bpy.context.window_manager.swag
+    call(operator, **options)
+    yield from until(lambda: not status.job)
+    assert not status.failed, status.message
+    report[status.last_job] = status.message
+
+
+def scroll(lines):
+    """Show the sidebar from so many lines below its top."""
+    window, area, region = view3d()
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.view2d.pan(deltay=10_000)
+        bpy.ops.view2d.pan(deltay=-22 * lines)
+
+
+def steps():
+    bpy.context.preferences.system.use_online_access = False
+    bpy.ops.extensions.package_install_files(
+        filepath=os.environ["SWAG_ZIP"], repo="user_default", enable_on_install=True, overwrite=True
+    )
+    for name in ("Cube", "Light", "Camera"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+    yield 2.0
+    window, area, region = view3d()
+    status, swag = bpy.context.window_manager.swag, bpy.context.scene.swag
+
+    # Preferences, in the place of the viewport.
+    area.type = "PREFERENCES"
+    bpy.context.preferences.active_section = "ADDONS"
+    bpy.context.window_manager.addon_search = "SWAG"
+    yield 1.0
+    with bpy.context.temp_override(window=window, area=area):
+        bpy.ops.preferences.addon_expand(module=EXTENSION)
+        bpy.ops.swag.check_engine("INVOKE_DEFAULT")
+    yield from until(lambda: not status.job)
+    report["Engine check"] = status.message
+    area.tag_redraw()
+    yield 2.0
+    subprocess.run(["import", "-window", "root", str(OUT / "1-preferences.png")], check=True)
+    area.type = "VIEW_3D"
+    area.spaces.active.show_region_ui = True
+    yield 1.0
+    view3d()[2].active_panel_category = "SWAG"
+
+    yield from job(bpy.ops.swag.import_scene, directory=os.environ["SWAG_SCENE"])
+    yield from photograph("2-scene")
+
+    yield from job(bpy.ops.swag.plan)
+    report["plan"] = {line.name: line.state for line in swag.plan.lines}
+    yield from photograph("3-effects")
+
+    scroll(25)
+    swag.recipe, swag.iterations, swag.width, swag.max_gaussians = "swag", 500, 240, 12_000
+    call(bpy.ops.swag.train)
+    clouds = lambda: [o for o in bpy.data.objects if "swag_run" in o]  # noqa: E731
+    yield from until(lambda: (clouds() and len(status.curve.split()) > 1) or not status.job)
+    with bpy.context.temp_override(window=window, area=area, region=region):
+        bpy.ops.view3d.view_camera()
+    yield from photograph("4-training")
+    call(bpy.ops.swag.pause)
+    yield 5.0  # events on their way arrive
+    report["paused_at"] = status.iteration
+    yield from photograph("5-paused")
+    yield 2.0
+    report["still_at"] = status.iteration
+    call(bpy.ops.swag.pause)
+    yield from until(lambda: status.iteration > report["paused_at"])
+    call(bpy.ops.swag.cancel)
+    yield from until(lambda: not status.job)
+    report["cancelled"] = [status.message, swag.can_continue, swag.stopped_at]
+    yield from photograph("6-stopped")
+    yield from job(bpy.ops.swag.train, resume=True)
+    report["finished"] = [swag.result_gaussians, swag.result_psnr, swag.can_continue]
+    scroll(34)
+    yield from photograph("7-result")
+
+    obj = clouds()[0]
+    if hasattr(swag, "water"):
+        swag.water = 1.0
+        yield from photograph("8-water")
+        swag.water = 0.0
+    if hasattr(bpy.types, "SWAG_OT_label_run"):
+        yield from job(bpy.ops.swag.label_run, source="SALIENCY")
+        call(bpy.ops.swag.read_labels)
+        call(bpy.ops.swag.isolate_label)
+        yield from photograph("9-label")
+        call(bpy.ops.swag.show_labels)
+    with bpy.context.temp_override(window=window, area=area, selected_objects=[obj], active_object=obj):
+        bpy.ops.swag.export_splats(filepath=str(OUT / "reef.glb"))
+    report["exported"] = (OUT / "reef.glb").stat().st_size
+
+    # Nothing to do: nothing is done, once the viewport has drawn all its samples.
+    area.spaces.active.shading.type = "SOLID"
+    yield 15.0
+    before = time.process_time()
+    yield 5.0
+    report["idle_cpu"] = (time.process_time() - before) / 5
+
+
+def run(generator):
+    try:
+        return next(generator)
+    except StopIteration:
+        report["done"] = True
+    except Exception:
+        report["traceback"] = traceback.format_exc()
+        subprocess.run(["import", "-window", "root", str(OUT / "failed.png")], check=True)
+    (OUT / "report.json").write_text(json.dumps(report))
+    Path(os.environ["READY"]).touch()
+    bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None, first_interval=2.0)
+    return None
+
+
+sequence = steps()
+bpy.app.timers.register(lambda: run(sequence), first_interval=2.0, persistent=True)

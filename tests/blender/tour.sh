@@ -1,0 +1,18 @@
+#!/usr/bin/env bash
+# The whole way in the real Blender, with a picture of each stage: tour.sh ROOT EXTENSION.zip SCENE OUT
+#   ROOT: the folder made by ../shared/real-blender/setup and share-venv; takes minutes on a machine without a graphics card
+set -euo pipefail
+root=${1:?usage: tour.sh ROOT EXTENSION.zip SCENE OUT} zip=${2:?} scene=${3:?} out=${4:?}
+here=$root/gui/tour; rm -rf "$here"; mkdir -p "$here" "$out"
+cp "$(dirname "$0")/tour.py" "$here/script.py"; cp "$zip" "$here/extension.zip"; cp -r "$scene" "$here/scene"
+python=$(readlink -f "$(dirname "$0")/../../.venv")/bin/python
+env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LIBGL_ALWAYS_SOFTWARE=1 READY=/gui/tour/ready SWAG_ENGINE_PYTHON="$python" \
+    SWAG_ZIP=/gui/tour/extension.zip SWAG_SCENE=/gui/tour/scene SWAG_OUT=/gui/tour SWAG_CACHE_DIR=/gui/tour/cache \
+    BLENDER_USER_RESOURCES=/gui/tour/user chroot "$root" bash -c '
+    export DISPLAY=:$((80 + RANDOM % 400))
+    Xvfb $DISPLAY -screen 0 1280x800x24 +extension GLX +render -noreset >/dev/null 2>&1 & x=$!
+    sleep 1.5; openbox >/dev/null 2>&1 & wm=$!; sleep 1
+    timeout 1200 blender --factory-startup --window-geometry 0 0 1280 800 --python /gui/tour/script.py >/gui/tour/log 2>&1 || true
+    kill $wm $x'
+cp "$here"/*.png "$here/report.json" "$out"; cat "$here/report.json"
+grep -q '"done": true' "$here/report.json"
