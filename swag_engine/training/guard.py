@@ -150,9 +150,11 @@ class Guard:
     def load(self, state: dict[str, Any], tensors: dict[str, Tensor], optimizer: Optimizer) -> None:
         """Go on from a checkpoint's state and tensors."""
         self.watch = Watch(**state)
+        device = optimizer.cloud.means.device
         self.good = {
-            name: tensors[f"guard.{name}"].to(parameter.device, copy=True)
-            for name, parameter in optimizer.parameters().items()
+            name.removeprefix("guard."): tensor.to(device, copy=True)
+            for name, tensor in tensors.items()
+            if name.startswith("guard.")
         }
 
 
