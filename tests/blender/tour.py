@@ -139,7 +139,7 @@ def steps():
     if hasattr(bpy.types, "SWAG_OT_label_run"):
         yield from job(bpy.ops.swag.label_run, source="SALIENCY")
         call(bpy.ops.swag.read_labels)
-        call(bpy.ops.swag.isolate_label)
+        call(bpy.ops.swag.isolate_label, number=obj.swag_labels.entries[0].number)
         yield from photograph("9-label")
         call(bpy.ops.swag.show_labels)
     with bpy.context.temp_override(window=window, area=area, selected_objects=[obj], active_object=obj):
