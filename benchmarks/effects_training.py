@@ -1,6 +1,6 @@
 """What each effect costs in a training, beside what the plan says it costs; and a planned run against all effects on.
 
-    python benchmarks/effects_training.py [SCENE ...]     prints a table, writes benchmarks/results/effects_training.json
+    python benchmarks/effects_training.py [SCENE ...]    prints a table, writes benchmarks/results/effects_training.json
 
 Runs of ITERATIONS at 320 pixels with 20 000 Gaussians at most, one after the other in one process; milliseconds are the
 least of an iteration in the last third, so that another process' load weighs little. Without SCENE: the demo scene.
