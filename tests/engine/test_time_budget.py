@@ -72,7 +72,8 @@ def test_a_budget_is_kept_by_a_machine_that_is_not_as_predicted_and_changes_its_
     assert clock.planned(iteration) == iteration
 
 
-def test_a_faster_machine_or_a_longer_budget_gives_a_larger_run(tiny_scene, tmp_path):
+def test_a_faster_machine_or_a_longer_budget_gives_a_larger_run(tiny_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("swag_engine.training.budget.CLOSING", 0.1)  # these need no report; a busy machine needs time
     small = train(tiny_scene, tmp_path / "small", TrainSettings(time_budget="6s", sh_degree=1, width=48))["metrics"]
     config = loop.RunFolder(tmp_path / "small").read_config()[1]
     assert config.width == 48 and 0 < config.max_gaussians < LADDER[-1].max_gaussians
@@ -88,7 +89,8 @@ def test_too_little_time_is_said_with_how_much_it_takes(tiny_scene, tmp_path, mo
     assert not (tmp_path / "run").exists()
 
 
-def test_a_finished_run_goes_on_for_longer(tiny_scene, tmp_path):
+def test_a_finished_run_goes_on_for_longer(tiny_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("swag_engine.training.budget.CLOSING", 0.1)
     run = tmp_path / "run"
     train(tiny_scene, run, SHORT)
     with pytest.raises(InputError, match="finished already.*More --iterations than 60"):
