@@ -45,6 +45,9 @@ MOST_RADIUS_CORRELATION = 0.9
 LEAST_COLOR = 0.05
 """Share by which one colour must surely fade beside another: the lower 95 % bound. Shine and blur take from some
 surfaces only, and halves of the scene disagree about them."""
+SURE_BIC = 100.0
+"""BIC gains of attenuation and of the veil that water is believed by without sure colours, where the darkest light
+rises with range, too: shine and lamps bring no veil that the dark shows."""
 HALVES = 12
 """Random halves of the scene that the intervals are taken from."""
 LEAST_DARK_RISE, LEAST_DARK = 0.27, 0.003
@@ -176,7 +179,8 @@ def water_findings(
     ]
     color = parted[0] - 1.96 * float(np.std(parted[1:], ddof=1)) if loses else 0.0
     grey = float(1 - best.beta_D[weakest] / max(best.beta_D[strongest], 1e-12))
-    dims = loses and change.max() >= least_change and color >= LEAST_COLOR and grey >= GREY
+    veiled_surely = adds_light and min(veil_bic, attenuation_bic) > SURE_BIC
+    dims = loses and change.max() >= least_change and ((grey >= GREY and color >= LEAST_COLOR) or veiled_surely)
     veils = adds_light and dims
     # The coefficients are those of the widest family that was accepted: what need not be separate is nearly tied.
     fit = separate if veils else direct if dims else none
@@ -207,7 +211,11 @@ def water_findings(
             f"{named.capitalize()} loses {change.max():.0%} between the nearest and the farthest points "
             f"({least_change:.0%} at least); BIC gain {attenuation_bic:,.0f} ({LEAST_BIC_GAIN:.0f} at least)"
             + (
-                f"; beside another colour it fades by {color:.0%} at least ({LEAST_COLOR:.0%} counts)." if dims else "."
+                f"; beside another colour it fades by {color:.0%} at least ({LEAST_COLOR:.0%} counts)."
+                if dims and color >= LEAST_COLOR
+                else "; the veil that the darkest light shows says the same."
+                if dims
+                else "."
             ),
         ),
         "backscatter": Finding(
@@ -241,7 +249,7 @@ def water_findings(
             f"It cannot be told: a loss of {LEAST_CHANGE:.0%} between the nearest and the farthest points would be "
             f"known to +-{resolution:.0%} only.",
         )
-    if dims and width > WIDEST_INTERVAL:
+    if dims and width > WIDEST_INTERVAL and not veiled_surely:
         effects["attenuation"] = _untold(
             effects["attenuation"],
             f"The water cannot be told: the loss of {named} is known to +-{width:.0%} only (+-{WIDEST_INTERVAL:.0%} at "

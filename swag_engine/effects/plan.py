@@ -210,6 +210,7 @@ def make_plan(
 
     width: pixels that training takes, which costs are measured at.
     """
+    images = sorted(images, key=lambda image: image.camera.name)  # what is drawn at random is the same for all callers
     names = [image.camera.name for image in images]
     views = {view.name: view for view in scene.views}
     observations = observe(images, [views[name].point_indices for name in names], scene.points)

@@ -170,6 +170,13 @@ def test_grey_loss_is_a_lamp():
     assert found.effects["attenuation"].state != "on" and found.fit.tau < np.inf
 
 
+def test_water_that_takes_from_all_colours_alike_is_told_by_its_veil():
+    turbid = {"beta_D": (0.16, 0.16, 0.16), "beta_B": (0.12, 0.12, 0.12)}
+    veiled = sightings(**turbid, B=(0.2, 0.2, 0.2), count=1500)
+    assert states(veiled)["attenuation"] == states(veiled)["backscatter"] == "on"
+    assert states(replace(veiled, darkest=np.zeros_like(veiled.darkest)))["attenuation"] != "on"
+
+
 def test_a_loss_that_could_not_be_seen_is_not_denied():
     assert states(sightings())["attenuation"] == "off"
     finding = water_findings(sightings(count=60, noise=0.5, spread=1.5)).effects["attenuation"]
