@@ -62,7 +62,7 @@ attempt("NONE", bpy.ops.swag.check_engine)
         tmp_path / "empty",
     )
     failed = blender.json_after("FAILED", printed)
-    assert "The engine could not be installed. There is no wheel of numpy" in failed and "Traceback" not in printed
+    assert "The engine could not be installed. There is no wheel of " in failed and "Traceback" not in printed
     assert "Looking up the packages" in blender.json_after("LOG", printed)
     assert blender.json_after("WHOLE", printed) is False
     assert "press Install Engine" in blender.json_after("NONE", printed)
