@@ -167,7 +167,7 @@ def test_what_no_index_has_is_one_sentence(root, folder, tmp_path):
     (tmp_path / "empty").mkdir()
     failed, _ = Installation(root, folder, wheels=tmp_path / "empty").end()
     assert failed["event"] == "error" and "\n" not in failed["message"]
-    assert f"There is no wheel of numpy for Python 3.11 on this system in {tmp_path / 'empty'}" in failed["message"]
+    assert f"for Python 3.11 on this system in {tmp_path / 'empty'}" in failed["message"]
 
 
 def test_a_repeated_installation_never_looks_whole_half_way(root, folder, wheels, tmp_path):
