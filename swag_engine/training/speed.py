@@ -20,6 +20,8 @@ from .optimizer import Optimizer
 from .presets import Size
 
 TIMED_GAUSSIANS, TIMED_WIDTH, TIMINGS = 20_000, 480, 4
+LOADED = 4
+"""Photographs that loading is timed with."""
 STEPS = 20
 """Parts that a run is cut into to add up what it takes."""
 
@@ -67,9 +69,11 @@ class Extent:
 
 def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
     """Train a few iterations on one photograph; takes about a second. Raises InputError as load_images does."""
-    started = time.perf_counter()
     image = load_images(scene, scene.views[:1], TIMED_WIDTH)[0]
-    load = time.perf_counter() - started
+    others = scene.views[1 : 1 + LOADED]  # the first alone would count what is only done once
+    started = time.perf_counter()
+    load_images(scene, others, TIMED_WIDTH)
+    load = (time.perf_counter() - started) / max(1, len(others))
     cloud = gaussians_from_points(scene.points, TIMED_GAUSSIANS, settings.sh_degree, 0, torch.zeros(3).numpy())
     half = GaussianCloud(**{
         name: tensor.detach()[::2].clone() if len(tensor) == len(cloud) else tensor.detach().clone()
