@@ -56,12 +56,6 @@ class SWAG_OT_label_run(Job, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         return super().poll(context) and _OnSplats.poll.__func__(cls, context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.run_waiting(context)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return self.run_waiting(context) if bpy.app.background else self.run_modal(context)
-
     def start(self, context: bpy.types.Context) -> Engine:
         obj = context.active_object
         self._object, self._run = obj.name, bpy.path.abspath(obj.get(RUN_KEY, "")) or context.scene.swag.run_path

@@ -16,12 +16,6 @@ class SWAG_OT_plan(Job, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     job = "Plan"
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.run_waiting(context)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return self.run_waiting(context) if bpy.app.background else self.run_modal(context)
-
     def start(self, context: bpy.types.Context) -> Engine:
         swag = context.scene.swag
         if not swag.scene_folder:

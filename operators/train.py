@@ -37,9 +37,6 @@ class SWAG_OT_train(Job, bpy.types.Operator):
             return "Go on with the run where it stopped, with the settings it was started with"
         return cls.__doc__
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.run_waiting(context)
-
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if bpy.app.background:
             return self.run_waiting(context)

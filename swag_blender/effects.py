@@ -68,11 +68,4 @@ class SWAG_UL_effects(bpy.types.UIList):
 _CLASSES = (SwagEffect, SwagPlan, SWAG_UL_effects)
 
 
-def register() -> None:
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -46,6 +46,12 @@ class Job:
 
     # -- without a window ---------------------------------------------------------------------------------------------
 
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.run_waiting(context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return self.run_waiting(context) if bpy.app.background else self.run_modal(context)
+
     def run_waiting(self, context: bpy.types.Context) -> set[str]:
         """Run to the end and print progress. For `execute`: a call from a script returns when all is done."""
         status = context.window_manager.swag

@@ -146,11 +146,4 @@ def _scaled(matrix: Any, factor: float) -> Sequence[Sequence[float]]:
 _CLASSES = (SWAG_PT_water, SWAG_PT_preview)
 
 
-def register() -> None:
-    for cls in _CLASSES:
-        bpy.utils.register_class(cls)
-
-
-def unregister() -> None:
-    for cls in reversed(_CLASSES):
-        bpy.utils.unregister_class(cls)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)
