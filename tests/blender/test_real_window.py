@@ -24,10 +24,13 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def shared_python():
     """This Python as the real Blender's folder sees it."""
-    # Hard links: cheap to make again, and packages installed since the last time come along.
-    shutil.rmtree(f"{REAL}{Path(sys.prefix).resolve()}", ignore_errors=True)
+    prefix = Path(sys.prefix).resolve()
+    # Hard links: cheap to make again. Left there, they would keep gigabytes of an environment that has been deleted.
+    links = f"{REAL}{prefix}"
+    shutil.rmtree(links, ignore_errors=True)
     subprocess.run(["bash", str(TOOLS / "share-venv"), str(REAL), sys.prefix], check=True)
-    return str(Path(sys.prefix).resolve() / "bin" / "python")
+    yield str(prefix / "bin" / "python")
+    shutil.rmtree(links)
 
 
 @pytest.fixture
