@@ -62,7 +62,7 @@ def import_(arguments: list[str]) -> int:
     try:
         if asked.out.suffix != ".blend":
             raise InputError(f"{asked.out} must end in .blend.")
-        _bring_in(asked.path)
+        bring_in(asked.path)
         asked.out.parent.mkdir(parents=True, exist_ok=True)
         bpy.ops.wm.save_as_mainfile(filepath=str(asked.out.absolute()))
     except (InputError, RuntimeError, OSError) as error:
@@ -81,7 +81,7 @@ def import_(arguments: list[str]) -> int:
     return 0
 
 
-def _bring_in(path: Path) -> None:
+def bring_in(path: Path) -> None:
     """What the path holds into the open scene. Raises InputError, or RuntimeError with an operator's report."""
     from ..operators import train
 

@@ -340,7 +340,8 @@ def _read_points(
         raise InputError(f"The COLMAP model in {model_folder} has no points: reconstruct the scene again.")
     ids = np.array([point_id for point_id, _ in items], np.uint64)
     positions = np.array([point.xyz for _, point in items])
-    finite = np.isfinite(positions).all(1)
+    with np.errstate(over="ignore"):  # Gaussians and Blender take float32
+        finite = np.isfinite(positions.astype(np.float32)).all(1)
     if not finite.all():
         warnings.append(
             f"{np.count_nonzero(~finite)} points of {model_folder} have no finite position and are left out."

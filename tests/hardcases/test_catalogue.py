@@ -1,10 +1,13 @@
-"""Every hard case through the whole loop: plan, train, evaluate, export; docs/hard-cases.md says what happens in each.
+"""Every hard case through the whole loop: plan, train, evaluate, export, Blender; docs/hard-cases.md says what happens.
 
 The kernels alone meet the same cases in tests/engine/test_rasterize.py, test_cuda.py and test_water.py (HARD).
 """
 
 import json
+import os
+import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,8 +40,29 @@ def settings_for(case: str, backend: str) -> TrainSettings:
     return replace(settings, water_type=water, metres_per_unit=metres)
 
 
-def whole_loop(scene: Path, run: Path, settings: TrainSettings) -> None:
-    """Everything that a user does; every file has finite numbers and is read back."""
+Blender = Callable[[list[Path]], dict]
+"""What paths become in Blender, as in_blender.py says it."""
+
+
+@pytest.fixture(scope="module")
+def blender(tmp_path_factory):
+    environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path_factory.mktemp("blender"))}
+    command = [sys.executable, str(Path(__file__).with_name("in_blender.py"))]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, **pipes, text=True, env=environment) as process:
+
+        def imported(paths: list[Path]) -> dict:
+            print(json.dumps(list(map(str, paths))), file=process.stdin, flush=True)
+            answer = process.stdout.readline()
+            assert answer, "Blender crashed"
+            return json.loads(answer)
+
+        yield imported
+        process.stdin.close()
+
+
+def whole_loop(scene: Path, run: Path, settings: TrainSettings, blender: Blender) -> None:
+    """Everything that a user does; every file has finite numbers and is read back, here and by Blender."""
     plan.plan_scene(scene, run)
     metrics = loop.train(scene, run, settings)["metrics"]
     tensors, _ = load_checkpoint(run)
@@ -46,13 +70,17 @@ def whole_loop(scene: Path, run: Path, settings: TrainSettings) -> None:
     assert not bad, bad
     assert metrics["iteration"] == settings.iterations and metrics["gaussians"] >= 1
     evaluation.evaluate_run(run)
-    for kind in ("ply", "glb"):
-        export_run(run, kind, run / f"exported.{kind}")
-    for splats in (read_ply(run / "exported.ply"), read_glb(run / "exported.glb")):
+    exported = [run / "exported.ply", run / "exported.glb"]
+    for path in exported:
+        export_run(run, path.suffix[1:], path)
+    for splats in (read_ply(exported[0]), read_glb(exported[1])):
         arrays = [value for value in vars(splats).values() if isinstance(value, np.ndarray)]
         assert len(arrays) >= 5 and all(np.isfinite(array).all() for array in arrays)
     for path in run.glob("*.json"):
         json.loads(path.read_text(), parse_constant=pytest.fail)
+    held = blender([run, *exported])
+    assert held["not finite"] == [] and held["cameras"] == len(list((scene / "images").iterdir()))
+    assert [n for name, n in held["clouds"].items() if not name.endswith(" Points")] == 3 * [metrics["gaussians"]]
 
 
 @pytest.fixture
@@ -73,8 +101,8 @@ def backend(request, monkeypatch):
 
 @pytest.mark.parametrize("backend", ["cpu", "torch", "cuda"], indirect=True)
 @pytest.mark.parametrize("case", [*SCENES, *SIZES, *WATER])
-def test_hard_scenes(case, backend, tmp_path):
-    whole_loop(make_hard_scene(case, tmp_path / "scene"), tmp_path / "run", settings_for(case, backend))
+def test_hard_scenes(case, backend, blender, tmp_path):
+    whole_loop(make_hard_scene(case, tmp_path / "scene"), tmp_path / "run", settings_for(case, backend), blender)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +112,7 @@ def plain_scene(tmp_path_factory):
 
 @pytest.mark.parametrize("backend", ["cpu", "torch", "cuda"], indirect=True)
 @pytest.mark.parametrize("case", CLOUDS)
-def test_hard_clouds(case, backend, plain_scene, tmp_path, monkeypatch):
+def test_hard_clouds(case, backend, blender, plain_scene, tmp_path, monkeypatch):
     """Gaussians that a run starts from."""
     begin = loop.gaussians_from_points
 
@@ -94,4 +122,4 @@ def test_hard_clouds(case, backend, plain_scene, tmp_path, monkeypatch):
         return cloud
 
     monkeypatch.setattr(loop, "gaussians_from_points", changed)
-    whole_loop(plain_scene, tmp_path / "run", settings_for(case, backend))
+    whole_loop(plain_scene, tmp_path / "run", settings_for(case, backend), blender)

@@ -95,13 +95,17 @@ def test_a_network_whose_words_are_no_text(tmp_path):
         Network(path, "a network", [(1, 3, None, None)], [(1, 3, None, None)])
 
 
-def test_a_model_with_one_point_at_the_end_of_the_world_is_described(tmp_path):
+@pytest.mark.parametrize("far", ["1e60", "1e308"])
+def test_a_model_with_one_point_at_the_end_of_the_world_goes_without_it(tmp_path, far):
+    """In Blender it took cameras and splats with it: their root stands where the middle of the points is."""
     scene = make_tiny_scene(tmp_path / "scene", views=3, points=5)
     points = scene / "sparse" / "0" / "points3D.txt"
-    lines = points.read_text().splitlines()
-    points.write_text("\n".join(" ".join([word[0], "1e308", "1e308", "1e308", *word[4:]])
-                                for word in (line.split() for line in lines)) + "\n")  # fmt: skip
-    assert "Points:" in describe(inspect_scene(load_scene(scene)))
+    first, *others = points.read_text().splitlines()
+    word = first.split()
+    points.write_text("\n".join([" ".join([word[0], far, far, far, *word[4:]]), *others]) + "\n")
+    loaded = load_scene(scene)
+    assert len(loaded.points.positions) == 4 and "1 points of" in loaded.warnings[0]
+    assert "Points:" in describe(inspect_scene(loaded))
 
 
 @pytest.mark.parametrize("name", ["recipe", "effects", "backend", "water_type", "time_budget"])
