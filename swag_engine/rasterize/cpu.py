@@ -267,6 +267,34 @@ def sh_colors(sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tens
     return _Colors.apply(sh0, shN, directions, degree)
 
 
+class _Relit(torch.autograd.Function):
+    @staticmethod
+    @part("light")
+    def forward(ctx: Any, display: Tensor, log_factor: Tensor) -> Tensor:
+        display, n, strides = display.contiguous(), len(display), log_factor.stride()
+        shown, logs = torch.empty_like(display), log_factor.as_strided((1,), (1,))  # where its numbers begin
+        run("relit_forward", n, *strides, display, logs, shown)
+        ctx.save_for_backward(display, log_factor)
+        return shown
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    @part("light backward")
+    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor, Tensor]:
+        display, log_factor = ctx.saved_tensors
+        n, strides, logs = len(display), log_factor.stride(), log_factor.as_strided((1,), (1,))
+        by_display, by_log_factor = torch.empty_like(display), torch.empty_like(display)
+        gradients = by_shown.contiguous(), by_display, by_log_factor
+        run("relit_backward", n, *strides, display, logs, *gradients)
+        return by_display, by_log_factor
+
+
+def relit(display: Tensor, log_factor: Tensor) -> Tensor:
+    """As water.light.relit, for float32 tensors on the CPU: display (..., 3), log_factor expands to its shape."""
+    logs = log_factor.expand_as(display).reshape(-1, 3)
+    return _Relit.apply(display.reshape(-1, 3), logs).view_as(display)
+
+
 class _L1Ssim(torch.autograd.Function):
     @staticmethod
     @part("loss L1 and SSIM")

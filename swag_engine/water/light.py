@@ -14,6 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..rasterize.backends import kernels_for
+
 DARK, DARK_LIGHT = 0.04045, 0.0031308
 """Where the curve's straight part ends, as display value and as light."""
 
@@ -30,21 +32,15 @@ def to_display(light: Tensor) -> Tensor:
     return torch.where(light <= DARK_LIGHT, 12.92 * light, power)
 
 
-def relit(display: Tensor, log_factor: Tensor) -> Tensor:
+def relit(display: Tensor, log_factor: Tensor, backend: str = "auto") -> Tensor:
     """to_display(to_light(display) exp(log_factor)) of shapes that broadcast; differentiable in both.
 
-    Above the curve's straight part the exponents cancel: with s = exp(log_factor / 2.4), s (display + .055) - .055. So
-    the curve itself is only followed where a value is, or ends, in the straight part.
+    Kernels do it where the factors (any shape that expands to that of `display`) scale colours (..., 3).
     """
-    curved = (log_factor / 2.4).exp() * (display + 0.055) - 0.055
-    with torch.no_grad():
-        crossing = (display <= DARK) | (curved <= DARK)
-        somewhere = bool(crossing.any())
-    if not somewhere:
-        return curved
-    place = crossing.nonzero(as_tuple=True)
-    factor = log_factor.expand_as(curved)[place].exp()
-    return curved.index_put(place, to_display(to_light(display.expand_as(curved)[place]) * factor))
+    colors = display.shape[-1:] == (3,) and torch.broadcast_shapes(display.shape, log_factor.shape) == display.shape
+    if colors and (kernels := kernels_for(backend, display, log_factor)):
+        return kernels.relit(display, log_factor)
+    return to_display(to_light(display) * log_factor.exp())
 
 
 def light_of_bytes() -> np.ndarray:

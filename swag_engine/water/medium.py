@@ -139,7 +139,7 @@ def through_water(
     linear = medium.light == "linear"
     if medium.veil is None:
         depth = amount * medium.beta_D * offsets.norm(dim=1, keepdim=True)
-        return relit(colors, -depth) if linear else colors * torch.exp(-depth)
+        return relit(colors, -depth, backend) if linear else colors * torch.exp(-depth)
     values = medium.values()
     kernels = kernels_for(backend, colors)
     if kernels and amount == 1:

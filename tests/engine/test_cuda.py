@@ -25,6 +25,7 @@ from tests.engine.test_rasterize import GRADIENTS, HARD, changed, clear_scenes, 
 from tests.engine.test_rasterize import run as run_truth
 from tests.engine.test_water import CAMERA as WATER_CAMERA
 from tests.engine.test_water import make as make_water
+from tests.engine.test_water import relit_and_gradients
 
 ON_CARD = bool(os.environ.get("SWAG_TEST_CUDA"))
 DEVICE = "cuda" if ON_CARD else "cpu"
@@ -333,6 +334,13 @@ def test_water_agrees_with_torch(degree, light):
     truth = seen_and_gradients("torch", torch.float64, "cpu")
     for value, expected in zip(seen_and_gradients("cuda", torch.float32, DEVICE), truth, strict=True):
         assert relative_error(value, expected) < 2e-5
+
+
+@pytest.mark.parametrize("shape", [(1,), (3,), (45, 17, 1)])
+def test_light_changes_as_with_torch(shape):
+    truth = relit_and_gradients(shape, "torch", torch.float64)
+    for value, expected in zip(relit_and_gradients(shape, "cuda", torch.float32, DEVICE), truth, strict=True):
+        torch.testing.assert_close(value, expected, atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.parametrize("raw", [-200.0, 1e4])

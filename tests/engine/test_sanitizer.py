@@ -11,7 +11,7 @@ import pytest
 from swag_engine.rasterize.kernels import build
 
 ROOT = Path(__file__).resolve().parents[2]
-TESTS = ("test_rasterize.py", "test_losses.py", "test_optimizer.py", "test_sh.py")
+TESTS = ("test_rasterize.py", "test_losses.py", "test_optimizer.py", "test_sh.py", "test_water.py")
 RUN = """
 import ctypes, sys
 import pytest

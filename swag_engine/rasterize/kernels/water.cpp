@@ -73,6 +73,13 @@ inline void pixel_directions(int64_t x, int64_t y, const float *viewmat, const f
     for (int i = 0; i < 3; i++) direction[i] = (u * viewmat[i] + (v * viewmat[4 + i] + viewmat[8 + i])) * inverse;
 }
 
+// The logarithms of the factors of channel c of rows [row, row + count).
+inline Vec log_factors(const float *from, int64_t row, int c, int count, int64_t row_stride, int64_t channel_stride) {
+    Vec logs = Vec{};
+    for (int l = 0; l < count; l++) logs[l] = from[(row + l) * row_stride + c * channel_stride];
+    return logs;
+}
+
 void write_sums(const Vec *total, double *sums) {
     for (int k = 0; k < SUMS; k++) sums[k] = sum(total[k]);
 }
@@ -172,4 +179,40 @@ API void open_water_backward(int64_t begin, int64_t end, int64_t width, int64_t 
             }
         }
     write_sums(total, sums);
+}
+
+// shown (N, 3): display values (N, 3) of rows [begin, end) with their light times e^log_factor, whose strides may be 0.
+API void relit_forward(int64_t begin, int64_t end, int64_t row_stride, int64_t channel_stride, const float *display,
+                       const float *log_factor, float *shown) {
+    for (int64_t i = begin; i < end; i += VW) {
+        int count = (int)smaller<int64_t>(VW, end - i);
+        Vec color[3], slope;
+        load_rows(display + 3 * i, count, color);
+        for (int c = 0; c < 3; c++) {
+            Vec logs = log_factors(log_factor, i, c, count, row_stride, channel_stride);
+            color[c] = to_display(to_light(color[c], slope) * exponential(logs), slope);
+        }
+        store_rows(color, count, shown + 3 * i);
+    }
+}
+
+// Gradients by display and by log_factor, each (N, 3).
+API void relit_backward(int64_t begin, int64_t end, int64_t row_stride, int64_t channel_stride, const float *display,
+                        const float *log_factor, const float *by_shown, float *by_display, float *by_log_factor) {
+    for (int64_t i = begin; i < end; i += VW) {
+        int count = (int)smaller<int64_t>(VW, end - i);
+        Vec color[3], by_color[3], by_log[3];
+        load_rows(display + 3 * i, count, color);
+        load_rows(by_shown + 3 * i, count, by_color);
+        for (int c = 0; c < 3; c++) {
+            Vec factor = exponential(log_factors(log_factor, i, c, count, row_stride, channel_stride));
+            Vec light_slope, display_slope, light = to_light(color[c], light_slope) * factor;
+            to_display(light, display_slope);
+            Vec by_light = by_color[c] * display_slope;
+            by_color[c] = by_light * factor * light_slope;
+            by_log[c] = by_light * light;
+        }
+        store_rows(by_color, count, by_display + 3 * i);
+        store_rows(by_log, count, by_log_factor + 3 * i);
+    }
 }

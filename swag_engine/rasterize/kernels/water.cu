@@ -149,3 +149,27 @@ open_water_backward(Index pixels, Index width, Index degree, Index linear, const
     }
     block_sums(given, sums);
 }
+
+// shown (N, 3): display values (N, 3) with their light times e^log_factor, whose strides may be 0. One thread per number.
+KERNEL(4)
+relit_forward(Index n, Index row_stride, Index channel_stride, const float *display, const float *log_factor,
+              float *shown) {
+    Index i = thread_index();
+    if (i >= 3 * n) return;
+    float slope, factor = expf(log_factor[i / 3 * row_stride + i % 3 * channel_stride]);
+    shown[i] = to_display(to_light(display[i], slope) * factor, slope);
+}
+
+// Gradients by display and by log_factor, each (N, 3).
+KERNEL(4)
+relit_backward(Index n, Index row_stride, Index channel_stride, const float *display, const float *log_factor,
+               const float *by_shown, float *by_display, float *by_log_factor) {
+    Index i = thread_index();
+    if (i >= 3 * n) return;
+    float light_slope, display_slope, factor = expf(log_factor[i / 3 * row_stride + i % 3 * channel_stride]);
+    float light = to_light(display[i], light_slope) * factor;
+    to_display(light, display_slope);
+    float by_light = by_shown[i] * display_slope;
+    by_display[i] = by_light * factor * light_slope;
+    by_log_factor[i] = by_light * light;
+}
