@@ -475,6 +475,14 @@ COMMANDS = (
 )  # fmt: skip
 
 
+def refused(sentence: str, arguments: list[str]) -> int:
+    """Say why a command was not carried out, as `arguments` ask for it, and return the exit code."""
+    if "--json" in arguments:
+        print(to_json({"error": sentence}))
+    print(sentence, file=sys.stderr)
+    return 2
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code."""
     wait_politely()
@@ -490,10 +498,13 @@ def main(arguments: list[str] | None = None) -> int:
             return command.run(options)
         return parse().run()
     except InputError as error:
-        if "--json" in arguments:
-            print(to_json({"error": str(error)}))
-        print(error, file=sys.stderr)
-        return 2
+        return refused(str(error), arguments)
+    except (MemoryError, RuntimeError) as error:
+        from .training.memory import TOO_LITTLE, is_shortage
+
+        if not is_shortage(error):
+            raise
+        return refused(TOO_LITTLE, arguments)
     except ModuleNotFoundError as error:
         if not error.name or error.name.partition(".")[0] == __package__.partition(".")[0]:
             raise

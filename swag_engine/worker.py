@@ -99,8 +99,13 @@ class Worker:
             except InputError as error:
                 self.send({"event": "error", "kind": "input", "message": str(error)})
             except Exception as error:
-                traceback.print_exc(file=sys.stderr)
-                self.send({"event": "error", "kind": "bug", "message": f"{type(error).__name__}: {error}"})
+                from .training.memory import TOO_LITTLE, is_shortage
+
+                if is_shortage(error):
+                    self.send({"event": "error", "kind": "input", "message": TOO_LITTLE})
+                else:
+                    traceback.print_exc(file=sys.stderr)
+                    self.send({"event": "error", "kind": "bug", "message": f"{type(error).__name__}: {error}"})
             self.stop.clear()
             self.going.set()
 

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,6 @@ from ..gaussians.grow import Growth, GrowthStatistics, McmcGrowth, random_of
 from ..gaussians.init import gaussians_from_points
 from ..gaussians.reallocate import reallocate, scores, visibility
 from ..rasterize.backends import device_for
-from ..rasterize.projection import TooManyPairs
 from ..rasterize.render import Picture, render
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images
@@ -37,7 +37,7 @@ from .clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, Point, is_flat, next_m
 from .config import LearningRates, Schedule, TrainSettings
 from .effects_of_run import EffectsOfRun
 from .guard import Guard, finite_part
-from .memory import Relief, fewer, fit_memory, free_memory, is_shortage
+from .memory import TOO_LITTLE, Relief, fewer, fit_memory, free_memory, within_memory
 from .optimizer import Optimizer
 from .planning import plan_of_run
 from .prepare import find_depth, find_frames, median_range
@@ -47,6 +47,7 @@ from .targets import Target
 from .trials import trials_due, try_effects
 
 Event = dict[str, Any]
+CPU = torch.device("cpu")
 GEOMETRY = ("means", "quats", "log_scales", "features")
 """What stage two freezes."""
 
@@ -102,7 +103,9 @@ def trainer_of(
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
     try:
-        trainer = Trainer(scene, run, settings, on_event, weights_dir, budget, resume)
+        trainer = within_memory(lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume))
+        if not trainer:
+            raise InputError(TOO_LITTLE)
         trainer.notes += filter(None, [note])
     except InputError:
         if not resume:
@@ -186,19 +189,14 @@ class Trainer(EffectsOfRun):
 
     def step(self) -> float:
         """One iteration; returns its loss. One that memory does not reach for is given up, and the run cut down."""
-        try:
-            return self.iterate()
-        except (MemoryError, RuntimeError, TooManyPairs) as error:
-            if not is_shortage(error):
-                raise
+        if (loss := within_memory(self.iterate)) is not None:
+            return loss
         self.optimizer.restart(self.guard.good)
         self.optimizer.replace(*fewer(self.cloud))
         self.guard.keep(self.optimizer)
         self.relief.relieve(len(self.cloud))
         self.levels = {}
         self.statistics = GrowthStatistics.zeros(len(self.cloud), self.device)
-        if self.device.type == "cuda":
-            torch.cuda.empty_cache()
         return float("nan")
 
     def iterate(self) -> float:
@@ -399,7 +397,6 @@ class Trainer(EffectsOfRun):
                 self.save()
                 saved = time.monotonic()
         self.guard.settle(self.optimizer)
-        self.notes += filter(None, [self.guard.note(self.iteration), self.relief.note])
         self.save()
         return self.finish(loss, interrupted)
 
@@ -444,8 +441,16 @@ class Trainer(EffectsOfRun):
         }
 
     def scored(self, images: Sequence[TrainingImage]) -> list[ViewScore]:
-        """Scores of photographs in what the run has learned so far."""
-        return score_views(self.cloud, images, self.settings.sh_degree, self.settings.backend, self.simulated)
+        """Scores of photographs in what the run has learned so far: on the CPU where the card has too little memory,
+        and no numbers where memory does not reach there either."""
+        degree, backend = self.settings.sh_degree, self.settings.backend
+        found = within_memory(lambda: score_views(self.cloud, images, degree, backend, self.simulated))
+        if found is None:
+            cloud, simulated = self.cloud.to(CPU), deepcopy(self.simulated).to(CPU)
+            found = within_memory(lambda: score_views(cloud, images, degree, "auto", simulated))
+        self.relief.unscored |= found is None
+        nothing = float("nan")
+        return found or [ViewScore(image.camera.name, nothing, nothing, nothing, 0) for image in images]
 
     def validate(self, loss: float) -> None:
         """Score the validation views and log it. Test views are never looked at here."""
@@ -480,6 +485,7 @@ class Trainer(EffectsOfRun):
             write_glb(self.run.glb, splats, self.scene.up)
         scores = self.scored(self.test)
         test_psnr, test_ssim = mean_score(scores)
+        self.notes += filter(None, [self.guard.note(self.iteration), self.relief.note])
         metrics: Event = {
             "test_psnr": test_psnr,
             "test_ssim": test_ssim,
@@ -531,7 +537,7 @@ class Trainer(EffectsOfRun):
         self.on_event({"event": "checkpoint", "path": str(path)})
 
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """All that `load` needs to go on from here, not shared with what goes on."""
+        """All that `load` needs to go on from here, in the CPU's memory, not shared with what goes on."""
         tensors = {f"cloud.{name}": tensor for name, tensor in self.cloud.parameters().items()}
         tensors |= self.effect_tensors() | self.optimizer.state_tensors() | self.guard.tensors()
         tensors |= {"growth.gradient": self.statistics.gradient, "growth.views": self.statistics.views}
@@ -547,7 +553,7 @@ class Trainer(EffectsOfRun):
             "guard": self.guard.state(),
             "relief": asdict(self.relief),
         }
-        return {name: tensor.detach().clone() for name, tensor in tensors.items()}, state
+        return {name: tensor.detach().to(CPU, copy=True) for name, tensor in tensors.items()}, state
 
     def load(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
         """Go on from what `state` gave."""

@@ -2,8 +2,10 @@
 
 import ctypes
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -24,6 +26,9 @@ KEPT = 0.7
 """Share of the Gaussians that are kept each time a run meets the end of memory."""
 SMALLEST = 8
 """Part of their size that photographs are shrunk to, at most, when a run has met the end of memory."""
+TOO_LITTLE = "This needs more memory than there is: close other programs, use fewer Gaussians or a smaller width."
+
+T = TypeVar("T")
 
 
 def needed(extent: Extent, width: int, gaussians: int) -> int:
@@ -86,32 +91,52 @@ def fewer(cloud: GaussianCloud) -> tuple[GaussianCloud, Tensor]:
 @dataclass
 class Relief:
     """How a run was cut down after it met the end of memory. shrink: factor that photographs are smaller by, at
-    least; most: limit of the Gaussians, None for the settings'; times: how often."""
+    least; most: limit of the Gaussians, None for the settings'; times: how often; unscored: whether memory did not
+    reach for held-out photographs."""
 
     shrink: int = 1
     most: int | None = None
     times: int = 0
+    unscored: bool = False
 
     def relieve(self, gaussians: int) -> None:
         """Cut down again: no more than so many Gaussians, then smaller photographs. Raises InputError at the end."""
         if self.times:
             self.shrink *= 2
         if self.shrink > SMALLEST:
-            raise InputError("Training needs more memory than there is: use fewer Gaussians or a smaller width.")
+            raise InputError(TOO_LITTLE)
         self.most, self.times = gaussians, self.times + 1
 
     @property
     def note(self) -> str:
         """A sentence for the user, empty where nothing happened."""
-        if not self.times:
-            return ""
-        pictures = f" and photographs at 1/{self.shrink} of their size" if self.shrink > 1 else ""
-        return f"Memory ran out {self.times} times: the run went on with at most {self.most} Gaussians{pictures}."
+        sentences = []
+        if self.times:
+            pictures = f" and photographs down to 1/{self.shrink} of their size" if self.shrink > 1 else ""
+            sentences.append(
+                f"Memory ran out {self.times} times: the run went on with at most {self.most} Gaussians{pictures}."
+            )
+        if self.unscored:
+            sentences.append("Memory did not reach to score all held-out photographs.")
+        return " ".join(sentences)
 
 
 def is_shortage(error: Exception) -> bool:
-    """Whether an iteration failed for want of memory, on any device."""
+    """Whether something failed for want of memory, on any device."""
     words = str(error).lower()
     return isinstance(error, MemoryError | torch.OutOfMemoryError | TooManyPairs) or (
         isinstance(error, RuntimeError) and ("out of memory" in words or "can't allocate memory" in words)
     )
+
+
+def within_memory(compute: Callable[[], T]) -> T | None:
+    """What `compute` returns, None where memory does not reach for it."""
+    try:
+        return compute()
+    except (MemoryError, RuntimeError, TooManyPairs) as error:
+        if not is_shortage(error):
+            raise
+    # Not before the error is gone are the tensors that its frames held.
+    if torch.cuda.is_initialized():
+        torch.cuda.empty_cache()
+    return None

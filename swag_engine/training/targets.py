@@ -41,9 +41,12 @@ class Target:
         inverse_range: np.ndarray | None = None,
         weight: float = 1.0,
     ) -> "Target":
-        """The photograph at 1/factor of its size; a pixel is valid where all that it averages is."""
+        """The photograph at 1/factor of its size, or as small as leaves it 32 pixels (factor a power of two); a pixel
+        is valid where all that it averages is."""
         camera, pixels, valid = image.camera, image.pixels, image.valid
-        if factor > 1 and min(valid.shape) >= 32 * factor:
+        while factor > 1 and min(valid.shape) < 32 * factor:
+            factor //= 2
+        if factor > 1:
             camera = camera.resized(camera.width // factor)
             size = (camera.width, camera.height)
             pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)

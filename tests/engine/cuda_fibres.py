@@ -5,11 +5,15 @@ import hashlib
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import pytest
 import torch
 
+from swag_engine.rasterize import cuda_driver
 from swag_engine.rasterize.cuda_driver import Argument, converted
 from swag_engine.rasterize.kernels import build
 
@@ -19,6 +23,7 @@ FLAGS = (
     *("-std=c++17", "-O2", "-ffp-contract=fast", "-nostdlib++", "-fno-exceptions", "-fno-rtti", "-Wall"),
     *(f"-I{HEADER.parent}", f"-I{build.FOLDER}"),
 )
+CUDA_ERROR_OUT_OF_MEMORY = 2
 LETTERS = {
     torch.float64: "D",
     torch.float32: "F",
@@ -46,10 +51,62 @@ class Fibres:
         if takes != given:
             raise TypeError(f"{kernel} takes {takes}, not {given}")
         values = [converted(argument, "cpu") for argument in arguments]
-        pointers = (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values))
+        self.run(kernel, grid, block, (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values)))
+
+    def run(self, kernel: str, grid: int, block: int, pointers: ctypes.Array) -> None:
         error = self._library.fibres_launch(kernel.encode(), grid, block, pointers, self.order)
         if error:
             raise RuntimeError(error.decode())
+
+
+class Libcuda:
+    """What cuda_driver.Driver calls of the driver's library, with fibres for a card.
+
+    too_large: of a kernel's name and number of blocks, whether the launch is refused for want of memory.
+    """
+
+    def __init__(self, fibres: Fibres, too_large: Callable[[str, int], bool]) -> None:
+        self._fibres, self._too_large, self._names = fibres, too_large, [""]
+
+    def __getattr__(self, name: str) -> Callable[..., int]:
+        return lambda *_: 0
+
+    def cuDriverGetVersion(self, version: Any) -> int:
+        version._obj.value = cuda_driver.OLDEST_DRIVER
+        return 0
+
+    def cuModuleGetFunction(self, function: Any, module: Any, name: bytes) -> int:
+        function._obj.value = len(self._names)
+        self._names.append(name.decode())
+        return 0
+
+    def cuLaunchKernel(self, function: Any, grid: int, _y: int, _z: int, block: int, *rest: Any) -> int:
+        kernel = self._names[function.value]
+        if self._too_large(kernel, grid):
+            return CUDA_ERROR_OUT_OF_MEMORY
+        self._fibres.run(kernel, grid, block, rest[-2])
+        return 0
+
+    def cuGetErrorString(self, error: int, text: Any) -> int:
+        text._obj.value = b"out of memory"
+        return 0
+
+
+def pretend_card(monkeypatch: pytest.MonkeyPatch, library: Any) -> None:
+    """A machine with a card, as far as Driver can see; its tensors are the CPU's. library: its libcuda."""
+    monkeypatch.setattr(cuda_driver, "_load_library", lambda: library)
+    monkeypatch.setattr(cuda_driver.Driver, "device_type", "cpu")
+    monkeypatch.setattr(torch.version, "cuda", "12.8")
+    answers = {
+        "is_available": True,
+        "get_device_capability": (8, 6),
+        "get_device_name": "Fake 1",
+        "current_device": 0,
+        "synchronize": None,
+        "current_stream": SimpleNamespace(cuda_stream=2**40 + 7),
+    }
+    for name, answer in answers.items():
+        monkeypatch.setattr(torch.cuda, name, lambda *_, answer=answer: answer)
 
 
 def _letter(argument: Argument) -> str:

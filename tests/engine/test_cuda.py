@@ -5,7 +5,6 @@ import math
 import os
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import pytest
 import torch
@@ -20,7 +19,7 @@ from swag_engine.rasterize.projection import project
 from swag_engine.training.losses import photometric, ssim
 from swag_engine.training.optimizer import adam_step
 from swag_engine.water.medium import Medium, open_water, through_water
-from tests.engine.cuda_fibres import Fibres
+from tests.engine.cuda_fibres import Fibres, pretend_card
 from tests.engine.test_rasterize import GRADIENTS, HARD, changed, clear_scenes, make_scene, relative_error
 from tests.engine.test_rasterize import run as run_truth
 from tests.engine.test_water import CAMERA as WATER_CAMERA
@@ -488,20 +487,7 @@ def fake_library(tmp_path_factory):
 
 @pytest.fixture
 def fake(fake_library, ptx, monkeypatch):
-    """A machine with a card, as far as Driver can see; its tensors are the CPU's."""
-    monkeypatch.setattr(cuda_driver, "_load_library", lambda: fake_library)
-    monkeypatch.setattr(cuda_driver.Driver, "device_type", "cpu")
-    monkeypatch.setattr(torch.version, "cuda", "12.8")
-    answers = {
-        "is_available": True,
-        "get_device_capability": (8, 6),
-        "get_device_name": "Fake 1",
-        "current_device": 0,
-        "synchronize": None,
-        "current_stream": SimpleNamespace(cuda_stream=2**40 + 7),
-    }
-    for name, answer in answers.items():
-        monkeypatch.setattr(torch.cuda, name, lambda *_, answer=answer: answer)
+    pretend_card(monkeypatch, fake_library)
     yield fake_library
     assert ctypes.c_int.in_dll(fake_library, "contexts").value == 0
     ctypes.c_int.in_dll(fake_library, "version").value = 12080

@@ -1,17 +1,27 @@
 """Too little memory: fewer Gaussians, smaller pictures, and a sentence about it; never a crash."""
 
+import json
+import sys
 from dataclasses import replace
+from functools import cache
 
+import numpy as np
 import pytest
 import torch
 from tiny import make_tiny_scene
+from torch.overrides import TorchFunctionMode
 
+from swag_engine.__main__ import main
 from swag_engine.errors import InputError
-from swag_engine.rasterize import cuda_driver, projection
+from swag_engine.formats.ply import read_ply
+from swag_engine.rasterize import cuda, cuda_driver, projection
+from swag_engine.scene.cameras import Camera
+from swag_engine.scene.images import TrainingImage
 from swag_engine.training import loop
 from swag_engine.training.config import TrainSettings
 from swag_engine.training.memory import FEWEST, NARROWEST, SHARE, fit_memory, free_memory, is_shortage, needed
 from swag_engine.training.speed import Extent
+from swag_engine.training.targets import Target
 
 SETTINGS = TrainSettings(iterations=60, width=64, max_gaussians=500, sh_degree=1)
 EXTENT = Extent(training=90, held_out=10, points=9000, width=1000, height=800)
@@ -69,7 +79,89 @@ def test_a_run_that_meets_the_end_of_memory_goes_on_smaller(tmp_path, monkeypatc
     (note,) = [note for note in metrics["notes"] if note.startswith("Memory ran out")]
     assert metrics["iteration"] == 120 and metrics["test_psnr"] > metrics["control_psnr"] + 1
     assert metrics["gaussians"] <= 400 or kind == "tiles"
-    assert ("photographs at 1/2 of their size" in note) == (kind == "tiles")
+    assert ("photographs down to 1/2 of their size" in note) == (kind == "tiles")
+
+
+@pytest.fixture
+def card(request, monkeypatch, tmp_path):
+    """A run's way to a card, down to the driver's library; fibres run what that launches. Torch's tensors stay here."""
+    if sys.platform != "linux":
+        pytest.skip("the fibres are for Linux")
+    from tests.engine.cuda_fibres import Fibres, Libcuda, pretend_card
+
+    monkeypatch.setattr(cuda_driver, "ptx_path", lambda: tmp_path / "kernels.ptx")
+    (tmp_path / "kernels.ptx").write_text("")
+    monkeypatch.setattr(cuda, "driver", cache(cuda.driver.__wrapped__))
+    monkeypatch.setattr(loop, "device_for", lambda backend: torch.device("cpu"))
+    fibres = Fibres(request.config.cache.mkdir("cuda_fibres"))
+    return lambda too_large: pretend_card(monkeypatch, Libcuda(fibres, too_large))
+
+
+ON_CARD = replace(SETTINGS, recipe="3dgs", backend="cuda", width=48, iterations=20)
+CARDS = {
+    "for 256 Gaussians": (lambda kernel, blocks: kernel == "project_forward" and blocks > 1, "at most 210 Gaussians."),
+    "for 15 tiles": (lambda kernel, blocks: kernel == "blend_forward_3" and blocks > 15, "photographs down to 1/2 of"),
+}
+
+
+@pytest.mark.parametrize("kind", CARDS)
+def test_a_run_on_a_card_that_is_too_small_goes_on_smaller(tmp_path, card, kind):
+    """The driver refuses launches; held-out photographs of full size are scored on the CPU where it has to be."""
+    too_large, says = CARDS[kind]
+    card(too_large)
+    scene = make_tiny_scene(tmp_path / "scene", width=96, height=80)
+    metrics = loop.train(scene, tmp_path / "run", replace(ON_CARD, width=96))["metrics"]
+    assert metrics["iteration"] == ON_CARD.iterations and np.isfinite(metrics["test_psnr"])
+    (note,) = [note for note in metrics["notes"] if note.startswith("Memory ran out")]
+    assert says in note and "held-out" not in note
+
+
+@pytest.mark.parametrize("launch", [0, 1, 5, 60, 200])
+def test_a_launch_that_finds_no_memory_once_is_no_end(tiny_scene, tmp_path, card, launch):
+    launches = iter(range(10**9))
+    card(lambda kernel, blocks: next(launches) == launch)
+    metrics = loop.train(tiny_scene, tmp_path / "run", ON_CARD)["metrics"]
+    assert next(launches) > 200 and metrics["iteration"] == ON_CARD.iterations
+    assert [note for note in metrics["notes"] if note.startswith("Memory ran out 1 times")]
+    assert np.isfinite(read_ply(tmp_path / "run" / "result.ply").positions).all()
+
+
+class Shortage(TorchFunctionMode):
+    """The n-th call of torch finds no memory on the card."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number, self.calls = number, 0
+
+    def __torch_function__(self, function, types, arguments=(), named=None):
+        self.calls += 1
+        if self.calls == self.number:
+            raise SHORTAGES["torch, CUDA"]
+        return function(*arguments, **(named or {}))
+
+
+@pytest.mark.filterwarnings("ignore:TypedStorage")  # asked by torch of itself
+def test_memory_that_ends_anywhere_in_a_command_ends_it_well(tiny_scene, tmp_path, capsys):
+    """A result, or one sentence and a run that can be continued."""
+
+    def run(name, number, *more):
+        words = ["train", str(tiny_scene), "--out", str(tmp_path / name), "--iterations", "20", "--width", "48"]
+        with Shortage(number) as shortage:
+            code = main([*words, "--backend", "cpu", "--json", *more])
+        printed = json.loads(capsys.readouterr().out)
+        return code, printed, shortage.calls
+
+    code, _, calls = run("whole", 0)
+    assert code == 0
+    codes = []
+    for number in map(int, np.linspace(1, calls - 1, 12)):
+        code, printed, _ = run(f"run {number}", number)
+        codes.append(code)
+        if code:
+            assert code == 2 and "more memory than there is" in printed["error"]
+            code, _, _ = run(f"run {number}", 0, *["--resume"] * (tmp_path / f"run {number}" / "config.json").exists())
+        assert code == 0 and np.isfinite(read_ply(tmp_path / f"run {number}" / "result.ply").positions).all()
+    assert 4 < codes.count(0) < 12
 
 
 def test_a_run_that_never_fits_ends_with_a_sentence(tiny_scene, tmp_path, monkeypatch):
@@ -79,6 +171,22 @@ def test_a_run_that_never_fits_ends_with_a_sentence(tiny_scene, tmp_path, monkey
     monkeypatch.setattr(loop, "render", never)
     with pytest.raises(InputError, match="needs more memory than there is"):
         loop.train(tiny_scene, tmp_path / "run", SETTINGS)
+
+
+def test_held_out_photographs_that_never_fit_are_left_unscored(tiny_scene, tmp_path, monkeypatch):
+    def never(*arguments):
+        raise MemoryError
+
+    monkeypatch.setattr(loop, "score_views", never)
+    metrics = loop.train(tiny_scene, tmp_path / "run", SETTINGS)["metrics"]
+    assert np.isnan(metrics["test_psnr"]) and "Memory did not reach to score all" in metrics["notes"][-1]
+
+
+@pytest.mark.parametrize("factor, width", [(2, 160), (4, 80), (8, 80)])
+def test_photographs_are_never_larger_for_being_shrunk_more(factor, width):
+    image = TrainingImage(Camera("a", 320, 180, 200, 200, 160, 90, np.eye(4)), np.zeros((180, 320, 3), np.uint8),
+                          np.ones((180, 320), bool))  # fmt: skip
+    assert Target.shrunk(image, factor, torch.device("cpu")).camera.width == width
 
 
 def test_other_errors_are_no_shortage(tiny_scene, tmp_path, monkeypatch):
