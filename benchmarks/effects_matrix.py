@@ -132,16 +132,14 @@ def made(case: Case, clean: Path):
     return settings, passes, truth
 
 
-def run_case(case: Case, clean: Path) -> dict:
-    """Make the scene, look at it as a plan does, and put truth and findings side by side."""
+def looked_at(folder: Path) -> tuple:
+    """What a plan finds in the scene in this folder: the effects by name, the fit, seconds, number of sightings."""
     from swag_engine.effects import evidence
     from swag_engine.scene.colmap import load_scene
     from swag_engine.scene.images import load_images
     from swag_engine.water.identify import FIT_WIDTH, observe
 
-    settings, passes, truth = made(case, clean)
-    os.environ["SWAG_CACHE_DIR"] = str(clean / "cache")
-    scene = load_scene(settings.out)
+    scene = load_scene(folder)
     images = load_images(scene, scene.views, FIT_WIDTH)
     started = time.perf_counter()
     observations = observe(images, [view.point_indices for view in scene.views], scene.points)
@@ -149,26 +147,32 @@ def run_case(case: Case, clean: Path) -> dict:
     caustics = evidence.caustics_finding(observations, centres, scene.points.positions)
     flicker = caustics.evidence["flicker"] if caustics.state == "on" else 0.0
     found = evidence.water_findings(observations, evidence.open_water_light(images, scene), flicker)
-    effects = found.effects | {"caustics": caustics}
-    seconds = time.perf_counter() - started
+    return found.effects | {"caustics": caustics}, found.fit, time.perf_counter() - started, len(observations)
+
+
+def run_case(case: Case, clean: Path) -> dict:
+    """Make the scene, look at it as a plan does, and put truth and findings side by side."""
+    settings, passes, truth = made(case, clean)
+    os.environ["SWAG_CACHE_DIR"] = str(clean / "cache")
+    effects, fit, seconds, sightings = looked_at(settings.out)
     sizes = effect_sizes(passes, settings, truth)
     row: dict = {
         "scene": case.name,
         "pattern": case.pattern,
         "seed": case.seed,
         "seconds": round(seconds, 2),
-        "sightings": len(observations),
+        "sightings": sightings,
         "truth": case.effects(),
         "sizes": {name: round(size, 2) for name, size in sizes.items()},
         "states": {name: effects[name].state for name in EFFECTS},
         "evidence": {name: effects[name].evidence for name in (*EFFECTS, "separate_backscatter")},
     }
     row["reasons"] = {name: effects[name].reason for name in EFFECTS}
-    if found.fit is not None:
-        row["fit"] = {name: getattr(found.fit, name).tolist() for name in ("beta_D", "beta_B", "B")}
-        row["fit"]["tau"], row["fit"]["lens"] = found.fit.tau, found.fit.lens.tolist()
-    if found.fit is not None and effects["attenuation"].state == "on":
-        row["delta_e"] = color_errors(passes, settings, found.fit)
+    if fit is not None:
+        row["fit"] = {name: getattr(fit, name).tolist() for name in ("beta_D", "beta_B", "B")}
+        row["fit"]["tau"], row["fit"]["lens"] = fit.tau, fit.lens.tolist()
+    if fit is not None and effects["attenuation"].state == "on":
+        row["delta_e"] = color_errors(passes, settings, fit)
     return row
 
 

@@ -27,6 +27,8 @@ EASING, LEAST_EASE = 0.25, 1e-4
 """Factor on the learning rates each time the state is put back; at less than LEAST_EASE nothing is learned: stop."""
 RISE, SLACK = 1.5, 0.03
 """A loss over RISE times the best so far, plus SLACK, has run away."""
+MIDDLING = 0.15
+"""A first loss below this was an easy photograph's, or one that was known already: others may well cost this much."""
 NAMED = 5
 """Gaussians that a finding names."""
 
@@ -34,7 +36,7 @@ NAMED = 5
 @dataclass
 class Watch:
     """What a guard has seen. ease: factor on the learning rates. finding: what was wrong last, without a full stop.
-    first: the run's first loss; best: mean loss of the best window of this phase; losses, count: of this window."""
+    first: the run's first loss that is compared; best: mean loss of the best window of this phase; losses, count: of this window."""
 
     skipped: int = 0
     in_a_row: int = 0
@@ -83,9 +85,9 @@ class Guard:
             watch.skipped += 1
             watch.in_a_row += 1
             return False
-        if watch.first is None:
-            watch.first = value
         watch.in_a_row = 0
+        if phase and watch.first is None:
+            watch.first = max(value, MIDDLING)
         if phase and phase != watch.phase:
             watch.phase, watch.best, watch.losses, watch.count = phase, watch.first, 0.0, 0
         if phase:

@@ -177,6 +177,16 @@ def test_a_loss_that_another_phase_makes_larger_is_no_failure(optimizer):
     assert "the loss rose from 0.2 to 0.9" in guard.watch.finding
 
 
+@pytest.mark.parametrize("weak_phase", ["", "first"])
+def test_a_first_photograph_that_costs_little_sets_no_mark(optimizer, weak_phase):
+    """An easy one, or an interpolated frame, which counts for a tenth and is not compared."""
+    guard = Guard(optimizer, 250)
+    for iteration in range(1, 11):
+        weak = iteration % 5 == 1
+        assert guard.admits(torch.tensor(0.01 if weak else 0.2), optimizer, "a", weak_phase if weak else "first")
+        assert not guard.puts_back(optimizer, iteration), guard.watch.finding
+
+
 def test_a_state_from_before_an_effect_was_dropped_can_be_put_back(optimizer):
     optimizer.restart(Guard(optimizer, 100).good | {"lamp.fall_off": torch.zeros(3)})
     assert optimizer.moments.keys() == optimizer.parameters().keys()
