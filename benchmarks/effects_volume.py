@@ -33,7 +33,14 @@ WATERS: dict[str, dict] = {
     "murky": {"absorption": (0.2, 0.06, 0.05), "scattering": (0.15,) * 3, "anisotropy": 0.7},
 }
 """Coefficients per metre; the phase function is Henyey-Greenstein's."""
-PATTERNS = ("orbit", "oblique", "nadir")
+CASES = (
+    ("clear", "oblique"),
+    ("blue", "orbit"),
+    ("blue", "nadir"),
+    ("green", "orbit"),
+    ("green", "oblique"),
+    ("murky", "orbit"),
+)
 THERE = {"attenuation": True, "backscatter": True, "lamp": False, "exposure": False, "caustics": False}
 
 
@@ -112,11 +119,10 @@ def main() -> None:
     parser.add_argument("--clean", type=Path, default=Path(tempfile.gettempdir()) / "swag_effects_clean")
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
-    work = [(name, pattern) for name in WATERS for pattern in PATTERNS]
     # A process for each: rendering a volume changes the lights and the film of its Blender.
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(asked.workers, mp_context=fresh, max_tasks_per_child=1) as pool:
-        rows = list(pool.map(run_case, *zip(*work, strict=True), [asked.clean] * len(work)))
+        rows = list(pool.map(run_case, *zip(*CASES, strict=True), [asked.clean] * len(CASES)))
     decisions = [right(row, effect) for row in rows for effect in EFFECTS]
     print(f"{len(rows)} scenes, {np.mean(decisions):.1%} of {len(decisions)} decisions right")
     columns = ("water", "cameras", *EFFECTS, "beta_D", "absorption", "beam", "delta E")

@@ -10,6 +10,7 @@ import math
 import os
 import platform
 import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -60,16 +61,20 @@ def forecast_scene(
     settings = settings or TrainSettings()
     scene = load_scene(scene_folder)
     progress("Speed", 0.0)
-    speed = measure_speed(scene, settings)
-    looks = []
+    speed, extent = measure_speed(scene, settings), Extent.of(scene)
+    looks, beside = [], 0.0
     for number, size in enumerate((FIRST_LOOK, SECOND_LOOK)):
         progress("First looks", number / 2)
-        looks.append(_look(scene_folder, replace(settings, preset="draft", time_budget="", **asdict(size))))
+        sized = replace(settings, preset="draft", time_budget="", **asdict(size))
+        psnr, seconds = _look(scene_folder, sized)
+        looks.append(psnr)
+        beside = max(0.0, seconds - _predicted(speed, extent, sized))
     document: dict[str, Any] = {
         "machine": machine(settings),
         "recipe": settings.recipe,
         "effects": settings.effects,
         "speed": asdict(speed),
+        "seconds_beside": beside,  # what each run takes whatever its size: planning, above all
         "looks": looks if None not in looks else None,
     }
     with atomic_path(_remembered(scene)) as temporary:
@@ -78,7 +83,7 @@ def forecast_scene(
     presets = {}
     for name in PRESETS:
         sized = replace(settings, preset=name, time_budget="").sized()
-        presets[name] = _expected(document, Extent.of(scene), sized, past, scene_folder)
+        presets[name] = _expected(document, extent, sized, past, scene_folder)
     progress("First looks", 1.0)
     return document | {"presets": presets}
 
@@ -89,13 +94,13 @@ def expectation(scene_folder: Path, settings: TrainSettings) -> dict[str, Any] |
     try:
         scene = load_scene(scene_folder)
         document = json.loads(_remembered(scene).read_text())
-    except (OSError, ValueError, InputError):
+        same = all(document[name] == getattr(settings, name) for name in ("recipe", "effects"))
+        if settings.budget or not same or document["machine"] != machine(settings):
+            return None
+        past = [entry for entry in history() if entry["machine"] == document["machine"]]
+        return _expected(document, Extent.of(scene), settings.sized(), past, scene_folder)
+    except (OSError, ValueError, LookupError, TypeError, InputError):  # none was made, or one that cannot be read
         return None
-    same = all(document.get(name) == getattr(settings, name) for name in ("recipe", "effects"))
-    if settings.budget or not same or document.get("machine") != machine(settings):
-        return None
-    past = [entry for entry in history() if entry["machine"] == document["machine"]]
-    return _expected(document, Extent.of(scene), settings.sized(), past, scene_folder)
 
 
 def record(run_folder: Path, expected: dict[str, Any] | None, seconds: float) -> None:
@@ -160,17 +165,24 @@ def time_text(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def _look(scene_folder: Path, settings: TrainSettings) -> float | None:
+def _look(scene_folder: Path, settings: TrainSettings) -> tuple[float | None, float]:
+    """PSNR on validation views, and seconds."""
+    started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        return train(scene_folder, Path(folder) / "run", settings)["metrics"]["psnr"]
+        psnr = train(scene_folder, Path(folder) / "run", settings)["metrics"]["psnr"]
+    return psnr, time.monotonic() - started
+
+
+def _predicted(speed: Speed, extent: Extent, settings: TrainSettings) -> float:
+    size = Size(settings.iterations, settings.width, settings.max_gaussians)
+    return predicted_seconds(speed, extent, size, recipe_of(settings.recipe, settings.effects).grow_until)
 
 
 def _expected(
     document: dict[str, Any], extent: Extent, settings: TrainSettings, past: list[dict[str, Any]], scene: Path
 ) -> dict[str, Any]:
     size = Size(settings.iterations, settings.width, settings.max_gaussians)
-    grow_until = recipe_of(settings.recipe, settings.effects).grow_until
-    guess = predicted_seconds(Speed(**document["speed"]), extent, size, grow_until)
+    guess = _predicted(Speed(**document["speed"]), extent, settings) + document["seconds_beside"]
     ratios = [entry["outcome"]["seconds"] / entry["expected"]["first_guess"] for entry in past]
     likely = float(np.median(ratios)) if ratios else 1.0
     least, most = LEAST * likely, MOST * likely

@@ -36,7 +36,8 @@ NAMED = 5
 @dataclass
 class Watch:
     """What a guard has seen. ease: factor on the learning rates. finding: what was wrong last, without a full stop.
-    first: the run's first loss that is compared; best: mean loss of the best window of this phase; losses, count: of this window."""
+    first: the run's first loss that is compared; best: mean loss of the best window of this phase; losses, count: of
+    this window."""
 
     skipped: int = 0
     in_a_row: int = 0
@@ -86,13 +87,14 @@ class Guard:
             watch.in_a_row += 1
             return False
         watch.in_a_row = 0
-        if phase and watch.first is None:
+        if not phase:
+            return True
+        if watch.first is None:
             watch.first = max(value, MIDDLING)
-        if phase and phase != watch.phase:
+        if phase != watch.phase:
             watch.phase, watch.best, watch.losses, watch.count = phase, watch.first, 0.0, 0
-        if phase:
-            watch.losses += value
-            watch.count += 1
+        watch.losses += value
+        watch.count += 1
         return True
 
     def puts_back(self, optimizer: Optimizer, iteration: int) -> bool:

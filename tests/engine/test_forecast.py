@@ -6,6 +6,7 @@ import pytest
 
 from swag_engine.evaluation import forecast as forecasts
 from swag_engine.evaluation.forecast import describe, expectation, forecast_scene, history, record, time_text
+from swag_engine.scene.images import cache_root
 from swag_engine.training.config import TrainSettings
 from swag_engine.training.loop import train
 from swag_engine.training.presets import PRESETS
@@ -58,6 +59,17 @@ def test_nothing_is_promised_that_was_not_looked_at(forecast, tiny_scene, tmp_pa
     assert expectation(tmp_path, SETTINGS) is None
     monkeypatch.setattr(forecasts.platform, "node", lambda: "another computer")
     assert expectation(tiny_scene, SETTINGS) is None
+
+
+def test_what_every_run_takes_is_counted(forecast, tiny_scene):
+    kept = next(cache_root().rglob("forecast.json"))
+    document = json.loads(kept.read_text())
+    before = expectation(tiny_scene, SETTINGS)["first_guess"]
+    kept.write_text(json.dumps(document | {"seconds_beside": document["seconds_beside"] + 5}))
+    assert expectation(tiny_scene, SETTINGS)["first_guess"] == pytest.approx(before + 5, abs=0.01)
+    for damaged in ({"recipe": "swag"}, [], document | {"speed": {}}):
+        kept.write_text(json.dumps(damaged))
+        assert expectation(tiny_scene, SETTINGS) is None
 
 
 def test_a_damaged_history_is_read_as_far_as_it_goes(forecast, tiny_scene, tmp_path):
