@@ -58,7 +58,7 @@ def run_case(name: str, pattern: str, clean: Path) -> dict:
         width, height, focal = (n * factor for n in (settings.width, settings.height, focal_length(settings)))
         renderer = Renderer(Model(settings.seed), width, height, focal, settings.samples)
         still = [renderer.still(pose) for pose in poses]
-        volume = renderer.volume(poses, factor, 16 * settings.samples, **water)
+        volume = renderer.volume(poses, factor, 5 * settings.samples, **water)
         make_scene(settings, Rendered(poses, still, still, volume))
         half = [(view.colour[::factor, ::factor], view.range[::factor, ::factor]) for view in still]
         np.savez(
