@@ -1,19 +1,27 @@
-"""Set the scene up so that a Cycles render shows the splats fully and in their own colours."""
+"""Set the scene up so that a render in Cycles or EEVEE shows the splats fully and in their own colours."""
 
 import bpy
-from bpy.props import BoolProperty
+from bpy.props import BoolProperty, EnumProperty
 
 from ..swag_blender import scene_import, splats, water
 from ..swag_blender.nodes import splat_preview
 
 
 class SWAG_OT_prepare_render(bpy.types.Operator):
-    """Set up Cycles for splats: enough transparent layers, true colours, the trained background, the picture's size"""
+    """Set up Cycles or EEVEE for splats: all transparent layers, true colours, the trained background, the picture's size"""
 
     bl_idname = "swag.prepare_render"
     bl_label = "Set Up Render"
     bl_options = {"REGISTER", "UNDO"}
 
+    engine: EnumProperty(
+        name="Engine",
+        description="What renders",
+        items=[
+            ("CYCLES", "Cycles", "Shadows, reflections and other objects are right among the splats"),
+            ("EEVEE", "EEVEE", "Much faster; each splat object is drawn as a whole before or behind another"),
+        ],
+    )
     display_values: BoolProperty(
         name="As Trained",
         description="Blend display values under the view transform Raw: the engine's own picture, for comparing with "
@@ -27,7 +35,7 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene = context.scene
-        splat_preview.prepare_cycles(scene, self.display_values)
+        splat_preview.prepare_render(scene, self.display_values, self.engine)
         water.set_world(scene, self.display_values)
         if scene.camera and scene_import.SIZE_KEY in scene.camera:
             scene_import.look_through(scene, scene.camera)

@@ -4,7 +4,8 @@ Colour is computed once per splat, as splat renderers do: 0.5 + spherical harmon
 active camera. The shape is drawn in one of three ways:
 - renders ("Face Camera"): a rectangle parallel to the image plane through each splat's centre, with the projected
   Gaussian on it (EWA splatting, Zwicker et al. 2001, as in Kerbl et al. 2023). Cycles then meets the splats in the
-  order of their depth, with the alpha that the trainer gave them: same picture as the engine's to rounding.
+  order of their depth, with the alpha that the trainer gave them, and EEVEE blends them in that order, in which they are
+  sorted: same picture as the engine's to rounding. EEVEE blends one splat object over another by their origins.
 - otherwise: a sphere turned and scaled to the three-sigma ellipsoid, right from every direction. With p the hit point
   in the sphere's own space (there 1 is three sigma) and v the unit viewing direction,
       alpha = opacity exp(-4.5 d^2),   d^2 = p.p - (p.v)^2,
@@ -114,12 +115,16 @@ def remember_training(obj: bpy.types.Object, pixel_size: float, background: Sequ
     obj[BACKGROUND_KEY] = [float(value) for value in background]
 
 
-def prepare_cycles(scene: bpy.types.Scene, display_values: bool) -> None:
-    """Settings with which Cycles draws splats fully and in their own colours, before their trained background.
+def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str = "CYCLES") -> None:
+    """Settings with which Cycles or EEVEE draws splats fully and in their own colours, before their trained background.
 
     `display_values`: see the module text; the splat objects of the scene are switched to the same way of blending.
+    `engine`: CYCLES or EEVEE.
     """
-    scene.render.engine = "CYCLES"
+    if engine == "EEVEE":
+        scene.render.engine = "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"
+    else:
+        scene.render.engine = "CYCLES"
     # A pixel sees hundreds of half-transparent splats. The minimum keeps Cycles from ending rays by chance: the alphas
     # are blended exactly, and samples are needed for the edges of pixels only.
     scene.cycles.transparent_max_bounces = scene.cycles.min_transparent_bounces = 1024

@@ -50,7 +50,7 @@ def rectangles(
     own = add(tree, "GeometryNodeObjectInfo", Object=Field(add(tree, "GeometryNodeSelfObject").outputs[0]))
     to_world = Field(own.outputs["Transform"])
     to_own = Field(add(tree, "FunctionNodeInvertMatrix", Matrix=to_world).outputs["Matrix"])
-    longest, widest = _half_axes(tree, position, camera, to_world, pixel_size)
+    longest, widest, depth = _half_axes(tree, position, camera, to_world, pixel_size)
     columns = [_direction(tree, axis * reach, to_own) for axis in (longest, widest)]
     columns.append(columns[0].vector("CROSS_PRODUCT", columns[1]).vector("NORMALIZE"))
     matrix = tree.nodes.new("FunctionNodeCombineMatrix")
@@ -59,6 +59,9 @@ def rectangles(
             tree.links.new(value.socket, matrix.inputs[f"Column {number} Row {row}"])
     points, place = _captured(tree, points, Field(matrix.outputs["Matrix"]))
     points = stored(tree, points, REACH, "FLOAT", reach)
+    # EEVEE blends the faces of a mesh in their order.
+    ordered = add(tree, "GeometryNodeSortElements", Geometry=points, Sort_Weight=depth * -1.0)
+    points = Field(ordered.outputs["Geometry"])
 
     quad = Field(add(tree, "GeometryNodeMeshGrid", Size_X=2.0, Size_Y=2.0, Vertices_X=2, Vertices_Y=2).outputs["Mesh"])
     quad = stored(tree, quad, PLACE, "FLOAT_VECTOR", Field(add(tree, "GeometryNodeInputPosition").outputs[0]))
@@ -71,8 +74,8 @@ def rectangles(
 
 def _half_axes(
     tree: bpy.types.NodeTree, position: Field, camera: Field, to_world: Field, pixel_size: Field
-) -> tuple[Field, Field]:
-    """The axes of each splat's image in the plane of its depth, one standard deviation long, in the world.
+) -> tuple[Field, Field, Field]:
+    """The axes of each splat's image in the plane of its depth, one standard deviation long, in the world; the depth.
 
     With the camera's axes r, u, f and the centre at (X, Y, Z) on them, a step d from the centre moves the image by
     ((r - X/Z f).d, (u - Y/Z f).d) in that plane, whatever the focal length.
@@ -113,7 +116,7 @@ def _half_axes(
     # A splat seen edge-on keeps a hair's breadth: the matrix of its rectangle must have a direction.
     least = (middle - spread).math("MAXIMUM", (middle + spread) * 1e-10)
     longest = (right * cosine + up * sine) * (middle + spread).math("SQRT")
-    return longest, (up * cosine - right * sine) * least.math("SQRT")
+    return longest, (up * cosine - right * sine) * least.math("SQRT"), depth
 
 
 def material(facing: bool) -> bpy.types.Material:
@@ -150,6 +153,8 @@ def material(facing: bool) -> bpy.types.Material:
     tree.links.new(alpha.socket, mix.inputs[0])
     tree.links.new(tree.nodes.new("ShaderNodeBsdfTransparent").outputs[0], mix.inputs[1])
     tree.links.new(emission.outputs[0], mix.inputs[2])
+    # Else EEVEE draws lots instead of blending.
+    made.surface_render_method = "BLENDED"
     made.cycles.emission_sampling = "NONE"  # splats are looked at; they light nothing
     add(tree, "ShaderNodeOutputMaterial", Surface=Field(mix.outputs[0]))
     arranged(tree)

@@ -36,7 +36,8 @@ def failure(call):
 
 def point_sampled(width, height, transparent=True):
     # The first sample of a pixel is at its centre: no filter between the formula and the figure.
-    scene.cycles.samples = 1
+    scene.cycles.samples = scene.eevee.taa_render_samples = 1
+    scene.render.filter_size = 0
     scene.render.film_transparent = transparent
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
     scene.render.filepath = sys.argv[-1] + "/render.exr"

@@ -1,4 +1,4 @@
-"""Splats as Blender objects: their data, and what Cycles draws of them."""
+"""Splats as Blender objects: their data, and what Cycles and EEVEE draw of them."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ scene.collection.objects.link(camera)
 camera.location, camera.data.type, camera.data.ortho_scale, scene.camera = (0, 0, 5), "ORTHO", 1, camera
 scene.render.resolution_x = scene.render.resolution_y = 101
 for facing in (False, True):
-    splat_preview.prepare_cycles(scene, display_values=facing)
+    splat_preview.prepare_render(scene, display_values=facing)
     splat_preview.set_input(obj, splat_preview.FACE_CAMERA, facing)
     np.save(f"{sys.argv[-1]}/{facing}.npy", point_sampled(101, 101))
         """,
@@ -71,15 +71,17 @@ for facing in (False, True):
 UNEVEN = np.array([[1.6, 0.5, 0, -1], [-0.2, 0.5, 0.1, 0.5], [0.1, 0.3, 0.8, 2], [0, 0, 0, 1]])
 
 
-@pytest.mark.parametrize("moved", ["still", "together", "uneven"])
-def test_cycles_draws_the_engines_picture(blender, tmp_path, moved):
+@pytest.mark.parametrize(
+    ("renderer", "moved"), [("CYCLES", "still"), ("CYCLES", "together"), ("CYCLES", "uneven"), ("EEVEE", "uneven")]
+)
+def test_renders_are_the_engines_picture(blender, tmp_path, renderer, moved):
     """Display values, a camera with shift: equal to the rasteriser, also when scene and splats are turned together
     or the splats alone are scaled unevenly and sheared."""
     np.savez(tmp_path / "heap.npz", **heap())
     blender.run(
         SETUP
         + f"""
-moved, uneven = "{moved}", {UNEVEN.tolist()}
+renderer, moved, uneven = "{renderer}", "{moved}", {UNEVEN.tolist()}
 """
         + """
 view(160, 100, 150.0)
@@ -94,8 +96,9 @@ if moved == "together":
     bpy.data.objects["root"].rotation_euler.z = 0.7
     bpy.data.objects["root"].location = (3, 1, -2)
     bpy.data.objects["root"].scale = (2, 2, 2)
-splat_preview.prepare_cycles(scene, display_values=True)
+splat_preview.prepare_render(scene, display_values=True, engine=renderer)
 splat_preview.set_input(obj, splat_preview.PIXEL_SIZE, 1 / 150)
+assert renderer in scene.render.engine
 assert scene.view_settings.view_transform == "Raw"
 np.save(sys.argv[-1] + "/render.npy", point_sampled(160, 100))
         """,
@@ -119,7 +122,7 @@ two = Splats(np.array([[0, 0, 4], [0, 0, 5]], "f4"), np.array([[1, 0, 0, 0]] * 2
              np.array([0.6, 0.9], "f4"), ((colors - 0.5) / 0.28209479177387814)[:, None].astype("f4"))
 view(33, 33, 400.0)
 splats.new_splat_object("two", two, scene.collection, bpy.data.objects["root"])
-splat_preview.prepare_cycles(scene, display_values=False)
+splat_preview.prepare_render(scene, display_values=False)
 assert scene.view_settings.view_transform == "Standard"
 np.save(sys.argv[-1] + "/render.npy", point_sampled(33, 33))
         """,
@@ -141,7 +144,7 @@ obj = splats.new_splat_object("behind", random_splats(1, 1), scene.collection)
 obj.location.y = 50
 splat_preview.remember_training(obj, 0.01, [0.2, 0.02, 0.9])
 for display in (True, False):
-    splat_preview.prepare_cycles(scene, display)
+    splat_preview.prepare_render(scene, display)
     pixels = point_sampled(9, 9)
     assert pixels[..., 3].max() == 0
     scene.render.film_transparent = False
