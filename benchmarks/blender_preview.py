@@ -1,12 +1,13 @@
-"""How near the preview's nodes come to the engine's own picture in Cycles, and how long a million splats take.
+"""How near the preview's nodes come to the engine's own picture in Cycles and EEVEE; how long a million splats take.
 
     python benchmarks/blender_preview.py RUN [MILLION]
 
 RUN: a finished training run with water, such as `train tests/scenes/reef_wreck --width 320 --iterations 1000
 --max-gaussians 20000`. Its middle held-out view is drawn by the engine and by Cycles through the preview, as trained
-(display values, view transform Raw), in light (view transform Standard, saved as sRGB) and as solid ellipsoids, each
-without and with the fitted water. MILLION: how many splats with harmonics of degree 3 are put into Blender and shown as
-points in its viewport's evaluation. Writes results/blender_preview.json and .png.
+(display values, view transform Raw), in light (view transform Standard, saved as sRGB) and as solid ellipsoids, and by
+EEVEE as trained, each without and with the fitted water. MILLION: how many splats with harmonics of degree 3 are put
+into Blender and shown as points in its viewport's evaluation; 0 keeps the figures of the last time. Writes
+results/blender_preview.json and .png.
 """
 
 import json
@@ -25,17 +26,21 @@ from formats import make_splats  # noqa: E402
 from train_scenes import processor  # noqa: E402
 
 from demo.run import blender_with_extension  # noqa: E402
+from swag_engine.evaluation.run import newest  # noqa: E402
 from swag_engine.formats.ply import read_ply  # noqa: E402
 from swag_engine.rasterize.render import render  # noqa: E402
 from swag_engine.scene.colmap import load_scene  # noqa: E402
 from swag_engine.scene.images import load_images  # noqa: E402
-from swag_engine.training.checkpoint import load_checkpoint  # noqa: E402
-from swag_engine.training.loop import cloud_from_tensors, medium_from_tensors  # noqa: E402
 from swag_engine.training.run_folder import RunFolder  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results" / "blender_preview"
-# Name -> display values are blended, splats face the camera, samples a pixel.
-WAYS = {"as trained": (True, True, 1), "in light": (False, True, 1), "ellipsoids as trained": (True, False, 1)}
+# Name -> renderer, display values are blended, splats face the camera.
+WAYS = {
+    "as trained": ("CYCLES", True, True),
+    "in light": ("CYCLES", False, True),
+    "ellipsoids as trained": ("CYCLES", True, False),
+    "EEVEE as trained": ("EEVEE", True, True),
+}
 
 
 def engine_pictures(run: RunFolder) -> tuple[dict, dict[float, np.ndarray]]:
@@ -46,17 +51,20 @@ def engine_pictures(run: RunFolder) -> tuple[dict, dict[float, np.ndarray]]:
     scene = load_scene(scene_folder)
     views = [view for view in scene.views if view.name == held_out[len(held_out) // 2]]
     camera = load_images(scene, views, settings.width)[0].camera
-    tensors, state = load_checkpoint(run.path)
-    cloud, medium = cloud_from_tensors(tensors), medium_from_tensors(tensors, state)
+    cloud, simulated, _ = newest(run.path)
     with torch.no_grad():
-        pictures = {amount: render(cloud, camera, 3, medium, amount=amount).color.numpy() for amount in (0.0, 1.0)}
+        pictures = {
+            amount: render(cloud, camera, 3, simulated.medium, amount=amount).color.numpy() for amount in (0.0, 1.0)
+        }
     pinhole = {name: getattr(camera, name) for name in ("name", "width", "height", "fx", "fy", "cx", "cy")}
     return pinhole | {"world_to_camera": camera.world_to_camera.tolist()}, pictures
 
 
-def cycles_picture(bpy, path: Path, width: int, height: int, display_values: bool) -> np.ndarray:
-    """Display values (H, W, 3) of the scene as Cycles renders it."""
+def rendered_picture(bpy, path: Path, width: int, height: int, display_values: bool) -> np.ndarray:
+    """Display values (H, W, 3) of the scene as it is set up to be rendered, at the centres of the pixels."""
     scene = bpy.context.scene
+    scene.cycles.samples = scene.eevee.taa_render_samples = 1
+    scene.render.filter_size = 0
     scene.render.image_settings.file_format, scene.render.image_settings.color_depth = "OPEN_EXR", "32"
     scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
@@ -68,6 +76,29 @@ def cycles_picture(bpy, path: Path, width: int, height: int, display_values: boo
     if display_values:
         return light
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def into_blender(bpy, count: int) -> dict:
+    """Seconds in which Blender takes in so many splats of degree 3 and evaluates them for its viewport."""
+    from bl_ext.user_default.swag_splatting.swag_blender import splats
+    from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+
+    made = make_splats(count)
+    started, busy = time.perf_counter(), time.process_time()
+    many = splats.new_splat_object("many", made, bpy.context.scene.collection)
+    found = {"splats": count, "seconds": round(time.perf_counter() - started, 3)}
+    found["processor_seconds"] = round(time.process_time() - busy, 3)
+    for name, change in (
+        ("evaluated for the viewport", lambda: None),
+        ("evaluated again", many.update_tag),
+        ("at a tenth", lambda: splat_preview.set_input(many, splat_preview.DENSITY, 10.0)),
+    ):
+        change()
+        started, busy = time.perf_counter(), time.process_time()
+        bpy.context.view_layer.update()
+        seconds, busy = time.perf_counter() - started, time.process_time() - busy
+        found[name] = {"seconds": round(seconds, 3), "processor_seconds": round(busy, 3)}
+    return found
 
 
 def main() -> None:
@@ -87,16 +118,16 @@ def main() -> None:
     obj = splats.new_splat_object("splats", read_ply(run.ply), scene.collection, root)
     splat_preview.remember_training(obj, 1 / pinhole["fx"], [0, 0, 0])
     water.remember_water(obj, run.read_water(), run.read_config()[1].metres_per_unit)
-    result = {"machine": processor(), "blender": bpy.app.version_string, "splats": len(obj.data.points), "psnr": {}}
+    result = json.loads(RESULTS.with_suffix(".json").read_text(encoding="utf-8"))
+    result |= {"machine": processor(), "blender": bpy.app.version_string, "splats": len(obj.data.points), "psnr": {}}
     rows = []
-    for name, (display_values, facing, samples) in WAYS.items():
+    for name, (renderer, display_values, facing) in WAYS.items():
         splat_preview.set_input(obj, splat_preview.FACE_CAMERA, facing)
         for amount, picture in expected.items():
             scene.swag.water = amount
-            bpy.ops.swag.prepare_render(display_values=display_values)
-            scene.cycles.samples = samples
+            bpy.ops.swag.prepare_render(engine=renderer, display_values=display_values)
             started = time.perf_counter()
-            drawn = cycles_picture(
+            drawn = rendered_picture(
                 bpy, Path(folder.name) / "out.exr", pinhole["width"], pinhole["height"], display_values
             )
             seconds = time.perf_counter() - started
@@ -108,21 +139,8 @@ def main() -> None:
     picture = np.clip(np.concatenate(rows), 0, 1)[..., ::-1] * 255
     cv2.imwrite(str(RESULTS.with_suffix(".png")), picture.round().astype(np.uint8))
 
-    made = make_splats(million)
-    started, busy = time.perf_counter(), time.process_time()
-    many = splats.new_splat_object("many", made, scene.collection)
-    result["into blender"] = {"splats": million, "seconds": round(time.perf_counter() - started, 3)}
-    result["into blender"]["processor_seconds"] = round(time.process_time() - busy, 3)
-    for name, change in (
-        ("evaluated for the viewport", lambda: None),
-        ("evaluated again", many.update_tag),
-        ("at a tenth", lambda: splat_preview.set_input(many, splat_preview.DENSITY, 10.0)),
-    ):
-        change()
-        started, busy = time.perf_counter(), time.process_time()
-        bpy.context.view_layer.update()
-        seconds, busy = time.perf_counter() - started, time.process_time() - busy
-        result["into blender"][name] = {"seconds": round(seconds, 3), "processor_seconds": round(busy, 3)}
+    if million:
+        result["into blender"] = into_blender(bpy, million)
     print(result["into blender"])
     RESULTS.with_suffix(".json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
 

@@ -155,7 +155,7 @@ def material(facing: bool) -> bpy.types.Material:
     tree.links.new(emission.outputs[0], mix.inputs[2])
     # Else EEVEE draws lots instead of blending.
     made.surface_render_method = "BLENDED"
-    made.cycles.emission_sampling = "NONE"  # splats are looked at; they light nothing
+    made.cycles.emission_sampling = "NONE"  # too many to be lamps; rays that meet them see them
     add(tree, "ShaderNodeOutputMaterial", Surface=Field(mix.outputs[0]))
     arranged(tree)
     return made
