@@ -5,6 +5,7 @@ import bpy
 from . import (
     cancel,
     export_splats,
+    forecast,
     import_scene,
     import_splats,
     inspect_scene,
@@ -22,6 +23,7 @@ _MODULES = (
     inspect_scene,
     import_scene,
     plan,
+    forecast,
     train,
     cancel,
     show_log,

@@ -73,7 +73,7 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, swag, status = self.layout, context.scene.swag, context.window_manager.swag
         width = context.region.width
-        if status.job == "Training":
+        if status.job in ("Training", "Forecast"):
             draw_job(layout, context)
             return
         layout.use_property_split = True
@@ -93,13 +93,20 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
         can_continue = swag.can_continue
         if can_continue:
             row.operator("swag.train", text="Continue", icon="FRAME_NEXT").resume = True
+        row = layout.row()
+        row.enabled = not problem
+        row.operator("swag.forecast", icon="TIME")
+        for line in swag.forecast_lines():
+            row = layout.row(align=True)
+            for text in line:
+                row.label(text=text)
         if problem:
             draw_wrapped(layout, problem, width, icon="INFO")
             if swag.scene_folder:
                 layout.operator(
                     "preferences.addon_show", text="Open Preferences", icon="PREFERENCES"
                 ).module = EXTENSION
-        elif status.last_job == "Training":
+        elif status.last_job == "Training" or status.failed and status.last_job == "Forecast":
             draw_outcome(layout, context)
         if can_continue:
             draw_wrapped(layout, f"{swag.stopped_at} Continue goes on with it.", width, icon="RECOVER_LAST")

@@ -1,6 +1,7 @@
 """What a scene remembers (saved in the .blend) and what Blender shows of the job that runs (not kept)."""
 
 import dataclasses
+import json
 import os
 import typing
 from pathlib import Path
@@ -104,6 +105,8 @@ class SwagScene(PropertyGroup):
     seed: _mirrored("seed", "Seed", "The same seed on the same machine gives the same result")
     backend: _mirrored("backend", "Backend", "What draws the Gaussians during training")
 
+    forecast: StringProperty(description="What the qualities would take, as JSON, with what was asked")
+
     water: FloatProperty(
         name="Water",
         description="How much of the fitted water is shown: 0 none, 1 as photographed; it can be animated",
@@ -155,6 +158,29 @@ class SwagScene(PropertyGroup):
         switches = ",".join(filter(None, (self.effects, self.plan.switches())))
         own = {name: getattr(self, name) for name in SETTINGS}
         return own | {"effects": switches, "masks": _absolute(self.masks)}
+
+    def forecast_question(self) -> str:
+        """What a forecast depends on, as text: the photographs, and the settings that no quality has a say in."""
+        asked = self.train_settings()
+        for name in ("preset", "time_budget", "seed"):
+            del asked[name]
+        return json.dumps([self.scene_path, asked])
+
+    def keep_forecast(self, question: str, presets: dict[str, dict[str, Any]]) -> None:
+        """Remember the answer to a question: the presets of a forecast's `result` event."""
+        self.forecast = json.dumps({"question": question, "presets": presets})
+
+    def forecast_lines(self) -> list[tuple[str, str, str, str]]:
+        """Quality, time, PSNR and memory for each quality; empty where nobody asked with the present settings."""
+        known = json.loads(self.forecast) if self.forecast else {}
+        if known.get("question") != self.forecast_question():
+            return []
+        lines = []
+        for name, expected in known["presets"].items():
+            least, _, most = map(time_text, expected["seconds"])
+            psnr = "{0:.1f}-{2:.1f} dB".format(*expected["psnr"]) if expected["psnr"] else "PSNR unknown"
+            lines.append((name, f"{least}-{most}", psnr, f"{expected['memory_mb'] / 1000:.1f} GB"))
+        return lines
 
     def show_metrics(self, event: dict[str, Any]) -> None:
         """Keep the figures of a training's `result` event."""

@@ -8,6 +8,7 @@ import queue
 import sys
 import threading
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -130,7 +131,7 @@ class Worker:
         if isinstance(request, ForecastRequest):
             from .evaluation.forecast import forecast_scene
 
-            forecast = forecast_scene(request.scene, request.settings, self.progress)
+            forecast = forecast_scene(request.scene, request.settings, self.stoppable("The forecast was stopped."))
             return {"event": "result", "request": "forecast", "scene": str(request.scene)} | forecast
         if isinstance(request, LabelRequest):
             return self.label(request)
@@ -149,26 +150,27 @@ class Worker:
     def label(self, request: LabelRequest) -> dict[str, Any]:
         from .semantics.run import label_run
 
-        def progress(stage: str, fraction: float) -> None:
-            if self.stop.is_set():
-                raise InputError("Labelling was stopped; the run is as it was.")
-            self.progress(stage, fraction)
-
         document = label_run(
             request.run,
             request.words.split(",") if request.words else (),
             request.masks,
             "saliency" if request.saliency else None,
             download=request.download,
-            progress=progress,
+            progress=self.stoppable("Labelling was stopped; the run is as it was."),
         )
         return {"event": "result", "request": "label", "run": str(request.run)} | document
 
-    def progress(self, stage: str, fraction: float) -> None:
-        """A `progress` event of something that is not a training."""
-        self.send(
-            {"event": "progress", "stage": stage, "text": stage, "iteration": round(100 * fraction), "iterations": 100}
-        )
+    def stoppable(self, sentence: str) -> Callable[[str, float], None]:
+        """A function that sends the progress of something that is no training (stage, fraction 0..1), and raises
+        InputError(sentence) once a stop is asked for."""
+
+        def progress(stage: str, fraction: float) -> None:
+            if self.stop.is_set():
+                raise InputError(sentence)
+            done = {"iteration": round(100 * fraction), "iterations": 100}
+            self.send({"event": "progress", "stage": stage, "text": stage} | done)
+
+        return progress
 
 
 def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:

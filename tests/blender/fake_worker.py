@@ -109,6 +109,16 @@ def plan(request):
     send(event="result", request="plan", plan={"effects": effects, "water": None})
 
 
+def forecast(request):
+    send(event="progress", stage="Speed", text="Speed", iteration=0, iterations=100)
+    expected = {"iterations": 500, "width": 480, "max_gaussians": 30_000, "memory_mb": 640}
+    presets = {
+        "draft": expected | {"seconds": [20.4, 30.0, 45.2], "psnr": [24.04, 25.0, 26.0]},
+        "high": expected | {"seconds": [500.0, 700.0, 4000.0], "psnr": None},
+    }
+    send(event="result", request="forecast", scene=request["scene"], presets=presets)
+
+
 def main():
     if sys.argv[2] == "swag_engine":
         print("arguments", json.dumps(sys.argv[3:]))
@@ -121,7 +131,7 @@ def main():
             if Path(request["scene"]).name == "deaf":
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
             # On the main thread's behalf: a crash must end the process, as it does in the engine.
-            answer = {"train": train, "inspect": inspect, "plan": plan}[request["request"]]
+            answer = {"train": train, "inspect": inspect, "plan": plan, "forecast": forecast}[request["request"]]
             threading.Thread(target=run_or_die, args=(answer, request), daemon=True).start()
     cancelled.set()
 

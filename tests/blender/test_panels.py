@@ -131,6 +131,35 @@ print("FIGURES", json.dumps(status.figures()))
     assert blender.json_after("FIGURES", printed)[-1] == "1:05 left"
 
 
+def test_a_forecast_is_shown_until_its_question_changes(blender, fake_engine, tmp_path):
+    printed = blender.run(
+        SETUP
+        + """
+swag.scene_folder = sys.argv[-1]
+print("UNASKED", json.dumps(swag.forecast_lines()))
+bpy.ops.swag.forecast()
+print("SAID", json.dumps([status.message, status.failed]))
+swag.preset, swag.time_budget = "high", "10m"  # a forecast is of every quality
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[-1] + "/a.blend")
+bpy.ops.wm.open_mainfile(filepath=sys.argv[-1] + "/a.blend")
+swag = bpy.context.scene.swag
+print("SAVED", json.dumps(swag.forecast_lines()))
+for name, value in (("iterations", 100), ("recipe", "3dgs"), ("scene_folder", "/elsewhere")):
+    kept = getattr(swag, name)
+    setattr(swag, name, value)
+    assert not swag.forecast_lines(), name
+    setattr(swag, name, kept)
+    assert swag.forecast_lines(), name
+""",
+        tmp_path,
+        SWAG_ENGINE_PYTHON=fake_engine,
+    )
+    lines = [["draft", "0:20-0:45", "24.0-26.0 dB", "0.6 GB"], ["high", "8:20-1:06:40", "PSNR unknown", "0.6 GB"]]
+    assert blender.json_after("UNASKED", printed) == []
+    assert blender.json_after("SAID", printed) == ["; ".join(" ".join(line) for line in lines), False]
+    assert blender.json_after("SAVED", printed) == lines
+
+
 @pytest.mark.parametrize("paused", [True, False])
 def test_pause_is_a_switch_of_a_running_training(blender, paused):
     printed = blender.run(
