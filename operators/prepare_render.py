@@ -8,7 +8,7 @@ from ..swag_blender.nodes import splat_preview
 
 
 class SWAG_OT_prepare_render(bpy.types.Operator):
-    """Set up Cycles or EEVEE for splats: all transparent layers, true colours, the trained background, the picture's size"""
+    """Set up Cycles or EEVEE for splats: all layers, true colours, the trained background, the picture's size"""
 
     bl_idname = "swag.prepare_render"
     bl_label = "Set Up Render"
@@ -18,8 +18,8 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
         name="Engine",
         description="What renders",
         items=[
-            ("CYCLES", "Cycles", "Shadows, reflections and other objects are right among the splats"),
-            ("EEVEE", "EEVEE", "Much faster; each splat object is drawn as a whole before or behind another"),
+            ("CYCLES", "Cycles", "Every splat is in its depth among other objects, and splats of other objects"),
+            ("EEVEE", "EEVEE", "Drawn by the graphics card; of two splat objects one is wholly before the other"),
         ],
     )
     display_values: BoolProperty(
