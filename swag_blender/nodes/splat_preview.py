@@ -4,9 +4,9 @@ Colour is computed once per splat, as splat renderers do: 0.5 + spherical harmon
 active camera. The shape is drawn in one of three ways:
 - renders ("Face Camera"): a rectangle parallel to the image plane through each splat's centre, with the projected
   Gaussian on it (EWA splatting, Zwicker et al. 2001, as in Kerbl et al. 2023). Cycles then meets the splats in the
-  order of their depth, with the alpha that the trainer gave them, and EEVEE blends them in the order in which
-  they stand in the mesh, which is that of their depth: same picture as the engine's to rounding. EEVEE draws one splat object as a
-  whole before or behind another.
+  order of their depth, with the alpha that the trainer gave them, and EEVEE blends them in the order in which they
+  stand in the mesh, which is that of their depth: same picture as the engine's to rounding. EEVEE draws one splat
+  object as a whole before or behind another.
 - otherwise: a sphere turned and scaled to the three-sigma ellipsoid, right from every direction. With p the hit point
   in the sphere's own space (there 1 is three sigma) and v the unit viewing direction,
       alpha = opacity exp(-4.5 d^2),   d^2 = p.p - (p.v)^2,
