@@ -1,6 +1,5 @@
 """The optimisation: from a COLMAP scene to a run folder."""
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from copy import deepcopy
@@ -18,26 +17,23 @@ from ..files import claimed
 from ..formats.gltf import write_glb
 from ..formats.ply import write_ply
 from ..gaussians.cloud import GaussianCloud
-from ..gaussians.grow import Growth, GrowthStatistics, McmcGrowth, random_of
+from ..gaussians.grow import Growth, GrowthStatistics, McmcGrowth
 from ..gaussians.init import gaussians_from_points
-from ..gaussians.reallocate import reallocate, scores, visibility
 from ..rasterize.backends import device_for
-from ..rasterize.render import Picture, render
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
 from ..semantics.embed import DIMENSIONS
 from ..semantics.guidance import Guidance, find_guidance
-from ..timing import Ledger, part
-from ..water.medium import MAX_DEGREE, Medium
-from ..water.network import WaterNetwork
+from ..timing import Ledger
+from ..water.medium import Medium
 from .budget import Budget, fit_budget
 from .checkpoint import load_checkpoint, save_checkpoint
 from .clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, Point, is_flat, next_minute
-from .config import LearningRates, Schedule, TrainSettings
-from .effects_of_run import EffectsOfRun
+from .config import Schedule, TrainSettings
 from .guard import Guard, finite_part
-from .memory import TOO_LITTLE, Relief, fewer, fit_memory, free_memory, within_memory
+from .iteration import Iteration
+from .memory import TOO_LITTLE, Relief, fit_memory, free_memory, within_memory
 from .optimizer import Optimizer
 from .planning import plan_of_run
 from .prepare import find_depth, find_frames, median_range
@@ -48,8 +44,6 @@ from .trials import trials_due, try_effects
 
 Event = dict[str, Any]
 CPU = torch.device("cpu")
-GEOMETRY = ("means", "quats", "log_scales", "features")
-"""What stage two freezes."""
 
 
 def train(
@@ -116,7 +110,7 @@ def trainer_of(
     return trainer
 
 
-class Trainer(EffectsOfRun):
+class Trainer(Iteration):
     """One run: the scene's photographs, the cloud, its optimiser, and what was measured so far."""
 
     def __init__(
@@ -184,169 +178,6 @@ class Trainer(EffectsOfRun):
 
         images = load_images(self.scene, self.scene.views, self.settings.width, progress)
         return {image.camera.name: image for image in images}
-
-    # -- one iteration ------------------------------------------------------------------------------------------------
-
-    def step(self) -> float:
-        """One iteration; returns its loss. One that memory does not reach for is given up, and the run cut down."""
-        if (loss := within_memory(self.iterate)) is not None:
-            return loss
-        self.optimizer.restart(self.guard.good)
-        self.optimizer.replace(*fewer(self.cloud))
-        self.guard.keep(self.optimizer)
-        self.relief.relieve(len(self.cloud))
-        self.levels = {}
-        self.statistics = GrowthStatistics.zeros(len(self.cloud), self.device)
-        return float("nan")
-
-    def iterate(self) -> float:
-        fraction = self.clock.fraction
-        if self.objective.in_stage_two(fraction):
-            for name in GEOMETRY:
-                getattr(self.cloud, name).requires_grad_(False)
-        target = self.next_target(fraction)
-        medium = self.medium if fraction >= self.recipe.water_from else None
-        picture = render(
-            self.cloud,
-            target.camera,
-            self.sh_degree(fraction),
-            medium,
-            self.water_degree,
-            with_range=self.objective.needs_range(target, fraction),
-            with_restored=self.objective.needs_restored(medium, fraction),
-            backend=self.settings.backend,
-            lamp=self.simulated.lamp,
-        )
-        picture.color = self.simulated.developed(picture.color, target.camera.name)
-        with part("losses"):
-            loss = self.objective(picture, target, medium, fraction)
-        if (regularisation := self.growth.regularisation(self.cloud, self.median_range)) is not None:
-            loss = loss + regularisation
-        if self.guidance and target.weight == 1 and not self.objective.in_stage_two(fraction):
-            with part("semantics"):
-                guided = self.guidance.loss(
-                    self.cloud, picture.alpha, target, medium, self.water_degree, self.iteration, fraction
-                )
-            loss = loss + guided
-        with part("backward between kernels"):
-            loss.backward()
-        self.iteration += 1
-        self.clock.advance(self.iteration)
-        phase = f"{list(self.levels)} {medium is not None} {self.objective.in_stage_two(fraction)}"
-        if self.guard.admits(loss, self.optimizer, target.camera.name, phase if target.weight == 1 else ""):
-            self.learn(picture, target, medium, fraction)
-        else:
-            self.optimizer.clear_gradients()
-        if self.guard.puts_back(self.optimizer, self.iteration):
-            self.statistics = GrowthStatistics.zeros(len(self.cloud), self.device)
-        return float(loss.detach())
-
-    def learn(self, picture: Picture, target: Target, medium: Medium | WaterNetwork | None, fraction: float) -> None:
-        """Move the parameters by their gradients, and now and then the Gaussians."""
-        gradient = picture.rendering.means2d.grad
-        if gradient is not None and target.weight == 1:
-            if self.recipe.undimmed_growth and medium is not None:
-                gradient = gradient / visibility(medium, picture.offsets).detach()[:, None]
-            self.statistics.add(gradient, picture.rendering.radii, target.camera.width)
-        rates = {name: self.guard.ease * rate for name, rate in self.learning_rates(fraction).items()}
-        with part("optimiser"):
-            self.optimizer.step(rates)
-        if not self.objective.in_stage_two(fraction):
-            random = random_of(self.settings.seed, self.iteration)
-            with part("growth"):
-                self.growth.perturb(self.cloud, rates["means"], self.median_range, random)
-                self.grow(random)
-                self.reallocate()
-            if self.recipe.moving_objects:
-                self.leave_out_moving(self.clock.fraction)
-
-    def sh_degree(self, fraction: float) -> int:
-        """SH degree of the Gaussians' colours, `fraction` (0..1) of the way through the run."""
-        return min(self.settings.sh_degree, sum(fraction >= start for start in self.schedule.sh_degrees))
-
-    @property
-    def water_degree(self) -> int:
-        """SH degree of the water's colour at this iteration."""
-        return MAX_DEGREE if self.clock.fraction >= self.recipe.veil_degrees_from else 0
-
-    def learning_rates(self, fraction: float) -> dict[str, float]:
-        """Step size by name, `fraction` (0..1) of the way through the run."""
-        rates = asdict(LearningRates())
-        end = rates.pop("means_end")
-        rates["means"] *= (end / rates["means"]) ** fraction * self.median_range
-        if self.objective.in_stage_two(fraction):
-            return {name: rate for name, rate in rates.items() if name not in GEOMETRY}
-        return rates | self.effect_rates(0.5 * (1 + math.cos(math.pi * fraction)))
-
-    def next_target(self, fraction: float) -> Target:
-        """The photograph of this iteration: every epoch in its own order, which depends on the seed alone."""
-        targets = self.targets_at(fraction)
-        epoch, position = divmod(self.iteration, len(targets))
-        order = np.random.default_rng((self.settings.seed, epoch)).permutation(len(targets))
-        return targets[order[position]]
-
-    def targets_at(self, fraction: float) -> list[Target]:
-        """All photographs, and frames made between them, at the size that is trained at then."""
-        factor = next((factor for until, factor in self.schedule.coarse if fraction < until), 1)
-        factor = max(factor, self.relief.shrink)
-        if factor not in self.levels:
-            photographs = [
-                Target.shrunk(self.still(image), factor, self.device, self.depth.get(image.camera.name))
-                for image in self.training
-            ]
-            made = [Target.shrunk(image, factor, self.device, None, self.recipe.interpolation) for image in self.frames]
-            if self.guidance:
-                self.guidance.emphasise(photographs)
-            self.levels = {factor: photographs + made}
-        return self.levels[factor]
-
-    def grow(self, random: torch.Generator) -> None:
-        schedule, fraction = self.schedule, self.clock.fraction
-        if self.iteration % schedule.grow_every or not schedule.grow_from <= fraction <= self.recipe.grow_until:
-            return
-        progress = (fraction - schedule.grow_from) / (self.recipe.grow_until - schedule.grow_from)
-        # The number grows to its limit evenly in time, so that late Gaussians still have time to settle.
-        most = self.relief.most or self.settings.max_gaussians
-        budget = self.start_count + int((most - self.start_count) * min(1.0, 1.25 * progress))
-        weight = None
-        if self.guidance:
-            self.guidance.prune(self.cloud)
-            weight = self.guidance.growth_weights(self.cloud)
-        with torch.no_grad():
-            cloud, source = self.growth.event(self.cloud, self.statistics, budget, self.median_range, random, weight)
-        self.optimizer.replace(cloud, source)
-        self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
-
-    def reallocate(self) -> None:
-        """Move Gaussians to where the error is, a few times between the end of growth and stage two."""
-        every = max(1, round(self.schedule.reallocate_every * self.clock.iterations))
-        fraction = self.clock.fraction
-        last = self.recipe.stage_two_from - self.schedule.reallocate_every
-        if (
-            self.recipe.reallocation == "off"
-            or self.iteration % every
-            or not self.recipe.grow_until <= fraction <= last
-        ):
-            return
-
-        def loss(color: Tensor, target: Target) -> Tensor:
-            developed = self.simulated.developed(color, target.camera.name)
-            return self.objective.reconstruction(developed, target, fraction)
-
-        views = [
-            (target.camera, lambda color, target=target: loss(color, target))
-            for target in self.targets_at(fraction)
-            if target.weight == 1
-        ]
-        degree = self.sh_degree(fraction)
-        S, E = scores(
-            self.cloud, views, degree, self.medium, self.water_degree, self.settings.backend, self.simulated.lamp
-        )
-        if self.guidance and (weight := self.guidance.growth_weights(self.cloud)) is not None:
-            E = E * weight
-        cloud, source = reallocate(self.cloud, S, E, identical=self.recipe.reallocation == "identical")
-        self.optimizer.replace(cloud, source)
-        self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
 
     # -- the run ------------------------------------------------------------------------------------------------------
 

@@ -20,7 +20,8 @@ from swag_engine.scene.split import split_views
 from swag_engine.training import losses, prepare, recipes
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import GEOMETRY, Trainer, train
+from swag_engine.training.iteration import GEOMETRY
+from swag_engine.training.loop import Trainer, train
 from swag_engine.training.objective import Objective
 from swag_engine.training.prepare import find_depth, find_frames
 from swag_engine.training.recipes import RECIPES, SWITCHES, Photometric, Recipe, recipe_of

@@ -12,7 +12,7 @@ from clouds import make_cloud
 
 from swag_engine.effects.simulated import Simulated
 from swag_engine.formats.ply import read_ply
-from swag_engine.training import loop
+from swag_engine.training import iteration, loop
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.config import LearningRates, TrainSettings
 from swag_engine.training.guard import SKIPS, Guard
@@ -43,7 +43,7 @@ def poison(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
 
 def fast(monkeypatch: pytest.MonkeyPatch, factor: float) -> None:
     rates = LearningRates(**{name: factor * rate for name, rate in asdict(LearningRates()).items()})
-    monkeypatch.setattr(loop, "LearningRates", lambda: rates)
+    monkeypatch.setattr(iteration, "LearningRates", lambda: rates)
 
 
 def test_a_poisoned_photograph_is_skipped_and_named(tiny_scene, tmp_path, monkeypatch):
@@ -161,9 +161,9 @@ def test_many_skipped_steps_in_a_row_put_the_state_back(optimizer):
     guard = Guard(optimizer, 10_000)
     with torch.no_grad():
         optimizer.cloud.means += 1
-    for iteration in range(1, SKIPS + 1):
+    for step in range(1, SKIPS + 1):
         assert not guard.admits(torch.tensor(float("nan")), optimizer, "a", "a")
-        assert guard.puts_back(optimizer, iteration) == (iteration == SKIPS)
+        assert guard.puts_back(optimizer, step) == (step == SKIPS)
     assert not guard.gives_up
 
 
@@ -181,10 +181,10 @@ def test_a_loss_that_another_phase_makes_larger_is_no_failure(optimizer):
 def test_a_first_photograph_that_costs_little_sets_no_mark(optimizer, weak_phase):
     """An easy one, or an interpolated frame, which counts for a tenth and is not compared."""
     guard = Guard(optimizer, 250)
-    for iteration in range(1, 11):
-        weak = iteration % 5 == 1
+    for step in range(1, 11):
+        weak = step % 5 == 1
         assert guard.admits(torch.tensor(0.01 if weak else 0.2), optimizer, "a", weak_phase if weak else "first")
-        assert not guard.puts_back(optimizer, iteration), guard.watch.finding
+        assert not guard.puts_back(optimizer, step), guard.watch.finding
 
 
 def test_a_state_from_before_an_effect_was_dropped_can_be_put_back(optimizer):

@@ -17,7 +17,7 @@ from swag_engine.formats.ply import read_ply
 from swag_engine.rasterize import cuda, cuda_driver, projection
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
-from swag_engine.training import loop
+from swag_engine.training import iteration, loop
 from swag_engine.training.config import TrainSettings
 from swag_engine.training.memory import FEWEST, NARROWEST, SHARE, fit_memory, free_memory, is_shortage, needed
 from swag_engine.training.speed import Extent
@@ -66,14 +66,14 @@ SHORTAGES = {
 
 @pytest.mark.parametrize("kind", SHORTAGES)
 def test_a_run_that_meets_the_end_of_memory_goes_on_smaller(tmp_path, monkeypatch, kind):
-    render = loop.render
+    render = iteration.render
 
     def limited(cloud, camera, *arguments, **named):
         if camera.width > 100 if kind == "tiles" else len(cloud) > 400:
             raise SHORTAGES[kind]
         return render(cloud, camera, *arguments, **named)
 
-    monkeypatch.setattr(loop, "render", limited)
+    monkeypatch.setattr(iteration, "render", limited)
     scene = make_tiny_scene(tmp_path / "scene", width=160, height=128)
     metrics = loop.train(scene, tmp_path / "run", replace(SETTINGS, width=160, iterations=120))["metrics"]
     (note,) = [note for note in metrics["notes"] if note.startswith("Memory ran out")]
@@ -168,7 +168,7 @@ def test_a_run_that_never_fits_ends_with_a_sentence(tiny_scene, tmp_path, monkey
     def never(*arguments, **named):
         raise MemoryError
 
-    monkeypatch.setattr(loop, "render", never)
+    monkeypatch.setattr(iteration, "render", never)
     with pytest.raises(InputError, match="needs more memory than there is"):
         loop.train(tiny_scene, tmp_path / "run", SETTINGS)
 
@@ -195,6 +195,6 @@ def test_other_errors_are_no_shortage(tiny_scene, tmp_path, monkeypatch):
     def broken(*arguments, **named):
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr(loop, "render", broken)
+    monkeypatch.setattr(iteration, "render", broken)
     with pytest.raises(RuntimeError, match="a bug"):
         loop.train(tiny_scene, tmp_path / "run", SETTINGS)
