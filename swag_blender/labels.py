@@ -29,6 +29,7 @@ from mathutils import Color
 from ..swag_engine.errors import InputError
 from ..swag_engine.gaussians.splats import Splats, concatenate
 from ..swag_engine.gaussians.transform import transformed
+from ..swag_engine.strict_json import from_json
 from . import splats, water
 from .nodes.splat_preview import HIDDEN, TINT, copy_inputs
 
@@ -151,7 +152,7 @@ def names_in(folder: Path) -> dict[int, str]:
     if not path.is_file():
         return {}
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
+        table = from_json(path.read_text(encoding="utf-8"))
         return {int(entry["id"]): str(entry["name"]) for entry in table["labels"]}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path} does not list labels ({error}): make them again with `label`.") from error

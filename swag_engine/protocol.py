@@ -1,11 +1,11 @@
 """The messages between the worker and whoever started it: one JSON object a line."""
 
-import json
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from .errors import InputError
+from .strict_json import from_json
 from .training.config import TrainSettings
 
 ExportFormat = Literal["ply", "glb"]
@@ -121,7 +121,7 @@ REQUESTS: dict[str, type[Request]] = {
 def parse_request(line: str) -> Request:
     """The request in one line. Raises InputError that names what is wrong with it."""
     try:
-        message = json.loads(line)
+        message = from_json(line)
     except ValueError as error:
         raise InputError(f"A request must be one JSON object a line: {error}.") from error
     if not isinstance(message, dict):

@@ -5,7 +5,6 @@ print(describe(plan))
 """
 
 import hashlib
-import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,7 +23,7 @@ from ..rasterize.backends import device_for
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images, mask_of
 from ..scene.split import split_views
-from ..strict_json import strict, to_json
+from ..strict_json import from_json, strict, to_json
 from ..water import identify
 from ..water.identify import FIT_WIDTH, Observations, fit_water, observe
 from ..water.medium import Medium, open_water, through_water
@@ -113,7 +112,7 @@ class Plan:
 def read_plan(path: Path) -> Plan:
     """The plan in a plan.json. Raises InputError when it cannot be read."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = from_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as a plan: {error}.") from error
     try:

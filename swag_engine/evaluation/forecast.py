@@ -5,7 +5,6 @@ expectation(Path("SCENE"), settings)           the same for one run, from the la
 record(Path("RUN"), expected, seconds)         the outcome beside it, kept for the next forecast
 """
 
-import json
 import math
 import os
 import platform
@@ -23,7 +22,7 @@ from ..files import atomic_path
 from ..rasterize.backends import device_for
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import cache_folder, cache_root
-from ..strict_json import to_json
+from ..strict_json import from_json, to_json
 from ..training.config import TrainSettings
 from ..training.loop import train
 from ..training.memory import needed
@@ -93,7 +92,7 @@ def expectation(scene_folder: Path, settings: TrainSettings) -> dict[str, Any] |
     method, or time is what limits the run."""
     try:
         scene = load_scene(scene_folder)
-        document = json.loads(_remembered(scene).read_text())
+        document = from_json(_remembered(scene).read_text())
         same = all(document[name] == getattr(settings, name) for name in ("recipe", "effects"))
         if settings.budget or not same or document["machine"] != machine(settings):
             return None
@@ -130,7 +129,7 @@ def history() -> list[dict[str, Any]]:
     entries = []
     for line in lines:
         try:
-            entry = json.loads(line)
+            entry = from_json(line)
             float(entry["outcome"]["seconds"]) / float(entry["expected"]["first_guess"])
             entry["machine"], entry["scene"], entry["outcome"]["psnr"], entry["expected"]["first_psnr"]
         except (ValueError, KeyError, TypeError, ZeroDivisionError):

@@ -1,6 +1,5 @@
 """report.html: what a run reached, in what time, by what means, and how to repeat it."""
 
-import json
 import shlex
 from collections.abc import Sequence
 from dataclasses import fields
@@ -12,6 +11,7 @@ from ..effects.plan import STATES
 from ..scene.colmap import load_scene
 from ..scene.images import load_images
 from ..scene.split import split_views
+from ..strict_json import from_json
 from ..training.config import TrainSettings
 from ..training.run_folder import RunFolder, read_json
 from .evaluation_page import figure_rows, machine_line, view_table
@@ -287,7 +287,7 @@ def _log(path: Path) -> list[dict[str, Any]]:
     entries = []
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
         try:
-            entries.append(json.loads(line))
+            entries.append(from_json(line))
         except ValueError:
             continue
     return [entry for entry in entries if isinstance(entry, dict)]

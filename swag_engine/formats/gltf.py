@@ -19,6 +19,7 @@ from ..files import atomic_path
 from ..gaussians.splats import Splats, cleaned, concatenate
 from ..gaussians.transform import quaternions, rotation_matrices, transformed
 from ..scene.cameras import Camera
+from ..strict_json import from_json
 
 log = logging.getLogger(__name__)
 
@@ -181,7 +182,7 @@ def read_glb(path: Path, up: Sequence[float] | np.ndarray = COLMAP_UP) -> Splats
             parts.append(part if np.allclose(matrix, np.eye(4), rtol=0, atol=1e-9) else transformed(part, matrix))
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+    except (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{path} is damaged, its glTF structure does not hold together; write it again.") from error
     if not parts:
         raise InputError(f"{path} holds no Gaussian splats ({EXTENSION}).")
@@ -245,7 +246,7 @@ def _chunks(path: Path) -> tuple[dict[str, Any], memoryview]:
         raise InputError(f"{path} is cut off; copy or write it again.")
     if json_kind != JSON_CHUNK or json_length > MOST_JSON:
         raise ValueError("the first chunk is no JSON that describes splats")
-    document = json.loads(data[20 : 20 + json_length])
+    document = from_json(data[20 : 20 + json_length])
     start = 20 + json_length
     length, kind = np.frombuffer(data[start : start + 8].ljust(8, b"\0"), "<u4").tolist()
     if kind != BINARY_CHUNK:

@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import InputError
 from ..files import atomic_path
 from ..scene.images import TrainingImage
+from ..strict_json import from_json
 
 _FORMAT = 1
 
@@ -23,7 +24,7 @@ def load_found(
         return None
     try:
         with np.load(_path(cache, image, key), allow_pickle=False) as kept:
-            index, names, embeddings = kept["index"], json.loads(str(kept["names"])), kept["embeddings"]
+            index, names, embeddings = kept["index"], from_json(str(kept["names"])), kept["embeddings"]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
     if index.shape != image.valid.shape or len(names) != len(embeddings):

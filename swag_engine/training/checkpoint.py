@@ -10,6 +10,7 @@ from safetensors.torch import save_file
 
 from ..errors import InputError
 from ..files import atomic_path
+from ..strict_json import from_json
 
 KEEP = 2
 
@@ -44,10 +45,10 @@ def load_checkpoint(run: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]
         try:
             with safe_open(path, framework="pt") as stored:
                 tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 (not a dict)
-                state = json.loads(stored.metadata()["state"])
+                state = from_json(stored.metadata()["state"])
             if _is_whole(tensors, state):
                 return tensors, state
-        except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError):
+        except (SafetensorError, OSError, KeyError, TypeError, ValueError):
             continue
     if found:
         raise InputError(

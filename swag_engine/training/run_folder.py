@@ -1,13 +1,12 @@
 """What a run leaves in its folder, and how it is found again."""
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
 from ..files import atomic_path
-from ..strict_json import to_json
+from ..strict_json import from_json, to_json
 from .config import TrainSettings
 
 
@@ -124,9 +123,9 @@ class RunFolder:
         kept = []
         for line in self.metrics_log.read_text(encoding="utf-8", errors="replace").splitlines():
             try:
-                entry = json.loads(line)
+                entry = from_json(line)
                 keep = entry["iteration"] <= iteration and "test_psnr" not in entry
-            except (ValueError, KeyError, TypeError, RecursionError):
+            except (ValueError, KeyError, TypeError):
                 continue  # half a line, of a run that was killed
             if keep:
                 kept.append(line + "\n")
@@ -150,10 +149,10 @@ def write_json(path: Path, document: dict[str, Any]) -> None:
 def read_json(path: Path, missing: str) -> dict[str, Any]:
     """The object in a JSON file. Raises InputError: with the sentence `missing` when there is no file."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = from_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise InputError(missing) from error
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read: {error}.") from error
     if not isinstance(document, dict):
         raise InputError(f"{path} does not hold a JSON object.")

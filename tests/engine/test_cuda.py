@@ -91,6 +91,11 @@ def test_agrees_on_many_small_scenes():
         check(make_scene(8, channels=2, width=19, height=18, seed=number, size=0.4))
 
 
+def test_agrees_on_pictures_one_pixel_wide():
+    for scene in clear_scenes(2, n=200, width=1, height=31, size=0.05):
+        check(scene)
+
+
 def test_agrees_where_pixels_end_early():
     for scene in clear_scenes(2, n=120, width=33, height=35, size=0.5):
         check(scene)

@@ -148,7 +148,7 @@ def test_a_picture_of_another_shape_or_kind(folder: Path) -> None:
     path = folder / "images" / "view_01.png"
     path.write_bytes(cv2.imencode(".png", np.zeros((150, 150, 3), np.uint8))[1].tobytes())
     sentence(lambda: load_images(scene, scene.views), path, "150 x 150", "200 x 150")
-    path.write_bytes(cv2.imencode(".tiff", np.zeros((150, 200, 3), np.float32))[1].tobytes())
+    path.write_bytes(cv2.imencode(".tiff", np.full((150, 200, 3), np.nan, np.float32))[1].tobytes())
     sentence(lambda: load_images(scene, scene.views), path, "float32")
 
 

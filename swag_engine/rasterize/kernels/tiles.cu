@@ -36,7 +36,7 @@ __device__ inline void for_tile_columns(const Splat &g, Index width, Index heigh
     int last = (int)fminf(width - 1, g.x + g.half_width - .49f) / TILE;
     for (int column = first; column <= last; column++) {
         float left = column * TILE + .5f - g.x, low, high;
-        rows_over_columns(g, left, left + fminf(TILE, width - column * TILE) - 1, low, high);
+        rows_over_columns(g, left, left + (fminf(TILE, width - column * TILE) - 1), low, high);
         low = fmaxf(0, ceilf(g.y + low - .5f));
         high = fminf(height - 1, floorf(g.y + high - .5f));
         if (low <= high) visit(column, (int)low / TILE, (int)high / TILE);

@@ -1,0 +1,179 @@
+"""How far the backends are apart over thousands of random scenes.
+
+    python benchmarks/backends_agree.py [--scenes 3000] [--seed 0]
+
+Each scene, of 1 to 60 Gaussians and 1 to 40 pixels a side, is drawn by torch in float64 (the truth), by torch in
+float32, by the CPU kernels and by the CUDA kernels (on simulated threads, or with SWAG_TEST_CUDA=1 on the card).
+"blended": any channels, the gradients by all that is optimised, and the sums of contributions. "trained": a cloud
+through water with its range, its colours without the water, and SSIM, as training does. An error is the largest
+difference over the largest value of that tensor of the truth. A scene may be over the tolerance only where rounding
+decides a comparison (alpha at 1/255 or .99, transmittance at 1e-4, the order of depths): the truth says how near it
+was to one. Writes results/backends_agree.json; exit code 1 where backends disagree.
+"""
+
+import argparse
+import json
+import random
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
+
+from swag_engine.threads import wait_politely  # noqa: E402
+
+wait_politely()
+
+import torch  # noqa: E402
+from torch import Tensor  # noqa: E402
+
+from swag_engine.gaussians.cloud import GaussianCloud  # noqa: E402
+from swag_engine.rasterize import cuda  # noqa: E402
+from swag_engine.rasterize.api import contributions, rasterize  # noqa: E402
+from swag_engine.rasterize.render import render  # noqa: E402
+from swag_engine.scene.cameras import Camera  # noqa: E402
+from swag_engine.training.losses import photometric  # noqa: E402
+from swag_engine.water.medium import Medium  # noqa: E402
+from tests.engine.cuda_fibres import Fibres  # noqa: E402
+from tests.engine.test_cuda import DEVICE, ON_CARD  # noqa: E402
+from tests.engine.test_rasterize import GRADIENTS, blend_by_the_book, make_scene, relative_error  # noqa: E402
+
+RESULT = ROOT / "benchmarks" / "results" / "backends_agree.json"
+TOLERANCE, TRAINED_GRADIENTS = 1e-4, 5e-3
+"""Of all, but for gradients through SSIM: its variances cancel in float32, in plain torch too."""
+NEAR_A_COMPARISON = 1e-5
+BACKENDS = {"torch": torch.device("cpu"), "cpu": torch.device("cpu"), "cuda": torch.device(DEVICE)}
+
+Scene = dict[str, Tensor | int]
+Results = dict[str, Tensor]
+
+
+def random_scene(number: int) -> Scene:
+    draw = random.Random(number)
+    sides = {"width": draw.randint(1, 40), "height": draw.randint(1, 40)}
+    size = 10 ** draw.uniform(-2, 0.3)
+    return make_scene(draw.randint(1, 60), draw.randint(1, 8), seed=number, size=size, **sides)
+
+
+def weighted(values: list[Tensor], seed: int) -> Tensor:
+    """A random functional of tensors."""
+    generator = torch.Generator().manual_seed(seed)
+    weights = (1 + torch.randn(v.shape, generator=generator, dtype=torch.float64) for v in values)
+    return sum((v * w.to(v)).sum() for v, w in zip(values, weights, strict=True))
+
+
+def blended(scene: Scene, backend: str, dtype: torch.dtype, device: torch.device) -> Results:
+    """Channels, their gradients, and contributions."""
+    tensors = {k: v.to(device, dtype, copy=True) for k, v in scene.items() if isinstance(v, Tensor)}
+    for name in GRADIENTS:
+        tensors[name].requires_grad_()
+    drawn = rasterize(**{**scene, **tensors}, backend=backend)
+    weighted([drawn.channels, drawn.alpha], 1).backward()
+    results = {"picture": drawn.channels, "alpha": drawn.alpha, "gradient by means2d": drawn.means2d.grad}
+    results |= {f"gradient by {name}": tensors[name].grad for name in GRADIENTS}
+    generator = torch.Generator().manual_seed(2)
+    size = drawn.alpha.shape
+    pictures = {"weights": torch.rand(*size, 2, generator=generator, dtype=torch.float64)}
+    pictures["image_gradient"] = torch.randn(drawn.channels.shape, generator=generator, dtype=torch.float64)
+    still = {k: v.detach() for k, v in tensors.items()} | {k: v.to(device, dtype) for k, v in pictures.items()}
+    found = contributions(**{**scene, **still}, backend=backend)
+    return results | {name: getattr(found, name) for name in ("weighted", "importance", "error")}
+
+
+def trained(scene: Scene, backend: str, dtype: torch.dtype, device: torch.device) -> Results:
+    """A cloud through water, with range and without the water, and the gradients of SSIM and of all these."""
+    generator = torch.Generator().manual_seed(3)
+    n, width, height = len(scene["means"]), scene["width"], scene["height"]
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    cloud = GaussianCloud(
+        means=scene["means"].float(),
+        quats=scene["quats"].float(),
+        log_scales=scene["scales"].log().float(),
+        opacity_logits=scene["opacities"].logit().float(),
+        sh0=normal(n, 1, 3),
+        shN=0.2 * normal(n, 15, 3),
+        background=normal(3),
+    )
+    medium = Medium(normal(3), normal(3), 0.5 * normal(9, 3), 3.0, "linear" if n % 2 else "srgb")
+    leaves = {}
+    for owner in (cloud, medium):
+        for name, tensor in owner.parameters().items():
+            leaves[name] = tensor.to(device, dtype, copy=True).requires_grad_()
+            setattr(owner, name, leaves[name])
+    K = scene["K"]
+    pinhole = [float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))]
+    camera = Camera("random", width, height, *pinhole, scene["viewmat"].numpy())
+    picture = render(cloud, camera, 3, medium, with_range=True, with_restored=True, backend=backend)
+    target = torch.rand(height, width, 3, generator=generator).to(device, dtype)
+    loss = photometric(picture.color, target, None, 0.0, 1.0, backend=backend)
+    outputs = {"picture": picture.color, "alpha": picture.alpha, "restored": picture.restored}
+    (loss + 0.01 * weighted([*outputs.values(), picture.range], 4)).backward()
+    gradients = {f"gradient by {name}": leaf.grad for name, leaf in leaves.items() if leaf.grad is not None}
+    return outputs | {"range": picture.range, "loss": loss} | gradients
+
+
+def tolerance(backend: str, way: str, name: str) -> float:
+    return TRAINED_GRADIENTS if way == "trained" and name.startswith("gradient") else TOLERANCE
+
+
+def errors(scene: Scene) -> dict[tuple[str, str, str], float]:
+    """By backend, way and tensor."""
+    found = {}
+    for way in (blended, trained):
+        truth = way(scene, "torch", torch.float64, torch.device("cpu"))
+        for backend, device in BACKENDS.items():
+            result = way(scene, backend, torch.float32, device)
+            assert result.keys() == truth.keys()
+            for name, value in result.items():
+                found[backend, way.__name__, name] = relative_error(value.detach().double().cpu(), truth[name].detach())
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=3000)
+    parser.add_argument("--seed", type=int, default=0, help="number of the first scene")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    begun, worst, ties, wrong = time.perf_counter(), {}, [], []
+    with tempfile.TemporaryDirectory() as folder:
+        if not ON_CARD:
+            fibres = Fibres(Path(folder))
+            cuda.driver = lambda: fibres
+        for number in range(options.seed, options.seed + options.scenes):
+            scene = random_scene(number)
+            found = errors(scene)
+            over = {" ".join(key): error for key, error in found.items() if not error <= tolerance(*key)}
+            if over and blend_by_the_book(scene)[2] < NEAR_A_COMPARISON:
+                ties.append(number)
+                continue
+            if over:
+                wrong.append(number)
+                print(f"scene {number}: {over}", file=sys.stderr)
+            for key, error in found.items():
+                worst[key] = max(worst.get(key, 0.0), error)
+    table: dict[str, dict[str, dict[str, float]]] = {}
+    for (backend, way, name), error in worst.items():
+        table.setdefault(backend, {}).setdefault(way, {})[name] = float(f"{error:.2g}")
+    result = {
+        "scenes": options.scenes,
+        "first": options.seed,
+        "cuda": "on the card" if ON_CARD else "on simulated threads",
+        "tolerance": {"of gradients, trained": TRAINED_GRADIENTS, "of all others": TOLERANCE},
+        "scenes decided by rounding": ties,
+        "scenes over the tolerance": wrong,
+        "largest error": table,
+        "seconds": round(time.perf_counter() - begun),
+    }
+    RESULT.write_text(json.dumps(result, indent=2) + "\n")
+    print(json.dumps(result, indent=2))
+    return bool(wrong)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
