@@ -1,9 +1,9 @@
 """SWAG Splatting: underwater photographs become 3D Gaussians in Blender. Registers the extension, nothing else."""
 
 from . import operators
-from .swag_blender import commands, engine_process, job, panels, preferences, properties, translations, water
+from .swag_blender import assets, commands, engine_process, job, panels, preferences, properties, translations, water
 
-_MODULES = (properties, preferences, engine_process, job, operators, panels, water, commands, translations)
+_MODULES = (properties, preferences, engine_process, job, operators, panels, water, assets, commands, translations)
 
 
 def register() -> None:

@@ -11,6 +11,7 @@ from . import (
     inspect_scene,
     install_engine,
     labels,
+    node_assets,
     plan,
     prepare_render,
     set_scale,
@@ -33,6 +34,7 @@ _MODULES = (
     water_objects,
     set_scale,
     export_splats,
+    node_assets,
     install_engine,
 )
 

@@ -6,7 +6,7 @@ from typing import Any
 import bpy
 from bpy.props import StringProperty
 
-from . import EXTENSION, engine_process
+from . import EXTENSION, assets, engine_process
 from .panels import draw_job, draw_outcome, draw_wrapped
 
 JOBS = ("Installation", "Look-up", "Engine check")
@@ -55,6 +55,11 @@ class SwagPreferences(bpy.types.AddonPreferences):
         row = layout.row()
         row.enabled = bool(ready)
         row.operator("swag.check_engine", icon="VIEWZOOM")
+
+        row = layout.row()
+        row.operator("swag.node_assets", icon="ASSET_MANAGER").remove = False
+        if assets.folder().exists():
+            row.operator("swag.node_assets", text="Remove", icon="TRASH").remove = True
 
         header, body = layout.panel("swag_install", default_closed=bool(ready))
         header.label(text="Install Engine")

@@ -1,13 +1,16 @@
 """Shader nodes of a fitted water, for ordinary objects and for the world: they stand in the same water as the splats.
 
-One node group per splat object holds its water. The slider `scene.swag.water` and the object's place (which says what
-direction and length are in the splats' own space) reach it by drivers, so that it follows animation. Its outputs:
+One node group per splat object holds its water; one of no object, for the asset library, has it as inputs. The slider
+`scene.swag.water` and the object's place (which says what direction and length are in the splats' own space) reach it
+by drivers, so that it follows animation. Its outputs:
 - Color: the light `Color` as seen through the water between the camera and the surface, exactly;
 - Transmission and Veil: seen = Color * Transmission + Veil, for surfaces whose light a renderer has yet to find. Exact
   for a water of light; a water of display values is met at black and at middle grey.
 - Open Water, and the same in display values: what is seen where nothing is.
 Only what the camera sees goes through the water: lamps and reflections are as they would be in air.
 """
+
+from collections.abc import Callable
 
 import bpy
 
@@ -36,6 +39,24 @@ def node_group(obj: bpy.types.Object, scene: bpy.types.Scene, values: WaterValue
                 socket.default_value = component
         else:
             node.outputs[0].default_value = float(value)
+    return tree
+
+
+def free_group(values: WaterValues) -> bpy.types.NodeTree:
+    """A node group of no splats: its water is in its inputs, which begin as these values; made once per file."""
+    if (tree := bpy.data.node_groups.get(NAME)) is None:
+        tree = bpy.data.node_groups.new(NAME, "ShaderNodeTree")
+
+        def held(name: str, is_vector: bool) -> Field:
+            kind = "NodeSocketVector" if is_vector else "NodeSocketFloat"
+            tree.interface.new_socket(name, in_out="INPUT", socket_type=kind)
+            return Field(tree.nodes.new("NodeGroupInput").outputs[name])
+
+        _build(tree, held)
+    begin = {"Amount": 1.0, "Splats Scale": 1.0} | values.inputs()
+    for item in tree.interface.items_tree:
+        if item.in_out == "INPUT" and item.name in begin:
+            item.default_value = begin[item.name]
     return tree
 
 
@@ -124,31 +145,28 @@ def background_node(scene: bpy.types.Scene) -> bpy.types.Node:
 
 def _new_group(obj: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.NodeTree:
     tree = bpy.data.node_groups.new(f"{NAME} {obj.name}", "ShaderNodeTree")
-    interface = tree.interface
-    color = interface.new_socket("Color", in_out="INPUT", socket_type="NodeSocketColor")
-    color.description = "Light of the surface without water"
-    for name in ("Color", "Transmission", "Veil", "Open Water", "Open Water Display"):
-        interface.new_socket(name, in_out="OUTPUT", socket_type="NodeSocketColor")
 
-    def held(name: str, kind: str) -> Field:
-        node = tree.nodes.new(kind)
+    def held(name: str, is_vector: bool) -> Field:
+        node = tree.nodes.new("ShaderNodeCombineXYZ" if is_vector else "ShaderNodeValue")
         node.name = node.label = name
         return Field(node.outputs[0])
 
-    inputs = {
-        name: held(name, "ShaderNodeCombineXYZ" if isinstance(value, tuple) else "ShaderNodeValue")
-        for name, value in WaterValues().inputs().items()
-    }
-    amount, turn, length = (
-        held("Amount", "ShaderNodeValue"),
-        held("Splats Rotation", "ShaderNodeCombineXYZ"),
-        held("Splats Scale", "ShaderNodeValue"),
-    )
+    _build(tree, held)
     drive(tree, 'nodes["Amount"].outputs[0].default_value', scene)
     _follow(tree, 'nodes["Splats Scale"].outputs[0].default_value', obj, "SCALE_AVG")
     for index, axis in enumerate("XYZ"):
         _follow(tree, f'nodes["Splats Rotation"].inputs[{index}].default_value', obj, f"ROT_{axis}")
+    return tree
 
+
+def _build(tree: bpy.types.NodeTree, held: Callable[[str, bool], Field]) -> None:
+    """Fill the tree with nodes; held(name, is_vector) gives it each figure of the water."""
+    color = tree.interface.new_socket("Color", in_out="INPUT", socket_type="NodeSocketColor")
+    color.description = "Light of the surface without water"
+    for name in ("Color", "Transmission", "Veil", "Open Water", "Open Water Display"):
+        tree.interface.new_socket(name, in_out="OUTPUT", socket_type="NodeSocketColor")
+    amount, turn, length = held("Amount", False), held("Splats Rotation", True), held("Splats Scale", False)
+    inputs = {name: held(name, isinstance(value, tuple)) for name, value in WaterValues().inputs().items()}
     toward_eye = Field(add(tree, "ShaderNodeNewGeometry").outputs["Incoming"])
     local = add(
         tree,
@@ -183,7 +201,6 @@ def _new_group(obj: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.NodeT
     for name, field in results.items():
         tree.links.new(field.socket, output.inputs[name])
     arranged(tree)
-    return tree
 
 
 def _new_driver(owner: bpy.types.ID, path: str, index: int = -1) -> bpy.types.Driver:
