@@ -96,10 +96,13 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
         row = layout.row()
         row.enabled = not problem
         row.operator("swag.forecast", icon="TIME")
-        for line in swag.forecast_lines():
-            row = layout.row(align=True)
-            for text in line:
-                row.label(text=text)
+        for name, seconds, psnr, memory in swag.forecast_lines():
+            split = layout.split(factor=0.3)
+            split.label(text=name)
+            column = split.column(align=True)
+            column.scale_y = 0.8
+            column.label(text=seconds)
+            column.label(text=f"{psnr}, {memory}")
         if problem:
             draw_wrapped(layout, problem, width, icon="INFO")
             if swag.scene_folder:
@@ -233,6 +236,7 @@ def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 
 def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: str = "NONE") -> None:
     """A sentence over as many lines as a region of `width` pixels needs."""
+    text = bpy.app.translations.pgettext_iface(text)
     # Blender's interface font has about 6.4 pixels a character; margins and an icon take their share.
     pixels = width / bpy.context.preferences.system.ui_scale - (30 if icon == "NONE" else 54)
     characters = max(20, int(pixels / 6.4))

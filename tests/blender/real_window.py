@@ -1,35 +1,21 @@
 """Runs inside the real Blender, with a window: what a person does in the sidebar, with the pointer.
 
-Environment: SWAG_ZIP the extension, SWAG_SCENE the COLMAP scene, SWAG_OUT the folder for pictures and report.json,
-SWAG_ENGINE_PYTHON the engine's Python. The file $READY tells the caller that all is done.
+Environment: that of window.py, SWAG_ZIP the extension, SWAG_SCENE the COLMAP scene, SWAG_ENGINE_PYTHON the engine's
+Python.
 """
 
-import json
 import os
 import subprocess
 import sys
 import time
-import traceback
-from pathlib import Path
 
 import bpy
 
-# Before Blender draws for the first time: a splash screen would eat the first click.
-bpy.context.preferences.view.show_splash = False
-OUT = Path(os.environ["SWAG_OUT"])
+sys.path.insert(0, os.environ["SWAG_OUT"])
+from window import install, photograph, report, start, until, view3d  # noqa: E402
+
 # Where the buttons are on a screen of 1280 x 800, from its top left corner.
 TRAIN, CONTINUE, PAUSE, CANCEL = (900, 470), (960, 470), (830, 424), (950, 424)
-report = {"version": bpy.app.version_string}
-
-
-def view3d():
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-    return window, area, next(region for region in area.regions if region.type == "UI")
-
-
-def photograph(name):
-    subprocess.run(["import", "-window", "root", str(OUT / f"{name}.png")], check=True)
 
 
 def click(x, y):
@@ -55,21 +41,8 @@ def measured(function, seconds):
     return timed
 
 
-def until(condition, seconds):
-    end = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError(f"waited {seconds} s")
-        yield 0.05
-
-
 def steps():
-    bpy.context.preferences.system.use_online_access = False
-    bpy.ops.extensions.package_install_files(
-        filepath=os.environ["SWAG_ZIP"], repo="user_default", enable_on_install=True, overwrite=True
-    )
-    for name in ("Cube", "Light", "Camera"):
-        bpy.data.objects.remove(bpy.data.objects[name])
+    install()
     yield 2.0
     window, area, region = view3d()
     area.spaces.active.show_region_ui = True
@@ -138,19 +111,4 @@ def steps():
     report["loaded"] = {"job": status.job, "engines": len(engines), "message": status.message}
 
 
-def run(generator):
-    try:
-        return next(generator)
-    except StopIteration:
-        report["done"] = True
-    except Exception:
-        report["traceback"] = traceback.format_exc()
-        photograph("failed")
-    (OUT / "report.json").write_text(json.dumps(report))
-    Path(os.environ["READY"]).touch()
-    bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None, first_interval=2.0)
-    return None
-
-
-sequence = steps()
-bpy.app.timers.register(lambda: run(sequence), first_interval=2.0, persistent=True)
+start(steps())

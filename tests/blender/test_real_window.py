@@ -40,6 +40,7 @@ def place(extension_zip, tiny_scene):
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(tiny_scene, folder / "scene")
     shutil.copy(extension_zip, folder / "extension.zip")
+    shutil.copy(Path(__file__).with_name("window.py"), folder)
     return folder
 
 

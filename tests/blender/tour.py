@@ -4,26 +4,19 @@ Environment as for real_window.py; SWAG_SCENE is the demo scene. Panels are open
 that buttons react to the pointer is real_window.py's part.
 """
 
-import json
 import os
-import subprocess
+import sys
 import time
-import traceback
-from pathlib import Path
 
 import bpy
 
-bpy.context.preferences.view.show_splash = False
-OUT = Path(os.environ["SWAG_OUT"])
+sys.path.insert(0, os.environ["SWAG_OUT"])
+import window as blender_window  # noqa: E402
+from window import OUT, install, report, start, view3d, write_report  # noqa: E402
+
 EXTENSION = "bl_ext.user_default.swag_splatting"
 LIMIT = 300  # seconds to wait for anything
-report = {"version": bpy.app.version_string, "stages": []}
-
-
-def view3d():
-    window = bpy.context.window_manager.windows[0]
-    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
-    return window, area, next(region for region in area.regions if region.type == "UI")
+report["stages"] = []
 
 
 def call(operator, **options):
@@ -40,17 +33,13 @@ def photograph(name):
         area.tag_redraw()
         region.tag_redraw()
         yield 2.0
-    subprocess.run(["import", "-window", "root", str(OUT / f"{name}.png")], check=True)
+    blender_window.photograph(name)
     report["stages"].append(name)
-    (OUT / "report.json").write_text(json.dumps(report))
+    write_report()
 
 
 def until(condition):
-    end = time.monotonic() + LIMIT
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError(f"waited {LIMIT} s")
-        yield 0.1
+    return blender_window.until(condition, LIMIT)
 
 
 def job(operator, **options):
@@ -71,12 +60,7 @@ def scroll(lines):
 
 
 def steps():
-    bpy.context.preferences.system.use_online_access = False
-    bpy.ops.extensions.package_install_files(
-        filepath=os.environ["SWAG_ZIP"], repo="user_default", enable_on_install=True, overwrite=True
-    )
-    for name in ("Cube", "Light", "Camera"):
-        bpy.data.objects.remove(bpy.data.objects[name])
+    install()
     yield 2.0
     window, area, region = view3d()
     status, swag = bpy.context.window_manager.swag, bpy.context.scene.swag
@@ -93,7 +77,7 @@ def steps():
     report["Engine check"] = status.message
     area.tag_redraw()
     yield 2.0
-    subprocess.run(["import", "-window", "root", str(OUT / "1-preferences.png")], check=True)
+    blender_window.photograph("1-preferences")
     area.type = "VIEW_3D"
     area.spaces.active.show_region_ui = True
     yield 1.0
@@ -107,7 +91,9 @@ def steps():
     yield from photograph("3-effects")
 
     scroll(25)
-    swag.recipe, swag.iterations, swag.width, swag.max_gaussians = "swag", 500, 240, 12_000
+    yield from job(bpy.ops.swag.forecast)
+    yield from photograph("forecast")
+    swag.recipe, swag.iterations, swag.width, swag.max_gaussians = "swag", 1500, 240, 12_000
     call(bpy.ops.swag.train)
     clouds = lambda: [o for o in bpy.data.objects if "swag_run" in o]  # noqa: E731
     yield from until(lambda: (clouds() and len(status.curve.split()) > 1) or not status.job)
@@ -154,19 +140,4 @@ def steps():
     report["idle_cpu"] = (time.process_time() - before) / 5
 
 
-def run(generator):
-    try:
-        return next(generator)
-    except StopIteration:
-        report["done"] = True
-    except Exception:
-        report["traceback"] = traceback.format_exc()
-        subprocess.run(["import", "-window", "root", str(OUT / "failed.png")], check=True)
-    (OUT / "report.json").write_text(json.dumps(report))
-    Path(os.environ["READY"]).touch()
-    bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None, first_interval=2.0)
-    return None
-
-
-sequence = steps()
-bpy.app.timers.register(lambda: run(sequence), first_interval=2.0, persistent=True)
+start(steps())

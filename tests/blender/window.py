@@ -1,0 +1,73 @@
+"""What scripts inside the real Blender share: its window, pictures of the screen, waiting, a report for the caller.
+
+A script is a generator of steps that yields the seconds to wait before the next. Environment: SWAG_OUT the folder for
+pictures and report.json, where this file lies too; the file $READY tells the caller that all is done.
+"""
+
+import json
+import os
+import subprocess
+import time
+import traceback
+from pathlib import Path
+
+import bpy
+
+# Before Blender draws for the first time: a splash screen would eat the first click.
+bpy.context.preferences.view.show_splash = False
+OUT = Path(os.environ["SWAG_OUT"])
+report = {"version": bpy.app.version_string}
+
+
+def view3d():
+    """Window, area and sidebar of the 3D viewport."""
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    return window, area, next(region for region in area.regions if region.type == "UI")
+
+
+def photograph(name):
+    """A picture of the screen, from outside of Blender."""
+    subprocess.run(["import", "-window", "root", str(OUT / f"{name}.png")], check=True)
+
+
+def until(condition, seconds):
+    """Steps that wait for the condition; TimeoutError after so many seconds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            raise TimeoutError(f"waited {seconds} s")
+        yield 0.05
+
+
+def install():
+    """Install the extension SWAG_ZIP, without online access, and empty the scene."""
+    bpy.context.preferences.system.use_online_access = False
+    bpy.ops.extensions.package_install_files(
+        filepath=os.environ["SWAG_ZIP"], repo="user_default", enable_on_install=True, overwrite=True
+    )
+    for name in ("Cube", "Light", "Camera"):
+        bpy.data.objects.remove(bpy.data.objects[name])
+
+
+def write_report():
+    (OUT / "report.json").write_text(json.dumps(report))
+
+
+def start(steps):
+    """Run the steps from a timer, write the report, tell the caller and quit Blender."""
+
+    def run():
+        try:
+            return next(steps)
+        except StopIteration:
+            report["done"] = True
+        except Exception:
+            report["traceback"] = traceback.format_exc()
+            photograph("failed")
+        write_report()
+        Path(os.environ["READY"]).touch()
+        bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None, first_interval=2.0)
+        return None
+
+    bpy.app.timers.register(run, first_interval=2.0, persistent=True)
