@@ -10,6 +10,19 @@ oldest=4.5.15
 [ -d ".venv/blender-4.5/bpy-$oldest.dist-info" ] ||
     .venv/bin/python -m pip install --quiet --no-deps --upgrade --target .venv/blender-4.5 "bpy==$oldest"
 
+# The newest wants a Python of its own; where there is none its tests skip.
+newest=5.2.3
+if ! [ -d ".venv/blender-5.2/bpy-$newest.dist-info" ]; then
+    for python in python3.13 "$HOME"/.pyenv/versions/3.13.*/bin/python3.13; do
+        if "$python" -V >/dev/null 2>&1; then
+            .venv/bin/python -m pip install --quiet --upgrade --target .venv/blender-5.2 \
+                --python-version 3.13 --only-binary :all: "bpy==$newest"
+            ln -sf "$("$python" -c "import sys; print(sys.executable)")" .venv/blender-5.2/python
+            break
+        fi
+    done
+fi
+
 # Blender as a Python package links to the system's OpenGL and X11 libraries even when it draws nothing on a screen.
 libraries="libgl1 libegl1 libgl1-mesa-dri libsm6 libxi6 libxrender1 libxfixes3 libxkbcommon0"
 if ! .venv/bin/python -c "import bpy" 2>/dev/null; then

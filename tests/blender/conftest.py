@@ -28,17 +28,23 @@ assert addon_utils.enable(EXTENSION, default_set=True)
 """
 
 
+def packages(version):
+    """Where environment.sh puts a bpy package that is not this Python's own; 5.2 has its Python there, too."""
+    return ROOT / ".venv" / f"blender-{version}"
+
+
 class Blender:
     """One version of the bpy package; `user` is its own folder of user files."""
 
     def __init__(self, version, user):
         self.user = user
-        self.path = {"5.0": "", "4.5": str(ROOT / ".venv" / "blender-4.5")}[version]
+        self.path = "" if version == "5.0" else str(packages(version))
+        self.executable = str(packages(version) / "python") if version == "5.2" else sys.executable
 
     def python(self, script, *arguments, **environment):
         own = {"BLENDER_USER_RESOURCES": str(self.user), "PYTHONPATH": self.path, "PYTHONIOENCODING": "utf-8"}
         done = subprocess.run(
-            [sys.executable, "-c", script, *map(str, arguments)],
+            [self.executable, "-c", script, *map(str, arguments)],
             env=os.environ | own | {key: str(value) for key, value in environment.items()},
             capture_output=True, encoding="utf-8", timeout=600, cwd=self.user,
         )  # fmt: skip
@@ -69,9 +75,11 @@ def extension_zip(tmp_path_factory):
     return builder.build(tmp_path_factory.mktemp("dist"))
 
 
-@pytest.fixture(scope="session", params=["5.0", "4.5"])
+@pytest.fixture(scope="session", params=["5.0", "4.5", "5.2"])
 def installed(request, extension_zip, tmp_path_factory):
     """A Blender version and a folder of user files with the extension installed."""
+    if request.param == "5.2" and not (packages("5.2") / "python").exists():
+        pytest.skip("Blender 5.2's package needs Python 3.13, which environment.sh did not find.")
     blender = Blender(request.param, tmp_path_factory.mktemp(f"blender-{request.param}"))
     blender.python(INSTALL, extension_zip)
     return request.param, blender.user
