@@ -14,9 +14,8 @@ oldest=4.5.15
 newest=5.2.3
 if ! [ -d ".venv/blender-5.2/bpy-$newest.dist-info" ]; then
     for python in python3.13 "$HOME"/.pyenv/versions/3.13.*/bin/python3.13; do
-        if "$python" -V >/dev/null 2>&1; then
-            .venv/bin/python -m pip install --quiet --upgrade --target .venv/blender-5.2 \
-                --python-version 3.13 --only-binary :all: "bpy==$newest"
+        if "$python" -m pip -V >/dev/null 2>&1; then
+            "$python" -m pip install --quiet --upgrade --root-user-action ignore --target .venv/blender-5.2 "bpy==$newest"
             ln -sf "$("$python" -c "import sys; print(sys.executable)")" .venv/blender-5.2/python
             break
         fi
