@@ -175,7 +175,7 @@ class SWAG_OT_export_splats(bpy.types.Operator, ExportHelper):
         medium, metres = _water(obj)
         if medium:
             # From the frame of the training to that of the file.
-            linear = (into_file @ np.array(obj.matrix_world))[:3, :3]
+            linear = (into_file @ np.array(obj.matrix_world, np.float64))[:3, :3]
             scale = float(np.cbrt(np.linalg.det(linear)))
             in_metres = bool(metres) or self.metres_per_unit != 1.0
             write_json(path, placed(medium, linear / scale, scale, metres, in_metres))

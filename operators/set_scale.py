@@ -107,13 +107,15 @@ def splat_under(context: bpy.types.Context, region: bpy.types.Region, mouse: Vec
     eye, along = (
         f(region, view, mouse) for f in (view3d_utils.region_2d_to_origin_3d, view3d_utils.region_2d_to_vector_3d)
     )
-    perspective = np.array(view.perspective_matrix)
+    perspective = np.array(view.perspective_matrix, np.float64)
     best, found = np.inf, None
     for obj in context.visible_objects:
         if not splats.is_splats(obj):
             continue
         held = splats.read_splats(obj)
-        world = held.positions @ np.array(obj.matrix_world)[:3, :3].T + np.array(obj.matrix_world.translation)
+        world = held.positions @ np.array(obj.matrix_world, np.float64)[:3, :3].T + np.array(
+            obj.matrix_world.translation, np.float64
+        )
         clip = world @ perspective[:, :3].T + perspective[:, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
             pixels = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * (region.width, region.height)

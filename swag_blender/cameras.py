@@ -34,16 +34,16 @@ def _camera(
 ) -> Camera:
     """One camera object at a picture of width x height pixels, each `pixel_aspect` times as wide as high."""
     x, y = max(pixel_aspect, 1.0), max(1 / pixel_aspect, 1.0)
-    projection = np.array(obj.calc_matrix_camera(depsgraph, x=width, y=height, scale_x=x, scale_y=y))
+    projection = np.array(obj.calc_matrix_camera(depsgraph, x=width, y=height, scale_x=x, scale_y=y), np.float64)
     # Parents may scale, the pose of a camera does not.
     pose = obj.evaluated_get(depsgraph).matrix_world.normalized() @ scene_import.OPENCV_TO_BLENDER
     return Camera(
         name=obj.name,
         width=width,
         height=height,
-        fx=projection[0, 0] * width / 2,
-        fy=projection[1, 1] * height / 2,
-        cx=width / 2 * (1 - projection[0, 2]),
-        cy=height / 2 * (1 + projection[1, 2]),
+        fx=float(projection[0, 0] * width / 2),
+        fy=float(projection[1, 1] * height / 2),
+        cx=float(width / 2 * (1 - projection[0, 2])),
+        cy=float(height / 2 * (1 + projection[1, 2])),
         world_to_camera=np.linalg.inv(np.array(pose, np.float64)),
     )

@@ -37,7 +37,7 @@ class Blender:
     """One version of the bpy package; `user` is its own folder of user files."""
 
     def __init__(self, version, user):
-        self.user = user
+        self.version, self.user = version, user
         self.path = "" if version == "5.0" else str(packages(version))
         self.executable = str(packages(version) / "python") if version == "5.2" else sys.executable
 

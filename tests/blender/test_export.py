@@ -1,5 +1,7 @@
 """Splat files out of Blender and into it, through the operators."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -214,6 +216,7 @@ assert not bpy.data.collections and not bpy.context.window_manager.swag.job
 print("SAID", json.dumps(said))
         """,
         tmp_path,
+        SWAG_ENGINE_PYTHON=sys.executable,
     )
     said = blender.json_after("SAID", printed)
     print(said)

@@ -1,5 +1,7 @@
 """Install Engine, Check Engine and Remove Engine in Blender's preferences, from a folder of wheels."""
 
+import pytest
+
 INSTALL = """
 import json, sys, bpy
 from bl_ext.user_default.swag_splatting.swag_blender import engine_process
@@ -18,6 +20,8 @@ engine_process.PACKAGES = ("no_such_package",)  # this Python is no engine
 
 
 def test_installs_from_wheels_checks_and_removes(blender, wheels):
+    if blender.version == "5.2":
+        pytest.skip("The wheels lend the packages of this Python, which is not Blender 5.2's.")
     printed = blender.run(
         INSTALL
         + """
