@@ -10,9 +10,10 @@ from ..gaussians.cloud import GaussianCloud
 from ..scene.cameras import Camera
 from ..water.medium import MAX_DEGREE, Medium, open_water, through_water
 from ..water.network import WaterNetwork
-from .api import Rendering, rasterize
+from .api import Rendering, contributions, rasterize
 
 DAZZLING = 1e4  # display value
+SUMMED_AT_ONCE = 16
 FARTHEST = 1e15  # scene units; the square of what is farther overflows
 
 
@@ -110,3 +111,17 @@ def tail(
         return cloud.background.sigmoid()
     viewmat, K = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
     return open_water(medium, viewmat, K, camera.width, camera.height, water_degree, backend=backend)
+
+
+@torch.no_grad()
+def contribution_sums(cloud: GaussianCloud, camera: Camera, pictures: Tensor, backend: str = "auto") -> Tensor:
+    """(N, R): what each Gaussian adds to the view, T alpha, summed over the pixels times each of pictures (H, W, R)."""
+    viewmat, intrinsics = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
+    parts = [
+        contributions(
+            cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.means.new_ones(len(cloud), 1), viewmat,
+            intrinsics, camera.width, camera.height, cloud.means.new_zeros(1), part.contiguous(), backend=backend,
+        ).weighted
+        for part in pictures.split(SUMMED_AT_ONCE, dim=-1)
+    ]  # fmt: skip
+    return torch.cat(parts, 1)

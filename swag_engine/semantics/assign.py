@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from ..gaussians.cloud import GaussianCloud
-from ..rasterize.api import contributions, rasterize
+from ..rasterize.api import rasterize
+from ..rasterize.render import contribution_sums
 from ..scene.cameras import Camera
 from .embed import DIMENSIONS
 from .regions import SceneRegions
@@ -48,7 +49,7 @@ def label_weights(
     camera = camera.resized(labels.shape[1])
     here = np.unique(labels[labels > 0]).astype(np.int64)
     pictures = torch.from_numpy(np.stack([labels == label for label in here] + [np.ones_like(labels)], -1))
-    weights = _sums(cloud, camera, pictures.to(cloud.means), backend)
+    weights = contribution_sums(cloud, camera, pictures.to(cloud.means), backend)
     return torch.from_numpy(here).to(weights.device), weights[:, :-1], weights[:, -1]
 
 
@@ -159,20 +160,7 @@ def _vote_again(
             said += torch.where(drawn_labels == behind, 1 - drawn.alpha, 0)
     for some in here.split(AT_ONCE):
         pictures = (drawn_labels[..., None] == some) / said.clamp(min=LEAST_SAID)[..., None]
-        votes[:, some] += _sums(cloud, camera, pictures, backend).float() * shares[:, some]
-
-
-def _sums(cloud: GaussianCloud, camera: Camera, pictures: Tensor, backend: str) -> Tensor:
-    """(N, R): what each Gaussian adds to the view, T alpha, summed over the pixels times each of pictures (H, W, R)."""
-    viewmat, intrinsics = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
-    parts = [
-        contributions(
-            cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.means.new_ones(len(cloud), 1), viewmat,
-            intrinsics, camera.width, camera.height, cloud.means.new_zeros(1), part.contiguous(), backend=backend,
-        ).weighted
-        for part in pictures.split(AT_ONCE, dim=-1)
-    ]  # fmt: skip
-    return torch.cat(parts, 1)
+        votes[:, some] += contribution_sums(cloud, camera, pictures, backend).float() * shares[:, some]
 
 
 def _surest(here: Tensor, weights: Tensor, total: Tensor) -> Tensor:

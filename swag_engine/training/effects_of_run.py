@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..effects.moving_objects import LEAST_IMAGES, moving_mask, share_with_objects
+from ..effects.moving_objects import LEAST_IMAGES, moving_mask, residual, residuals_elsewhere, share_with_objects
 from ..effects.plan import Plan, write_plan
 from ..effects.simulated import Simulated
 from ..evaluation.metrics import picture
@@ -126,10 +126,16 @@ class EffectsOfRun:
 
     def find_moving(self) -> None:
         """Leave out of the training photographs what the place as it is learned now does not explain."""
-        masks = {}
+        residuals = []
         for image in self.training:
             shown = picture(self.cloud, image.camera, self.settings.sh_degree, self.settings.backend, self.simulated)
-            masks[image.camera.name] = moving_mask(image.pixels / np.float32(255), shown.numpy(), image.valid)
+            residuals.append(residual(image.pixels / np.float32(255), shown.numpy(), image.valid))
+        cameras = [image.camera for image in self.training]
+        elsewhere = residuals_elsewhere(self.cloud, cameras, residuals, self.settings.backend)
+        masks = {
+            image.camera.name: moving_mask(here, others, image.valid)
+            for image, here, others in zip(self.training, residuals, elsewhere, strict=True)
+        }
         found = share_with_objects(list(masks.values())) >= LEAST_IMAGES
         self.moved = {name: mask for name, mask in masks.items() if found and mask.any()}
         self.levels.clear()

@@ -8,8 +8,10 @@ import torch
 from swag_engine.effects.caustics import Illumination, illuminated
 from swag_engine.effects.exposure import Exposure, exposed
 from swag_engine.effects.lamp import Lamp, lit
-from swag_engine.effects.moving_objects import moving_mask, share_with_objects
+from swag_engine.effects.moving_objects import moving_mask, residual, residuals_elsewhere, share_with_objects
+from swag_engine.scene.cameras import Camera
 from swag_engine.water.light import to_display, to_light
+from tests.scenes.clouds import make_cloud
 
 
 def random(*shape, seed=0):
@@ -148,27 +150,62 @@ def a_photograph(noise=0.02):
     return picture, picture + noise * r.standard_normal(picture.shape)
 
 
+def mask_of(photograph, picture, valid, elsewhere=0.0):
+    return moving_mask(residual(photograph, picture, valid), np.full(valid.shape, elsewhere), valid)
+
+
 def test_a_fish_is_found_whole_and_noise_is_not():
     picture, photograph = a_photograph()
     valid = np.ones((90, 160), bool)
-    assert not moving_mask(photograph, picture, valid).any()
+    assert not mask_of(photograph, picture, valid).any()
     fish = np.zeros((90, 160), np.uint8)
     cv2.ellipse(fish, (60, 40), (20, 8), 20, 0, 360, 1, -1)
     swum = np.where(fish[..., None] > 0, 0.9, photograph)
-    mask = moving_mask(swum, picture, valid)
+    mask = mask_of(swum, picture, valid)
     assert (mask & (fish > 0)).sum() / fish.sum() > 0.95
     assert (mask & (fish > 0)).sum() / mask.sum() > 0.6
     assert share_with_objects([mask, np.zeros_like(mask)]) == 0.5
 
 
+def test_what_other_photographs_do_not_explain_either_is_no_object():
+    picture, photograph = a_photograph()
+    valid = np.ones((90, 160), bool)
+    swum = photograph.copy()
+    swum[30:60, 40:90] = 0.9
+    assert mask_of(swum, picture, valid, elsewhere=0.05).any()
+    assert not mask_of(swum, picture, valid, elsewhere=0.3).any()
+
+
+def test_residuals_elsewhere_are_those_of_the_same_place():
+    """A wall before three cameras in a row: what all leave unexplained at one place, and what only the first does."""
+    steps = torch.linspace(-2, 2, 41)
+    places = torch.stack(torch.meshgrid(steps, steps, indexing="xy"), -1).reshape(-1, 2)
+    wall = make_cloud(len(places), dtype=torch.float32)
+    wall.means = torch.cat([places, torch.full((len(places), 1), 4.0)], 1)
+    wall.log_scales, wall.opacity_logits = torch.full_like(wall.means, -3.0), torch.full((len(places),), 6.0)
+    cameras, residuals = [], []
+    for k, x in enumerate((-0.5, 0.0, 0.5)):
+        pose = np.eye(4)
+        pose[0, 3] = -x
+        cameras.append(Camera(f"{k}", 80, 60, 80.0, 80.0, 40.0, 30.0, pose))
+        residuals.append(np.zeros((60, 80), np.float32))
+        middle = 40 - round(20 * x)  # of the wall, in this picture
+        residuals[k][25:35, middle - 5 : middle + 5] = 0.2
+    residuals[0][5:15, 40:50] = 0.3
+    first, second, _ = residuals_elsewhere(wall, cameras, residuals, "torch")
+    assert first[28:32, 48:52].mean() == pytest.approx(0.2, rel=0.2)
+    assert first[7:13, 42:48].max() < 0.02
+    assert second[7:13, 32:38].mean() == pytest.approx(0.15, rel=0.25)  # the first of two others has it
+
+
 def test_brightness_edges_and_invalid_pixels_are_no_objects():
     picture, photograph = a_photograph()
     valid = np.ones((90, 160), bool)
-    assert not moving_mask(photograph + 0.3, picture, valid).any()
+    assert not mask_of(photograph + 0.3, picture, valid).any()
     shifted = np.where((np.arange(160) // 20 % 2)[None, :, None], 0.8, 0.2) * np.ones((90, 1, 3))
-    assert not moving_mask(np.roll(shifted, 1, 1), shifted, valid).any()
+    assert not mask_of(np.roll(shifted, 1, 1), shifted, valid).any()
     valid[20:60, 20:60] = False
     outside = photograph.copy()
     outside[20:60, 20:60] = 1.0
-    assert not moving_mask(outside, picture, valid).any()
-    assert not moving_mask(photograph, picture, np.zeros_like(valid)).any()
+    assert not mask_of(outside, picture, valid).any()
+    assert not mask_of(photograph, picture, np.zeros_like(valid)).any()
