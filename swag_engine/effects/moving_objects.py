@@ -19,8 +19,10 @@ from ..scene.cameras import Camera
 
 LEAST_RESIDUAL, LEAST_EXCESS = 0.08, 4.0
 """Display value that a residual must exceed, and how many times the photograph's usual residual."""
-LEAST_ALONE = 2.5
+LEAST_ALONE = 5.0
 """How many times the residual of the same place in the other photographs."""
+KNOWN = 2.0
+"""Pixels of a Gaussian in other photographs that weigh as much as the photograph itself."""
 GRAIN = 0.01
 """Share of the width below which nothing counts as an object."""
 LEAST_AREA, LEAST_IMAGES = 0.01, 0.10
@@ -65,8 +67,8 @@ def residuals_elsewhere(
 ) -> Iterator[np.ndarray]:
     """For each camera, what the residuals (H, W) of all others say of the places that it sees: (H, W) float32.
 
-    A Gaussian's residual in a photograph is the mean over the pixels, weighted with what it adds to them; one that no
-    other photograph shows has 0.
+    A Gaussian's residual in photographs is the mean over their pixels, weighted with what it adds to them. Where others
+    show little of it, its residual in the photograph itself counts: what is seen once cannot be told from what moves.
     """
 
     def sums(camera: Camera, values: np.ndarray) -> Tensor:
@@ -77,8 +79,10 @@ def residuals_elsewhere(
     for camera, values in zip(cameras, residuals, strict=True):
         total += sums(camera, values)
     for camera, values in zip(cameras, residuals, strict=True):
-        left, weight = (total - sums(camera, values)).clamp(min=0).unbind(1)
-        expected = left / (weight + 1)  # a pixel of weight is little to go by
+        own = sums(camera, values)
+        left, weight = (total - own).clamp(min=0).unbind(1)
+        mean = own[:, 0] / own[:, 1].clamp(min=1e-6)
+        expected = (left + KNOWN * mean) / (weight + KNOWN)
         viewmat, K = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
         drawn = rasterize(
             cloud.means, cloud.quats, cloud.scales, cloud.opacities, expected[:, None], viewmat, K,

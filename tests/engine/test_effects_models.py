@@ -172,7 +172,7 @@ def test_what_other_photographs_do_not_explain_either_is_no_object():
     valid = np.ones((90, 160), bool)
     swum = photograph.copy()
     swum[30:60, 40:90] = 0.9
-    assert mask_of(swum, picture, valid, elsewhere=0.05).any()
+    assert mask_of(swum, picture, valid, elsewhere=0.03).any()
     assert not mask_of(swum, picture, valid, elsewhere=0.3).any()
 
 
