@@ -21,7 +21,7 @@ LEAST_RESIDUAL, LEAST_EXCESS = 0.08, 4.0
 """Display value that a residual must exceed, and how many times the photograph's usual residual."""
 LEAST_ALONE = 5.0
 """How many times the residual of the same place in the other photographs."""
-KNOWN = 2.0
+KNOWN = 0.5
 """Pixels of a Gaussian in other photographs that weigh as much as the photograph itself."""
 GRAIN = 0.01
 """Share of the width below which nothing counts as an object."""

@@ -194,7 +194,7 @@ def test_residuals_elsewhere_are_those_of_the_same_place():
     residuals[0][5:15, 40:50] = 0.3
     first, second, _ = residuals_elsewhere(wall, cameras, residuals, "torch")
     assert first[28:32, 48:52].mean() == pytest.approx(0.2, rel=0.2)
-    assert first[7:13, 42:48].max() < 0.02
+    assert first[7:13, 42:48].max() < 0.03
     assert second[7:13, 32:38].mean() == pytest.approx(0.15, rel=0.25)  # the first of two others has it
 
 
