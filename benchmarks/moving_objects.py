@@ -28,7 +28,7 @@ from swag_engine.training.checkpoint import load_checkpoint  # noqa: E402
 from swag_engine.training.config import TrainSettings  # noqa: E402
 from swag_engine.training.loop import train  # noqa: E402
 
-WAYS = {"planned": "", "always": "moving_objects=on", "never": "moving_objects=off"}
+WAYS = {"planned": "", "never": "moving_objects=off"}
 SETTINGS = TrainSettings(iterations=1000, width=320, max_gaussians=20_000)
 FISHY = 0.4
 """Share of the training photographs that have fish."""

@@ -66,8 +66,9 @@ class Plan:
     scene: str
 
     def on(self, name: str) -> bool:
-        """Whether a run simulates the effect: what is unknown stays off."""
-        return self.effects[name].state == "on"
+        """Whether a run simulates the effect: what is unknown stays off, but what moves, which only a run can see."""
+        state = self.effects[name].state
+        return state == "on" or (state == "unknown" and name == "moving_objects")
 
     def overruled(self, choices: Mapping[str, bool], reason: str = "The user's choice.") -> "Plan":
         """The plan with choices, those of EFFECTS, in place of its own."""

@@ -104,8 +104,6 @@ class EffectsOfRun:
         self.optimizer.simulated = effects
         self.optimizer.adopt()
         self.guard.good = copies(self.optimizer)
-        if choices.get("moving_objects"):
-            self.find_moving()
 
     def effect_rates(self, falling: float) -> dict[str, float]:
         """Step size by parameter; falling: 1 at the start of the run, 0 at its end."""
@@ -149,7 +147,16 @@ class EffectsOfRun:
 
     def effect_figures(self) -> dict[str, Any]:
         """For metrics.json: the effects and parts that are on, and what was tried."""
-        return {"effects": [name for name in SWITCHES if has(self.recipe, name)], "trials": self.trials}
+        simulated = [name for name in SWITCHES if has(self.recipe, name) and (name != "moving_objects" or self.moved)]
+        return {"effects": simulated, "trials": self.trials}
+
+    @property
+    def moving_note(self) -> str:
+        """A sentence for the user, empty where nothing moved."""
+        if not self.moved:
+            return ""
+        share = 100 * np.mean([mask.mean() for mask in self.moved.values()])
+        return f"{len(self.moved)} photographs show what moves, on {share:.1f} % of their pixels: left out."
 
     def effect_tensors(self) -> dict[str, Tensor]:
         """For a checkpoint."""

@@ -316,7 +316,7 @@ class Trainer(Iteration):
             write_glb(self.run.glb, splats, self.scene.up)
         scores = self.scored(self.test)
         test_psnr, test_ssim = mean_score(scores)
-        self.notes += filter(None, [self.guard.note(self.iteration), self.relief.note])
+        self.notes += filter(None, [self.moving_note, self.guard.note(self.iteration), self.relief.note])
         metrics: Event = {
             "test_psnr": test_psnr,
             "test_ssim": test_ssim,

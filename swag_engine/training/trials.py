@@ -16,9 +16,9 @@ from ..evaluation.metrics import ViewScore
 if TYPE_CHECKING:
     from .loop import Trainer
 
-TRIED_AT = {"lamp": 0.1, "exposure": 0.1, "caustics": 0.1, "moving_objects": 0.3}
-"""Share of the run after which each is tried; what moved shows when the rest is known. Water is not: it is modelled to
-be taken away, and photographs can be shown as well without (japanese_gardens: .4 dB better in the fork)."""
+TRIED_AT = {"lamp": 0.1, "exposure": 0.1, "caustics": 0.1}
+"""Share of the run after which each is tried. Water is not: it is modelled to be taken away, and photographs can be
+shown as well without (japanese_gardens: .4 dB better in the fork)."""
 NEED_RANGES = ("lamp",)
 """Where the plan cannot tell these, photographs from such ranges cannot: that is left to the user."""
 PRECONDITIONS = ("range_ratio", "radius_correlation")
