@@ -1,6 +1,7 @@
 """Effects in a training: what is off does not run, what is on is learned, what is doubtful is tried, all resumes."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -15,6 +16,8 @@ from swag_engine.effects.exposure import Exposure
 from swag_engine.effects.names import EFFECTS
 from swag_engine.evaluation.run import render_run
 from swag_engine.rasterize import render as rendering
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.split import split_views
 from swag_engine.training import effects_of_run, trials
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.config import TrainSettings
@@ -159,6 +162,25 @@ def test_margins_say_what_is_near_a_threshold():
     assert trials.margin({"gain": 12, "gain_least": 10, "spread": 0.1, "spread_most": 0.3}) == pytest.approx(1.2)
     assert trials.margin({"change": [0.05, 0.2, 0.1], "change_least": 0.1}) == pytest.approx(2)
     assert trials.margin({"range_ratio": 1.2, "range_ratio_least": 1.15, "none": None, "none_least": 1}) == np.inf
+
+
+def test_what_moves_is_found_without_being_asked_for_and_nothing_else(tiny_scene, tmp_path):
+    plain = replace(SETTINGS, iterations=300, max_gaussians=1500)
+    for name, effects in (("planned", ""), ("off", "moving_objects=off")):
+        metrics = train(tiny_scene, tmp_path / name, replace(plain, effects=effects))["metrics"]
+        assert "moving_objects" not in metrics["effects"]
+    expected, got = (load_checkpoint(tmp_path / name)[0] for name in ("off", "planned"))
+    assert expected.keys() == got.keys() and all(torch.equal(expected[name], got[name]) for name in expected)
+    swum = tmp_path / "scene"
+    shutil.copytree(tiny_scene, swum)
+    names = split_views([view.name for view in load_scene(swum).views]).train
+    for name, left in ((names[0], 12), (names[-1], 40)):
+        pixels = cv2.imread(str(swum / "images" / name))
+        pixels[16:30, left : left + 14] = (255, 0, 255)
+        cv2.imwrite(str(swum / "images" / name), pixels)
+    metrics = train(swum, tmp_path / "swum", plain)["metrics"]
+    assert "moving_objects" in metrics["effects"]
+    assert any("2 photographs show what moves" in note for note in metrics["notes"]), metrics["notes"]
 
 
 # Light ----------------------------------------------------------------------------------------------------------------
