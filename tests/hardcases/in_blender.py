@@ -1,13 +1,13 @@
 """Blender as a process: a line of standard input names folders and files that `swag import` takes, as a JSON list;
 a line of standard output says what they become as objects of one scene.
 
-The extension is this repository itself. One worker answers all, and the scene's nodes are kept: both take long to make.
+BLENDER_USER_RESOURCES names an empty folder of user files. The extension is this repository itself. One worker answers
+all, and the scene's nodes are kept: both take long to make.
 """
 
 import json
 import os
 import sys
-import tempfile
 from pathlib import Path
 
 import bpy
@@ -45,32 +45,32 @@ def held() -> dict[str, object]:
 def main() -> None:
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what Blender prints is no answer
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "swag_splatting").symlink_to(ROOT)
-        sys.path.insert(0, folder)
-        import addon_utils  # Blender's own
+    extension = Path(bpy.utils.user_resource("EXTENSIONS")) / "user_default" / "swag_splatting"
+    extension.parent.mkdir(parents=True)
+    extension.symlink_to(ROOT)
+    import addon_utils  # Blender's own
 
-        assert addon_utils.enable("swag_splatting", default_set=True)
-        from swag_splatting.operators import import_scene
-        from swag_splatting.swag_blender import commands, engine_process
+    assert addon_utils.enable("bl_ext.user_default.swag_splatting", default_set=True)
+    from bl_ext.user_default.swag_splatting.operators import import_scene
+    from bl_ext.user_default.swag_splatting.swag_blender import commands, engine_process
 
-        class Kept(engine_process.Engine):
-            def stop(self) -> None:
-                pass
+    class Kept(engine_process.Engine):
+        def stop(self) -> None:
+            pass
 
-        bpy.ops.wm.read_homefile(use_empty=True)
-        engine = Kept()
-        import_scene.Engine = lambda: engine
-        for line in sys.stdin:
-            try:
-                for path in json.loads(line):
-                    commands.bring_in(Path(path))
-                answer = held()
-            except (commands.InputError, RuntimeError, OSError) as error:  # as the command answers them
-                answer = {"error": str(error)}
-            print(json.dumps(answer), file=answers, flush=True)
-            data = bpy.data
-            bpy.data.batch_remove({*data.objects, *data.pointclouds, *data.cameras, *data.images, *data.collections})
+    bpy.ops.wm.read_homefile(use_empty=True)
+    engine = Kept()
+    import_scene.Engine = lambda: engine
+    for line in sys.stdin:
+        try:
+            for path in json.loads(line):
+                commands.bring_in(Path(path))
+            answer = held()
+        except (commands.InputError, RuntimeError, OSError) as error:  # as the command answers them
+            answer = {"error": str(error)}
+        print(json.dumps(answer), file=answers, flush=True)
+        data = bpy.data
+        bpy.data.batch_remove({*data.objects, *data.pointclouds, *data.cameras, *data.images, *data.collections})
 
 
 main()
