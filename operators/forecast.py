@@ -4,11 +4,10 @@ from typing import Any
 
 import bpy
 
-from ..swag_blender.engine_process import Engine, EngineError
-from ..swag_blender.job import Job
+from ..swag_blender.job import SceneJob
 
 
-class SWAG_OT_forecast(Job, bpy.types.Operator):
+class SWAG_OT_forecast(SceneJob, bpy.types.Operator):
     """Train for some seconds and say what each quality would take on this machine: time, PSNR, memory; Escape stops"""
 
     bl_idname = "swag.forecast"
@@ -16,21 +15,13 @@ class SWAG_OT_forecast(Job, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     job = "Forecast"
 
-    def start(self, context: bpy.types.Context) -> Engine:
-        swag = context.scene.swag
-        if not swag.scene_folder:
-            raise EngineError("Choose the folder with the photographs and their COLMAP model first.")
-        self._scene, self._asked = context.scene.name, swag.forecast_question()
-        engine = Engine()
-        engine.send({"request": "forecast", "scene": swag.scene_path, "settings": swag.train_settings()})
-        return engine
+    def question(self, swag: bpy.types.PropertyGroup) -> dict[str, Any]:
+        self._asked = swag.forecast_question()
+        return {"request": "forecast", "settings": swag.train_settings()}
 
-    def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
-        scene = bpy.data.scenes.get(self._scene)
-        if not scene:
-            raise EngineError(f"The scene {self._scene} is gone; forecast again.")
-        scene.swag.keep_forecast(self._asked, event["presets"])
-        return "; ".join(" ".join(line) for line in scene.swag.forecast_lines())
+    def take(self, swag: bpy.types.PropertyGroup, event: dict[str, Any]) -> str:
+        swag.keep_forecast(self._asked, event["presets"])
+        return "; ".join(" ".join(line) for line in swag.forecast_lines())
 
 
 CLASSES = (SWAG_OT_forecast,)

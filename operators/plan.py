@@ -4,11 +4,10 @@ from typing import Any
 
 import bpy
 
-from ..swag_blender.engine_process import Engine, EngineError
-from ..swag_blender.job import Job
+from ..swag_blender.job import SceneJob
 
 
-class SWAG_OT_plan(Job, bpy.types.Operator):
+class SWAG_OT_plan(SceneJob, bpy.types.Operator):
     """Look at the photographs and list which effects they call for, why, and what each would cost"""
 
     bl_idname = "swag.plan"
@@ -16,21 +15,12 @@ class SWAG_OT_plan(Job, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     job = "Plan"
 
-    def start(self, context: bpy.types.Context) -> Engine:
-        swag = context.scene.swag
-        if not swag.scene_folder:
-            raise EngineError("Choose the folder with the photographs and their COLMAP model first.")
-        self._scene = context.scene.name
-        engine = Engine()
-        engine.send({"request": "plan", "scene": swag.scene_path})
-        return engine
+    def question(self, swag: bpy.types.PropertyGroup) -> dict[str, Any]:
+        return {"request": "plan"}
 
-    def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
-        scene = bpy.data.scenes.get(self._scene)
-        if not scene:
-            raise EngineError(f"The scene {self._scene} is gone; plan again.")
-        scene.swag.plan.take(event["plan"])
-        on = [line.title for line in scene.swag.plan.lines if line.state == "on"]
+    def take(self, swag: bpy.types.PropertyGroup, event: dict[str, Any]) -> str:
+        swag.plan.take(event["plan"])
+        on = [line.title for line in swag.plan.lines if line.state == "on"]
         return f"The photographs call for: {', '.join(on).lower() or 'no effect'}."
 
 

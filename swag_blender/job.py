@@ -160,6 +160,36 @@ class Job:
         return {"CANCELLED"}
 
 
+class SceneJob(Job):
+    """Mixin of a job that asks about the chosen photographs, which gives `job`, `question` and `take`.
+
+    The answer goes to the Blender scene that asked, though another be open by then.
+    """
+
+    def question(self, swag: bpy.types.PropertyGroup) -> dict[str, Any]:
+        """The request, without its folder."""
+        raise NotImplementedError
+
+    def take(self, swag: bpy.types.PropertyGroup, event: dict[str, Any]) -> str:
+        """Take in the `result` event; returns what to tell the user."""
+        raise NotImplementedError
+
+    def start(self, context: bpy.types.Context) -> Engine:
+        swag = context.scene.swag
+        if not swag.scene_folder:
+            raise EngineError("Choose the folder with the photographs and their COLMAP model first.")
+        self._scene = context.scene.name
+        engine = Engine()
+        engine.send({**self.question(swag), "scene": swag.scene_path})
+        return engine
+
+    def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
+        scene = bpy.data.scenes.get(self._scene)
+        if not scene:
+            raise EngineError(f"The scene {self._scene} is gone; begin again.")
+        return self.take(scene.swag, event)
+
+
 def keep_log(engine: Engine) -> None:
     """Keep what the engine wrote, for Show Log."""
     last_log[:] = engine.log

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..timing import part
 from .cpu_library import constant, library, run, run_parts
+from .elementwise import Colors, Project, Relit
 from .projection import Projection, check_pairs
 
 RANK_CHUNKS = 8  # parts of the depth order that are binned independently
@@ -29,43 +30,6 @@ def reason() -> str | None:
     return None if library() is not None else "its compiled kernels could not be loaded (see the warning)."
 
 
-class _Project(torch.autograd.Function):
-    @staticmethod
-    @part("project")
-    def forward(
-        ctx: Any,
-        means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        channels: Tensor,
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        n = len(means)
-        viewmat, K, means, quats, scales = (tensor.contiguous() for tensor in (viewmat, K, means, quats, scales))
-        means2d, conics, depths, radii = (means.new_empty(n, *shape) for shape in ((2,), (3,), (), ()))
-        limits = opacities.contiguous(), channels.contiguous()
-        inputs = width, height, channels.shape[1], viewmat, K, means, quats, scales, *limits
-        run("project_forward", n, *inputs, means2d, conics, depths, radii)
-        ctx.save_for_backward(viewmat, K, means, quats, scales, radii)
-        ctx.size = width, height
-        ctx.mark_non_differentiable(depths, radii)
-        return means2d, conics, depths, radii
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    @part("project backward")
-    def backward(ctx: Any, by_means2d: Tensor, by_conics: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
-        saved = ctx.saved_tensors
-        results = [torch.empty_like(tensor) for tensor in saved[2:5]]
-        incoming = by_means2d.contiguous(), by_conics.contiguous()
-        run("project_backward", len(results[0]), *ctx.size, *saved, *incoming, *results)
-        return *results, None, None, None, None, None, None
-
-
 def project(
     means: Tensor,
     quats: Tensor,
@@ -78,7 +42,7 @@ def project(
     height: int,
 ) -> Projection:
     """As projection.project, for float32 tensors on the CPU; no gradient by viewmat, K or through the depths."""
-    return Projection(*_Project.apply(means, quats, scales, opacities, channels, viewmat, K, width, height))
+    return Projection(*Project.apply(means, quats, scales, opacities, channels, viewmat, K, width, height, run))
 
 
 @dataclass
@@ -240,59 +204,15 @@ def contributions(
     return sums[:, 2:], sums[:, 0], sums[:, 1]
 
 
-class _Colors(torch.autograd.Function):
-    @staticmethod
-    @part("colours")
-    def forward(ctx: Any, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
-        sh0, shN, directions = sh0.contiguous(), shN.contiguous(), directions.contiguous()
-        colors = torch.empty_like(directions)
-        run("sh_forward", len(sh0), shN.shape[1], degree, sh0, shN, directions, colors)
-        ctx.save_for_backward(directions, colors)
-        ctx.sizes = shN.shape[1], degree
-        return colors
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    @part("colours backward")
-    def backward(ctx: Any, by_colors: Tensor) -> tuple[Tensor | None, ...]:
-        directions, colors = ctx.saved_tensors
-        n, (higher, degree) = len(directions), ctx.sizes
-        by_sh0, by_shN = directions.new_empty(n, 1, 3), directions.new_empty(n, higher, 3)
-        run("sh_backward", n, higher, degree, directions, colors, by_colors.contiguous(), by_sh0, by_shN)
-        return by_sh0, by_shN, None, None
-
-
 def sh_colors(sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
     """As gaussians.sh.evaluate_sh, for float32 tensors on the CPU; no gradient by directions."""
-    return _Colors.apply(sh0, shN, directions, degree)
-
-
-class _Relit(torch.autograd.Function):
-    @staticmethod
-    @part("light")
-    def forward(ctx: Any, display: Tensor, log_factor: Tensor) -> Tensor:
-        display, n, strides = display.contiguous(), len(display), log_factor.stride()
-        shown, logs = torch.empty_like(display), log_factor.as_strided((1,), (1,))  # where its numbers begin
-        run("relit_forward", n, *strides, display, logs, shown)
-        ctx.save_for_backward(display, log_factor)
-        return shown
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    @part("light backward")
-    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor, Tensor]:
-        display, log_factor = ctx.saved_tensors
-        n, strides, logs = len(display), log_factor.stride(), log_factor.as_strided((1,), (1,))
-        by_display, by_log_factor = torch.empty_like(display), torch.empty_like(display)
-        gradients = by_shown.contiguous(), by_display, by_log_factor
-        run("relit_backward", n, *strides, display, logs, *gradients)
-        return by_display, by_log_factor
+    return Colors.apply(sh0, shN, directions, degree, run)
 
 
 def relit(display: Tensor, log_factor: Tensor) -> Tensor:
     """As water.light.relit, for float32 tensors on the CPU: display (..., 3), log_factor expands to its shape."""
     logs = log_factor.expand_as(display).reshape(-1, 3)
-    return _Relit.apply(display.reshape(-1, 3), logs).view_as(display)
+    return Relit.apply(display.reshape(-1, 3), logs, run).view_as(display)
 
 
 class _L1Ssim(torch.autograd.Function):

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..timing import part
 from .cuda_driver import Argument, CudaUnavailable, Driver
+from .elementwise import Colors, Project, Relit
 from .projection import Projection, check_pairs
 
 # As in kernels/common.cuh, splat.cuh, blend.cu and ssim.cu.
@@ -54,43 +55,14 @@ def _run(kernel: str, threads: int, *arguments: Argument) -> None:
     launcher.launch(kernel, -(-threads // THREADS), THREADS, list(arguments))
 
 
-class _Project(torch.autograd.Function):
-    @staticmethod
-    @part("project")
-    def forward(
-        ctx: Any,
-        means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        channels: Tensor,
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        n = len(means)
-        viewmat = viewmat.double().contiguous()
-        K, means, quats, scales = (tensor.contiguous() for tensor in (K, means, quats, scales))
-        means2d, conics, depths, radii = (means.new_empty(n, *shape) for shape in ((2,), (3,), (), ()))
-        limits = opacities.contiguous(), channels.contiguous()
-        inputs = width, height, channels.shape[1], viewmat, K, means, quats, scales, *limits
-        _run("project_forward", n, n, *inputs, means2d, conics, depths, radii)
-        ctx.save_for_backward(viewmat, K, means, quats, scales, radii)
-        ctx.size = width, height
-        ctx.mark_non_differentiable(depths, radii)
-        return means2d, conics, depths, radii
+def _run_each(kernel: str, count: int, *arguments: Argument) -> None:
+    """Run a kernel with a thread for each of `count` things."""
+    _run(kernel, count, count, *arguments)
 
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    @part("project backward")
-    def backward(ctx: Any, by_means2d: Tensor, by_conics: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
-        saved = ctx.saved_tensors
-        results = [torch.empty_like(tensor) for tensor in saved[2:5]]
-        incoming = by_means2d.contiguous(), by_conics.contiguous()
-        n = len(results[0])
-        _run("project_backward", n, n, *ctx.size, *saved, *incoming, *results)
-        return *results, None, None, None, None, None, None
+
+def _run_by_channel(kernel: str, count: int, *arguments: Argument) -> None:
+    """Run a kernel with a thread for each channel of `count` colours."""
+    _run(kernel, 3 * count, count, *arguments)
 
 
 def project(
@@ -105,7 +77,9 @@ def project(
     height: int,
 ) -> Projection:
     """As projection.project, for float32 tensors on the card; no gradient by viewmat, K or through the depths."""
-    return Projection(*_Project.apply(means, quats, scales, opacities, channels, viewmat, K, width, height))
+    return Projection(
+        *Project.apply(means, quats, scales, opacities, channels, viewmat.double(), K, width, height, _run_each)
+    )
 
 
 @dataclass
@@ -131,10 +105,10 @@ def _pairs(
     n = len(means2d)
     splats, keys = means2d.new_empty(n, SPLAT_FLOATS), means2d.new_empty(n)
     geometry = [tensor.contiguous() for tensor in (means2d, conics, opacities, depths, radii)]
-    _run("pack", n, n, *geometry, width, height, splats, keys)
+    _run_each("pack", n, *geometry, width, height, splats, keys)
     keys, order = keys.sort(stable=True)
     rank_starts = torch.zeros(n + 1, dtype=torch.int64, device=order.device)
-    _run("count_tiles", n, n, splats, keys, order, width, height, rank_starts[1:])
+    _run_each("count_tiles", n, splats, keys, order, width, height, rank_starts[1:])
     rank_starts.cumsum_(0)
     pairs = int(rank_starts[-1])
     check_pairs(pairs)
@@ -143,7 +117,7 @@ def _pairs(
     dtype = torch.int16 if tiles < 2**15 else torch.int32  # half the bytes to sort
     tile_of, ids = order.new_empty(pairs, dtype=dtype), order.new_empty(pairs, dtype=torch.int32)
     kernel = f"fill_tiles_{str(dtype).removeprefix('torch.')}"
-    _run(kernel, n, n, splats, order, width, height, rank_starts, tile_of, ids)
+    _run_each(kernel, n, splats, order, width, height, rank_starts, tile_of, ids)
     tile_of, slots = tile_of.sort(stable=True)
     tile_starts = torch.searchsorted(tile_of, torch.arange(tiles + 1, dtype=dtype, device=order.device))
     return _Pairs(splats, order, rank_starts, ids[slots], slots, tile_starts)
@@ -254,61 +228,15 @@ def contributions(
     return sums[:, 2:], sums[:, 0], sums[:, 1]
 
 
-class _Colors(torch.autograd.Function):
-    @staticmethod
-    @part("colours")
-    def forward(ctx: Any, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
-        sh0, shN, directions = sh0.contiguous(), shN.contiguous(), directions.contiguous()
-        colors = torch.empty_like(directions)
-        n, higher = len(sh0), shN.shape[1]
-        _run("sh_forward", 3 * n, n, higher, degree, sh0, shN, directions, colors)
-        ctx.save_for_backward(directions, colors)
-        ctx.sizes = n, higher, degree
-        return colors
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    @part("colours backward")
-    def backward(ctx: Any, by_colors: Tensor) -> tuple[Tensor | None, ...]:
-        directions, colors = ctx.saved_tensors
-        n, higher, degree = ctx.sizes
-        by_sh0, by_shN = directions.new_empty(n, 1, 3), directions.new_empty(n, higher, 3)
-        inputs = directions, colors, by_colors.contiguous()
-        _run("sh_backward", 3 * n, n, higher, degree, *inputs, by_sh0, by_shN)
-        return by_sh0, by_shN, None, None
-
-
 def sh_colors(sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
     """As gaussians.sh.evaluate_sh, for float32 tensors on the card; no gradient by directions."""
-    return _Colors.apply(sh0, shN, directions, degree)
-
-
-class _Relit(torch.autograd.Function):
-    @staticmethod
-    @part("light")
-    def forward(ctx: Any, display: Tensor, log_factor: Tensor) -> Tensor:
-        display, n, strides = display.contiguous(), len(display), log_factor.stride()
-        shown, logs = torch.empty_like(display), log_factor.as_strided((1,), (1,))  # where its numbers begin
-        _run("relit_forward", 3 * n, n, *strides, display, logs, shown)
-        ctx.save_for_backward(display, log_factor)
-        return shown
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    @part("light backward")
-    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor, Tensor]:
-        display, log_factor = ctx.saved_tensors
-        n, strides, logs = len(display), log_factor.stride(), log_factor.as_strided((1,), (1,))
-        by_display, by_log_factor = torch.empty_like(display), torch.empty_like(display)
-        gradients = by_shown.contiguous(), by_display, by_log_factor
-        _run("relit_backward", 3 * n, n, *strides, display, logs, *gradients)
-        return by_display, by_log_factor
+    return Colors.apply(sh0, shN, directions, degree, _run_by_channel)
 
 
 def relit(display: Tensor, log_factor: Tensor) -> Tensor:
     """As water.light.relit, for float32 tensors on the card: display (..., 3), log_factor expands to its shape."""
     logs = log_factor.expand_as(display).reshape(-1, 3)
-    return _Relit.apply(display.reshape(-1, 3), logs).view_as(display)
+    return Relit.apply(display.reshape(-1, 3), logs, _run_by_channel).view_as(display)
 
 
 class _L1Ssim(torch.autograd.Function):
@@ -358,7 +286,7 @@ def adam_step(
     count = parameter.numel()
     corrected = lr / (1 - beta1**step), math.sqrt(1 - beta2**step)
     tensors = parameter, gradient.contiguous(), exp_avg, exp_avg_sq
-    _run("adam_step", count, count, *tensors, *corrected, 1.0 - beta1, 1.0 - beta2, float(eps))
+    _run_each("adam_step", count, *tensors, *corrected, 1.0 - beta1, 1.0 - beta2, float(eps))
 
 
 class _Water(torch.autograd.Function):
@@ -367,7 +295,7 @@ class _Water(torch.autograd.Function):
     def forward(ctx: Any, colors: Tensor, offsets: Tensor, values: Tensor, degree: int, linear: bool) -> Tensor:
         colors, offsets, values = colors.contiguous(), offsets.contiguous(), values.contiguous()
         shown, n = torch.empty_like(colors), len(colors)
-        _run("water_forward", n, n, degree, int(linear), values, colors, offsets, shown)
+        _run_each("water_forward", n, degree, int(linear), values, colors, offsets, shown)
         ctx.save_for_backward(colors, offsets, values)
         ctx.mode = degree, int(linear)
         return shown
@@ -380,7 +308,7 @@ class _Water(torch.autograd.Function):
         n, by_colors, by_offsets = len(colors), torch.empty_like(colors), torch.empty_like(offsets)
         sums = values.new_empty(-(-n // THREADS), len(values))
         inputs = values, colors, offsets, by_shown.contiguous()
-        _run("water_backward", n, n, *ctx.mode, *inputs, by_colors, by_offsets, sums)
+        _run_each("water_backward", n, *ctx.mode, *inputs, by_colors, by_offsets, sums)
         return by_colors, by_offsets, sums.sum(0, dtype=torch.float64).float(), None, None
 
 
@@ -397,7 +325,7 @@ class _OpenWater(torch.autograd.Function):
     ) -> Tensor:
         values, viewmat, K = values.contiguous(), viewmat.contiguous(), K.contiguous()
         shown, pixels = values.new_empty(height, width, 3), height * width
-        _run("open_water_forward", pixels, pixels, width, degree, int(linear), values, viewmat, K, shown)
+        _run_each("open_water_forward", pixels, width, degree, int(linear), values, viewmat, K, shown)
         ctx.save_for_backward(values, viewmat, K)
         ctx.mode = width, degree, int(linear)
         return shown
@@ -409,7 +337,7 @@ class _OpenWater(torch.autograd.Function):
         values, viewmat, K = ctx.saved_tensors
         pixels = by_shown.numel() // 3
         sums = values.new_empty(-(-pixels // THREADS), len(values))
-        _run("open_water_backward", pixels, pixels, *ctx.mode, values, viewmat, K, by_shown.contiguous(), sums)
+        _run_each("open_water_backward", pixels, *ctx.mode, values, viewmat, K, by_shown.contiguous(), sums)
         return sums.sum(0, dtype=torch.float64).float(), None, None, None, None, None, None
 
 

@@ -31,7 +31,7 @@ import cv2  # noqa: E402
 import numpy as np  # noqa: E402
 
 from swag_engine.errors import InputError  # noqa: E402
-from tests.hardcases.test_damaged_files import THINGS, bytes_changed  # noqa: E402
+from tests.hardcases.test_damaged_files import THINGS, bytes_changed, values_changed  # noqa: E402
 
 MEMORY = 6 << 30
 Door = Callable[[Path], object]
@@ -55,27 +55,6 @@ def words_changed(data: bytes, random: np.random.Generator) -> bytes:
                 lines[place] = b" ".join(words)
         lines = lines or [b""]
     return b"\n".join(lines)
-
-
-def values_changed(data: bytes, random: np.random.Generator) -> bytes:
-    """Values somewhere in a JSON document are others, or gone; or it is the document that is another one."""
-    if random.random() < 0.05:
-        return json.dumps(THINGS[int(random.integers(len(THINGS)))]).encode()
-    document = json.loads(data)
-    for _ in range(random.integers(1, 4)):
-        place: dict | list = document
-        while isinstance(place, dict | list) and place:
-            keys = list(place) if isinstance(place, dict) else list(range(len(place)))
-            key = keys[int(random.integers(len(keys)))]
-            if isinstance(place[key], dict | list) and place[key] and random.random() < 0.7:
-                place = place[key]
-                continue
-            if random.random() < 0.2:
-                del place[key]
-            else:
-                place[key] = THINGS[int(random.integers(len(THINGS)))]
-            break
-    return json.dumps(document).encode()
 
 
 def colmap(folder: Path, text: bool) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:

@@ -121,27 +121,31 @@ def words_changed(data: bytes, random: np.random.Generator) -> bytes:
     return header + end + b"".join(words)
 
 
-def json_changed(data: bytes, random: np.random.Generator) -> bytes:
-    """A value somewhere in a GLB's JSON is another one, or gone; the chunks' lengths fit."""
-    (length,) = struct.unpack("<I", data[12:16])
-    document = json.loads(data[20 : 20 + length])
+def values_changed(data: bytes, random: np.random.Generator) -> bytes:
+    """Values somewhere in a JSON document are others, or gone; or it is the document that is another one."""
+    if random.random() < 0.05:
+        return json.dumps(THINGS[int(random.integers(len(THINGS)))]).encode()
+    document = json.loads(data)
     for _ in range(random.integers(1, 4)):
         place: dict | list = document
-        while True:
+        while isinstance(place, dict | list) and place:
             keys = list(place) if isinstance(place, dict) else list(range(len(place)))
-            if not keys:
-                break
             key = keys[int(random.integers(len(keys)))]
-            inner = place[key]
-            if isinstance(inner, dict | list) and inner and random.random() < 0.85:
-                place = inner
+            if isinstance(place[key], dict | list) and place[key] and random.random() < 0.7:
+                place = place[key]
                 continue
-            if random.random() < 0.1:
+            if random.random() < 0.2:
                 del place[key]
             else:
                 place[key] = THINGS[int(random.integers(len(THINGS)))]
             break
-    text = json.dumps(document).encode()
+    return json.dumps(document).encode()
+
+
+def glb_json_changed(data: bytes, random: np.random.Generator) -> bytes:
+    """As values_changed in the JSON of a GLB; the chunks' lengths fit."""
+    (length,) = struct.unpack("<I", data[12:16])
+    text = values_changed(data[20 : 20 + length], random)
     text += b" " * (-len(text) % 4)
     rest = data[20 + length :]
     return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A) + text + rest
@@ -154,7 +158,7 @@ def json_changed(data: bytes, random: np.random.Generator) -> bytes:
         (binary_ply, (bytes_changed, header_changed), read_ply),
         (text_ply, (words_changed, header_changed, bytes_changed), read_ply),
         (packed_ply, (bytes_changed, header_changed), read_ply),
-        (glb, (json_changed,), read_glb),
+        (glb, (glb_json_changed,), read_glb),
         (glb, (bytes_changed,), read_glb),
     ],
     ids=["binary PLY", "text PLY", "compressed PLY", "GLB's JSON", "GLB's bytes"],
