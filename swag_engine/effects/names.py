@@ -17,6 +17,7 @@ EFFECTS = {
 """What the plan decides for a scene, and what each is."""
 PARTS = {
     "stages": "Geometry and water are frozen at the end, and colours follow the square error.",
+    "dropout": "Gaussians are left out at random where photographs are learned by heart.",
     "reallocation": "Gaussians move from where they show least to where the error is largest.",
     "grey_world": "The place without water is grey on average.",
     "smoothness": "Range is smooth where the photograph is.",

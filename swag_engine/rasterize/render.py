@@ -43,13 +43,14 @@ def render(
     with_restored: bool = False,
     backend: str = "auto",
     lamp: Lamp | None = None,
+    kept: Tensor | None = None,
 ) -> Picture:
     """Rasterise `cloud` as `camera` sees it, in the cloud's dtype; differentiable.
 
     medium: the water in front of the cloud, and behind it in place of the cloud's background (a network has none of its
-    own); water_degree and amount as in water.medium.through_water. lamp: one at the camera, by the same amount. No
-    gradient flows from colour to position through the range: it would push Gaussians along rays to correct their
-    colours.
+    own); water_degree and amount as in water.medium.through_water. lamp: one at the camera, by the same amount. kept
+    (N,): factors of the opacities, which stay at most 1. No gradient flows from colour to position through the range:
+    it would push Gaussians along rays to correct their colours.
     """
     centre, viewmat, intrinsics = (
         torch.from_numpy(array).to(cloud.means) for array in (camera.centre, camera.world_to_camera, camera.K)
@@ -74,11 +75,12 @@ def render(
     if with_range:
         channels = torch.cat([channels, (cloud.means - centre).norm(dim=-1, keepdim=True)], dim=-1)
         background = torch.cat([background, background.new_zeros(1)])
+    opacities = cloud.opacities if kept is None else (cloud.opacities * kept).clamp(max=1.0)
     rendering = rasterize(
         cloud.means,
         cloud.quats,
         cloud.scales,
-        cloud.opacities,
+        opacities,
         channels,
         viewmat,
         intrinsics,

@@ -63,9 +63,10 @@ def _is_whole(tensors: dict[str, torch.Tensor], state: Any) -> bool:
     n, higher = len(cloud["cloud.means"]), cloud["cloud.shN"].shape[1]
     known = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,), "sh0": (n, 1, 3)}
     known |= {"shN": (n, higher, 3), "background": (3,)}
+    kinds = (("iteration", int), ("seconds", float), ("dropout", float), ("guard", dict))
     return (
         all(tuple(cloud[f"cloud.{name}"].shape) == shape for name, shape in known.items())
         and all(len(tensor) == n for name, tensor in cloud.items() if name != "cloud.background")
         and all(tensor.dtype == torch.float32 for tensor in cloud.values())
-        and all(type(state[name]) is kind for name, kind in (("iteration", int), ("seconds", float), ("guard", dict)))
+        and all(type(state[name]) is kind for name, kind in kinds)
     )

@@ -114,11 +114,16 @@ class TrainSettings:
         return cls(**values)
 
 
+SETTLED_BY = 2000
+"""Iterations up to which the step size of the means is not made smaller."""
+
+
 @dataclass(frozen=True)
 class LearningRates:
     """Adam's step sizes per group of parameters; means in units of the median range.
 
-    Up to eight times those of 3DGS (arXiv 2308.04079), whose runs are ten times as long.
+    Up to eight times those of 3DGS (arXiv 2308.04079), whose runs are ten times as long. What runs for longer than
+    SETTLED_BY iterations moves its means by steps that are smaller by the root of that.
     """
 
     means: float = 1.28e-3

@@ -16,7 +16,8 @@ from ..timing import part
 from ..water.medium import MAX_DEGREE, Medium
 from ..water.network import WaterNetwork
 from .clock import Clock
-from .config import LearningRates, Schedule
+from .config import SETTLED_BY, LearningRates, Schedule
+from .dropout import kept
 from .effects_of_run import EffectsOfRun
 from .memory import Relief, fewer, within_memory
 from .targets import Target
@@ -27,8 +28,8 @@ GEOMETRY = ("means", "quats", "log_scales", "features")
 
 class Iteration(EffectsOfRun):
     """What of a trainer an iteration is. iteration: how many were made; start_count: Gaussians at the start;
-    statistics: what growth goes by; depth: by photograph, inverse depth (H, W) of a network; frames: made between
-    photographs."""
+    statistics: what growth goes by; dropout: share of the Gaussians that is left out; depth: by photograph, inverse
+    depth (H, W) of a network; frames: made between photographs."""
 
     iteration: int
     clock: Clock
@@ -37,6 +38,7 @@ class Iteration(EffectsOfRun):
     growth: Growth | McmcGrowth
     start_count: int
     statistics: GrowthStatistics
+    dropout: float
     depth: dict[str, np.ndarray]
     frames: list[TrainingImage]
     guidance: Guidance | None
@@ -60,6 +62,10 @@ class Iteration(EffectsOfRun):
                 getattr(self.cloud, name).requires_grad_(False)
         target = self.next_target(fraction)
         medium = self.medium if fraction >= self.recipe.water_from else None
+        left = None
+        if self.dropout and target.weight == 1:
+            random = random_of(self.settings.seed, self.iteration)
+            left = kept(len(self.cloud), self.dropout, random, self.device)
         picture = render(
             self.cloud,
             target.camera,
@@ -70,6 +76,7 @@ class Iteration(EffectsOfRun):
             with_restored=self.objective.needs_restored(medium, fraction),
             backend=self.settings.backend,
             lamp=self.simulated.lamp,
+            kept=left,
         )
         picture.color = self.simulated.developed(picture.color, target.camera.name)
         with part("losses"):
@@ -86,7 +93,7 @@ class Iteration(EffectsOfRun):
             loss.backward()
         self.iteration += 1
         self.clock.advance(self.iteration)
-        phase = f"{list(self.levels)} {medium is not None} {self.objective.in_stage_two(fraction)}"
+        phase = f"{list(self.levels)} {medium is not None} {self.objective.in_stage_two(fraction)} {self.dropout > 0}"
         if self.guard.admits(loss, self.optimizer, target.camera.name, phase if target.weight == 1 else ""):
             self.learn(picture, target, medium, fraction)
         else:
@@ -128,6 +135,8 @@ class Iteration(EffectsOfRun):
         rates = asdict(LearningRates())
         end = rates.pop("means_end")
         rates["means"] *= (end / rates["means"]) ** fraction * self.median_range
+        # Else they have the time to wander to where a few photographs alone would have them.
+        rates["means"] *= min(1.0, math.sqrt(SETTLED_BY / max(1, self.clock.iterations)))
         if self.objective.in_stage_two(fraction):
             return {name: rate for name, rate in rates.items() if name not in GEOMETRY}
         return rates | self.effect_rates(0.5 * (1 + math.cos(math.pi * fraction)))

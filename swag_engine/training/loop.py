@@ -31,6 +31,7 @@ from .budget import Budget, fit_budget
 from .checkpoint import load_checkpoint, save_checkpoint
 from .clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, Point, is_flat, next_minute
 from .config import Schedule, TrainSettings
+from .dropout import LOOKED_AT, dropout_note, dropout_rate
 from .guard import Guard, finite_part
 from .iteration import Iteration
 from .memory import TOO_LITTLE, Relief, fit_memory, free_memory, within_memory
@@ -132,6 +133,8 @@ class Trainer(Iteration):
         self.ledger = Ledger(torch.cuda.synchronize if self.device.type == "cuda" else None)
         self.psnr: float | None = None
         self.ssim: float | None = None
+        self.training_psnr: float | None = None
+        self.dropout = 0.0
         self.images = self.load_photographs()
         split = split_views([view.camera.name for view in scene.views])
         self.training = [self.images[name] for name in split.train]
@@ -291,11 +294,16 @@ class Trainer(Iteration):
         if self.budget:
             each = (time.monotonic() - started) / len(self.validation)
             self.budget.held_out = each * (len(self.validation) + len(self.test))
+        if self.recipe.dropout:
+            looked_at = self.training[:: -(-len(self.training) // LOOKED_AT)]
+            self.training_psnr = mean_score(self.scored(looked_at))[0]
+            self.dropout = dropout_rate(self.training_psnr, self.psnr, self.recipe.dropout)
         self.run.log(
             {
                 "iteration": self.iteration,
                 "seconds": round(seconds, 3),
                 "loss": loss,
+                "training_psnr": self.training_psnr,
                 "psnr": self.psnr,
                 "ssim": self.ssim,
                 "gaussians": len(self.cloud),
@@ -316,7 +324,8 @@ class Trainer(Iteration):
             write_glb(self.run.glb, splats, self.scene.up)
         scores = self.scored(self.test)
         test_psnr, test_ssim = mean_score(scores)
-        self.notes += filter(None, [self.moving_note, self.guard.note(self.iteration), self.relief.note])
+        learned = dropout_note(self.dropout, self.training_psnr, self.psnr)
+        self.notes += filter(None, [self.moving_note, learned, self.guard.note(self.iteration), self.relief.note])
         metrics: Event = {
             "test_psnr": test_psnr,
             "test_ssim": test_ssim,
@@ -381,6 +390,7 @@ class Trainer(Iteration):
             "start_count": self.start_count,
             "psnr": self.psnr,
             "ssim": self.ssim,
+            "dropout": self.dropout,
             "guard": self.guard.state(),
             "relief": asdict(self.relief),
         }
@@ -398,6 +408,7 @@ class Trainer(Iteration):
         self.iteration, self.clock = state["iteration"], Clock(**state["clock"])
         self.curve = [tuple(point) for point in state["curve"]]
         self.start_count, self.psnr, self.ssim = state["start_count"], state["psnr"], state["ssim"]
+        self.dropout = state["dropout"]
 
     def resume(self, longer: bool = False) -> None:
         """Go on from the newest checkpoint; from the start when the run was stopped before its first.

@@ -79,6 +79,10 @@ class Recipe:
     """Move Gaussians from where they show least to where the error is largest: clones that keep the picture, or
     identical copies."""
 
+    dropout: float = 0.0
+    """Most that an iteration leaves out at random, as a share of the Gaussians, where photographs are learned by heart
+    (training/dropout.py)."""
+
     depth: float = 0.0
     """Weight of the depth prior at the start; falls to a tenth geometrically until stage two."""
     grey_world: float = 0.0
@@ -120,7 +124,7 @@ PAPER_LOSS_TWO = Photometric(l1=(0.7, 1.2), ssim=0.0, l2=(0.9, 0.9))
 WATER: dict[str, Any] = {"attenuation": True, "backscatter": True, "separate_backscatter": True}
 
 RECIPES: dict[str, Recipe] = {
-    "swag": Recipe(planned=True, water_rate=1e-3, veil_rate=1e-2, stage_two_from=0.9),
+    "swag": Recipe(planned=True, water_rate=1e-3, veil_rate=1e-2, stage_two_from=0.9, dropout=0.2),
     "3dgs": Recipe(),
     "seasplat": Recipe(**WATER, light="srgb", water_from=0.33, veil_degrees_from=1.0, grey_world=0.02, smoothness=0.05),
     "uw-gs": Recipe(**WATER, light="srgb", veil_degrees_from=1.0, depth=0.1, undimmed_growth=True),
@@ -164,6 +168,7 @@ SWITCHES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "semantics": ({"semantics": True}, {"semantics": False}),
     "depth_prior": ({"depth": 0.1}, {"depth": 0.0}),
     "stages": ({"stage_two_from": 0.6}, {"stage_two_from": 1.0}),
+    "dropout": ({"dropout": 0.2}, {"dropout": 0.0}),
     "reallocation": ({"reallocation": "balanced"}, {"reallocation": "off"}),
     "grey_world": ({"grey_world": 0.02}, {"grey_world": 0.0}),
     "smoothness": ({"smoothness": 0.05}, {"smoothness": 0.0}),

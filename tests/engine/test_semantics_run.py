@@ -41,7 +41,7 @@ def untouched(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run = RunFolder(folder)
     run.write_config(scene.folder, TrainSettings(width=160), scene.up.tolist())
     tensors = {f"cloud.{name}": tensor for name, tensor in cloud.parameters().items()}
-    save_checkpoint(folder, 0, tensors, {"iteration": 0, "seconds": 0.0, "medium": None, "guard": {}})
+    save_checkpoint(folder, 0, tensors, {"iteration": 0, "seconds": 0.0, "dropout": 0.0, "medium": None, "guard": {}})
     write_ply(run.ply, cloud.to_splats())
     return folder
 

@@ -1,0 +1,83 @@
+"""Where a run learns its photographs by heart, Gaussians are left out at random; elsewhere none are."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from clouds import make_cloud
+from tiny import make_tiny_scene
+
+from swag_engine.gaussians.grow import random_of
+from swag_engine.rasterize.render import render
+from swag_engine.scene.cameras import Camera
+from swag_engine.training import loop
+from swag_engine.training.checkpoint import load_checkpoint
+from swag_engine.training.config import TrainSettings
+from swag_engine.training.dropout import FULL_GAP_DB, GAP_DB, dropout_rate, kept
+from swag_engine.training.loop import train
+
+SETTINGS = TrainSettings(iterations=600, width=64, max_gaussians=3000)
+
+
+@pytest.fixture(scope="module")
+def contradictory(tmp_path_factory):
+    """Each photograph has blotches of its own, which can be learned and teach nothing of the place."""
+    scene = make_tiny_scene(tmp_path_factory.mktemp("contradictory") / "scene")
+    random = np.random.default_rng(0)
+    for path in sorted((scene / "images").iterdir()):
+        blotches = cv2.GaussianBlur(random.normal(0, 1, (48, 64, 3)), (0, 0), 3)
+        pixels = cv2.imread(str(path)) + 30 * blotches / blotches.std()
+        cv2.imwrite(str(path), pixels.clip(0, 255).astype(np.uint8))
+    return scene
+
+
+def test_what_is_learned_by_heart_is_found_and_held_back(contradictory, tmp_path):
+    trained = {
+        effects: train(contradictory, tmp_path / effects, TrainSettings(**vars(SETTINGS) | {"effects": effects}))
+        for effects in ("dropout=on", "dropout=off")
+    }
+    lines = [json.loads(line) for line in (tmp_path / "dropout=on" / "metrics.jsonl").read_text().splitlines()]
+    assert lines[-2]["training_psnr"] > lines[-2]["psnr"] + GAP_DB
+    assert trained["dropout=on"]["metrics"]["psnr"] > trained["dropout=off"]["metrics"]["psnr"]
+    assert "at random" in " ".join(trained["dropout=on"]["metrics"]["notes"])
+    assert "at random" not in " ".join(trained["dropout=off"]["metrics"]["notes"])
+
+
+def test_nothing_is_left_out_of_a_scene_that_agrees_with_itself(tiny_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("swag_engine.training.iteration.kept", lambda *_: pytest.fail("something was left out"))
+    metrics = train(tiny_scene, tmp_path / "run", TrainSettings(iterations=150, width=64, max_gaussians=500))["metrics"]
+    assert "at random" not in " ".join(metrics["notes"])
+
+
+def test_a_run_that_leaves_out_resumes_bit_equal(tiny_scene, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "dropout_rate", lambda *_: 0.1)
+    short = TrainSettings(iterations=60, width=64, max_gaussians=500, effects="lamp=off,exposure=off,caustics=off")
+    train(tiny_scene, tmp_path / "whole", short)
+    asked = iter(range(10**9))
+    train(tiny_scene, tmp_path / "parts", short, should_stop=lambda: next(asked) >= 33)
+    train(tiny_scene, tmp_path / "parts", short, resume=True)
+    expected, state = load_checkpoint(tmp_path / "whole")
+    got, _ = load_checkpoint(tmp_path / "parts")
+    assert state["dropout"] == 0.1
+    assert all(torch.equal(tensor, got[name]) for name, tensor in expected.items())
+
+
+def test_the_rate_follows_the_gap():
+    assert dropout_rate(30.0, 30.0 - GAP_DB, 0.2) == 0
+    assert dropout_rate(30.0, 30.0 - (GAP_DB + FULL_GAP_DB) / 2, 0.2) == pytest.approx(0.1)
+    assert dropout_rate(40.0, 20.0, 0.2) == pytest.approx(0.2)
+    assert dropout_rate(float("nan"), 20.0, 0.2) == dropout_rate(30.0, float("nan"), 0.2) == 0
+
+
+def test_a_picture_is_the_same_on_average():
+    """Of faint Gaussians one behind the other: what is left shows as much more as others are left out."""
+    cloud = make_cloud(300, dtype=torch.float32)
+    cloud.opacity_logits[:] = -3.0
+    camera = Camera("front", 32, 32, 30.0, 30.0, 16.0, 16.0, np.eye(4))
+    whole = render(cloud, camera).color
+    factors = [kept(len(cloud), 0.2, random_of(0, i), torch.device("cpu")) for i in range(300)]
+    assert {round(value, 6) for value in factors[0].tolist()} == {0.0, 1.25}
+    mean = torch.stack([render(cloud, camera, kept=factor).color for factor in factors]).mean(0)
+    assert (mean - whole).abs().max() < 0.02 < (render(cloud, camera, kept=factors[0]).color - whole).abs().max()
