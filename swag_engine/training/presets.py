@@ -19,7 +19,7 @@ class Size:
 
 
 PRESETS: dict[Preset, Size] = {
-    "draft": Size(1500, 480, 30_000),
+    "draft": Size(1500, 480, 45_000),
     "standard": Size(3000, 640, 60_000),
     "high": Size(9000, 960, 150_000),
 }

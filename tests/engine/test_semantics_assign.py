@@ -127,7 +127,7 @@ def test_the_loss_is_the_mean_over_assigned_gaussians() -> None:
     assert float(loss.detach()) == pytest.approx(1, abs=1e-5)  # targets have length 1
     loss.backward()
     assert torch.allclose(features.grad, torch.where(assigned[:, None], -targets, 0.0), atol=1e-6)
-    assert float(semantic_loss(features, targets, torch.zeros(3, dtype=torch.bool))) == 0
+    assert semantic_loss(features, targets, torch.zeros(3, dtype=torch.bool)).item() == 0
 
 
 def test_the_loss_pulls_features_to_their_targets_and_moves_nothing_else() -> None:
