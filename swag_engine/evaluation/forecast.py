@@ -198,7 +198,7 @@ def _expected(
         psnr = [round(likely_psnr + sign * spread, 2) for sign in (-1, 0, 1)]
     return {
         **asdict(size),
-        "seconds": [round(guess * ratio, 1) for ratio in (least, likely, most)],
+        "seconds": [round(guess * ratio, 2) for ratio in (least, likely, most)],
         "psnr": psnr,
         "memory_mb": round(_memory_mb(extent, size)),
         "first_guess": round(guess, 3),
