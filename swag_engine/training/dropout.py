@@ -5,6 +5,8 @@ settle where one photograph alone needs it behind others. It costs detail where 
 follows what a run finds: how much better its training photographs come out than its validation photographs.
 """
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -19,11 +21,11 @@ LOOKED_AT = 5
 def dropout_rate(training_psnr: float, validation_psnr: float, most: float) -> float:
     """Share of the Gaussians to leave out of each iteration, 0 to `most`; 0 where a PSNR (dB) is not known."""
     share = (training_psnr - validation_psnr - GAP_DB) / (FULL_GAP_DB - GAP_DB)
-    return most * min(max(share, 0.0), 1.0) if share == share else 0.0
+    return 0.0 if math.isnan(share) else most * min(max(share, 0.0), 1.0)
 
 
 def dropout_note(rate: float, training_psnr: float | None, validation_psnr: float | None) -> str:
-    """What a report says of it, nothing where nothing is left out."""
+    """What a report says of the share that the end of a run left out, nothing where that is none."""
     if not rate:
         return ""
     return (

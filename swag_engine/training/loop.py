@@ -313,7 +313,7 @@ class Trainer(Iteration):
 
     def finish(self, loss: float, interrupted: bool) -> Event:
         """Write results and figures; returns the result event."""
-        seconds = self.seconds
+        seconds, left_out = self.seconds, self.dropout
         if self.validation and self.iteration:
             self.validate(loss)
         splats = self.cloud.to_splats()
@@ -324,7 +324,7 @@ class Trainer(Iteration):
             write_glb(self.run.glb, splats, self.scene.up)
         scores = self.scored(self.test)
         test_psnr, test_ssim = mean_score(scores)
-        learned = dropout_note(self.dropout, self.training_psnr, self.psnr)
+        learned = dropout_note(left_out, self.training_psnr, self.psnr)
         self.notes += filter(None, [self.moving_note, learned, self.guard.note(self.iteration), self.relief.note])
         metrics: Event = {
             "test_psnr": test_psnr,

@@ -77,13 +77,11 @@ def try_effects(trainer: "Trainer", should_stop: Callable[[], bool]) -> bool:
         kept = {effect: True for effect, chosen in decided.items() if chosen}
         trainer.load(*before)
         trainer.switch(kept | {name: True})
-        gain, needed = 0.0, LEAST_GAIN
-        if worth_trying(name, trainer):
-            scores = _forked(trainer, length, should_stop)
-            if scores is None:
-                trainer.load(*before)
-                return False
-            gain, needed = compared(best[0], scores)
+        scores = _forked(trainer, length, should_stop)
+        if scores is None:
+            trainer.load(*before)
+            return False
+        gain, needed = compared(best[0], scores)
         if gain > needed:
             decided[name] = True
             best = scores, trainer.state()
@@ -102,11 +100,6 @@ def try_effects(trainer: "Trainer", should_stop: Callable[[], bool]) -> bool:
     trainer.load(*best[1])
     trainer.trials += trials
     return True
-
-
-def worth_trying(name: str, trainer: "Trainer") -> bool:
-    """Whether the state after the switch differs: without anything that moved there is nothing to leave out."""
-    return name != "moving_objects" or bool(trainer.moved)
 
 
 def _forked(trainer: "Trainer", iterations: int, should_stop: Callable[[], bool]) -> Sequence[ViewScore] | None:
