@@ -22,10 +22,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 
-from swag_engine.threads import wait_politely  # noqa: E402
-
-wait_politely()
-
+import swag_engine.threads  # noqa: E402, F401, I001
 import torch  # noqa: E402
 from torch import Tensor  # noqa: E402
 

@@ -18,10 +18,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from swag_engine.threads import wait_politely  # noqa: E402
-
-wait_politely()
-
+import swag_engine.threads  # noqa: E402, F401, I001
 import torch  # noqa: E402
 from raster import RESULTS  # noqa: E402
 from train_scenes import SCENES, processor  # noqa: E402

@@ -20,16 +20,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from swag_engine.effects.simulated import Simulated  # noqa: E402
-from swag_engine.threads import wait_politely  # noqa: E402
-
-wait_politely()
-
+import swag_engine.threads  # noqa: E402, F401, I001
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 import torch  # noqa: E402
 from train_scenes import processor  # noqa: E402
 
+from swag_engine.effects.simulated import Simulated  # noqa: E402
 from swag_engine.gaussians.cloud import GaussianCloud  # noqa: E402
 from swag_engine.rasterize import cpu, projection, reference  # noqa: E402
 from swag_engine.rasterize.render import render  # noqa: E402

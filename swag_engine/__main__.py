@@ -14,13 +14,13 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from . import threads  # noqa: F401
 from .errors import InputError
 from .evaluation.grid import Grid
 from .formats.export import ExportOptions, export_run
 from .formats.export import describe as describe_export
 from .protocol import ExportFormat
 from .strict_json import to_json
-from .threads import wait_politely
 from .training.config import TrainSettings
 
 INTERRUPTED = 130
@@ -485,7 +485,6 @@ def refused(sentence: str, arguments: list[str]) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command and return its exit code."""
-    wait_politely()
     arguments = sys.argv[1:] if arguments is None else arguments
     named = [Annotated[command, tyro.conf.subcommand(name=command.__name__.lower())] for command in COMMANDS]
     union: Any = functools.reduce(operator.or_, named)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
+from . import threads  # noqa: F401
 from .errors import InputError
 from .protocol import (
     CancelRequest,
@@ -28,7 +29,6 @@ from .protocol import (
     parse_request,
 )
 from .strict_json import to_json
-from .threads import wait_politely
 
 if TYPE_CHECKING:
     from .scene.colmap import Scene
@@ -237,7 +237,6 @@ def pinhole_pictures(scene: "Scene") -> list[Path]:
 
 
 def main() -> None:
-    wait_politely()
     # Libraries that print to stdout would break the protocol: events keep a copy of it, the rest goes to stderr.
     events = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)

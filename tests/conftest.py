@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from swag_engine.threads import wait_politely
+import swag_engine.threads  # noqa: F401
 
 sys.path.insert(0, str(Path(__file__).parent / "scenes"))
-wait_politely()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -37,7 +37,9 @@ def relit(display: Tensor, log_factor: Tensor, backend: str = "auto") -> Tensor:
 
     Kernels do it where the factors (any shape that expands to that of `display`) scale colours (..., 3).
     """
-    colors = display.shape[-1:] == (3,) and torch.broadcast_shapes(display.shape, log_factor.shape) == display.shape
+    sizes = zip(reversed(log_factor.shape), reversed(display.shape), strict=False)
+    expands = log_factor.dim() <= display.dim() and all(small in (1, size) for small, size in sizes)
+    colors = display.shape[-1:] == (3,) and expands
     if colors and (kernels := kernels_for(backend, display, log_factor)):
         return kernels.relit(display, log_factor)
     return to_display(to_light(display) * log_factor.exp())

@@ -23,10 +23,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 
-from swag_engine.threads import wait_politely  # noqa: E402
-
-wait_politely()
-
+import swag_engine.threads  # noqa: E402, F401, I001
 import cv2  # noqa: E402
 import numpy as np  # noqa: E402
 

@@ -27,10 +27,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 
-from swag_engine.threads import wait_politely  # noqa: E402
-
-wait_politely()
-
+import swag_engine.threads  # noqa: E402, F401, I001
 import torch  # noqa: E402
 from safetensors import safe_open  # noqa: E402
 from tiny import make_tiny_scene  # noqa: E402
