@@ -61,13 +61,16 @@ def forecast_scene(
     scene = load_scene(scene_folder)
     progress("Speed", 0.0)
     speed, extent = measure_speed(scene, settings), Extent.of(scene)
-    looks, beside = [], 0.0
+    looks = []
     for number, size in enumerate((FIRST_LOOK, SECOND_LOOK)):
         progress("First looks", number / 2)
         sized = replace(settings, preset="draft", time_budget="", **asdict(size))
-        psnr, seconds = _look(scene_folder, sized)
+        psnr, training, seconds = _look(scene_folder, sized)
         looks.append(psnr)
-        beside = max(0.0, seconds - _predicted(speed, extent, sized))
+    promised = _predicted(speed, extent, sized)
+    # A few iterations on a busy machine say little; the second look had more of them.
+    busy = min(1.0, training / promised)
+    speed, beside = speed.times(busy), max(0.0, seconds - busy * promised)
     document: dict[str, Any] = {
         "machine": machine(settings),
         "recipe": settings.recipe,
@@ -164,12 +167,12 @@ def time_text(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def _look(scene_folder: Path, settings: TrainSettings) -> tuple[float | None, float]:
-    """PSNR on validation views, and seconds."""
+def _look(scene_folder: Path, settings: TrainSettings) -> tuple[float | None, float, float]:
+    """PSNR on validation views, and seconds: of the training, and of all."""
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        psnr = train(scene_folder, Path(folder) / "run", settings)["metrics"]["psnr"]
-    return psnr, time.monotonic() - started
+        metrics = train(scene_folder, Path(folder) / "run", settings)["metrics"]
+    return metrics["psnr"], metrics["seconds"], time.monotonic() - started
 
 
 def _predicted(speed: Speed, extent: Extent, settings: TrainSettings) -> float:

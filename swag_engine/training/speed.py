@@ -1,7 +1,8 @@
 """How fast this machine trains this scene, from a few iterations, and what a run of some size will take."""
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
 
 import torch
 
@@ -19,7 +20,7 @@ from .losses import photometric
 from .optimizer import Optimizer
 from .presets import Size
 
-TIMED_GAUSSIANS, TIMED_WIDTH, TIMINGS = 20_000, 480, 4
+TIMED_GAUSSIANS, TIMED_WIDTH, TIMINGS = 20_000, 480, 5
 LOADED = 4
 """Photographs that loading is timed with."""
 STEPS = 20
@@ -41,6 +42,10 @@ class Speed:
     def milliseconds(self, gaussians: float, pixels: float) -> float:
         """One iteration."""
         return self.fixed + gaussians * self.per_gaussian + pixels * self.per_pixel
+
+    def times(self, factor: float) -> "Speed":
+        """Where everything takes `factor` as long."""
+        return Speed(*(factor * value for value in astuple(self)))
 
 
 @dataclass(frozen=True)
@@ -80,24 +85,29 @@ def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
         for name, tensor in cloud.parameters().items()
     })  # fmt: skip
     n, pixels = len(cloud), image.camera.width * image.camera.height
-    whole = _milliseconds(cloud, image, 1, settings)
-    smaller = _milliseconds(cloud, image, 2, settings)
-    fewer = _milliseconds(half, image, 1, settings)
+    work = [
+        _iteration(cloud, image, 1, settings),
+        _iteration(cloud, image, 2, settings),
+        _iteration(half, image, 1, settings),
+    ]
+    # In turns: what else the machine does then falls on all of them, and their differences stay small.
+    rounds = [[once() for once in work] for _ in range(TIMINGS)]
+    whole, smaller, fewer = (min(times) for times in zip(*rounds, strict=True))
     per_pixel = max(0.0, (whole - smaller) / (0.75 * pixels))
     per_gaussian = max(0.0, (whole - fewer) / (n - len(half))) if n > len(half) else 0.0
     return Speed(max(0.0, whole - per_pixel * pixels - per_gaussian * n), per_gaussian, per_pixel, load)
 
 
-def _milliseconds(cloud: GaussianCloud, image: TrainingImage, factor: int, settings: TrainSettings) -> float:
-    """Least time of an iteration at 1/factor of the photograph's size."""
+def _iteration(cloud: GaussianCloud, image: TrainingImage, factor: int, settings: TrainSettings) -> Callable[[], float]:
+    """An iteration at 1/factor of the photograph's size, which says how many milliseconds it took."""
     from .targets import Target
 
     device = device_for(settings.backend)
     target = Target.shrunk(image, factor, device)
     optimizer = Optimizer(cloud.to(device), Simulated(Medium.starting(1.0)).to(device), settings.backend)
     rates = dict.fromkeys(optimizer.parameters(), 0.0)
-    times = []
-    for _ in range(TIMINGS):
+
+    def once() -> float:
         started = time.perf_counter()
         picture = render(
             optimizer.cloud, target.camera, settings.sh_degree, optimizer.simulated.medium, backend=settings.backend
@@ -107,8 +117,9 @@ def _milliseconds(cloud: GaussianCloud, image: TrainingImage, factor: int, setti
         optimizer.step(rates)
         if device.type == "cuda":
             torch.cuda.synchronize()
-        times.append(1000 * (time.perf_counter() - started))
-    return min(times)
+        return 1000 * (time.perf_counter() - started)
+
+    return once
 
 
 def predicted_milliseconds(speed: Speed, extent: Extent, size: Size, fraction: float, grow_until: float) -> float:

@@ -10,6 +10,7 @@ from swag_engine.scene.images import cache_root
 from swag_engine.training.config import TrainSettings
 from swag_engine.training.loop import train
 from swag_engine.training.presets import PRESETS
+from swag_engine.training.speed import Speed
 
 SETTINGS = TrainSettings(iterations=40, width=48, max_gaussians=320, sh_degree=1)
 
@@ -70,6 +71,21 @@ def test_what_every_run_takes_is_counted(forecast, tiny_scene):
     for damaged in ({"recipe": "swag"}, [], document | {"speed": {}}):
         kept.write_text(json.dumps(damaged))
         assert expectation(tiny_scene, SETTINGS) is None
+
+
+def test_a_speed_measured_beside_other_work_is_held_against_a_look(tiny_scene, tmp_path, monkeypatch):
+    monkeypatch.setenv("SWAG_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(forecasts, "measure_speed", lambda scene, settings: Speed(1000.0, 0.0, 0.0, 0.0))
+    taken, look = [], forecasts._look
+
+    def looked(scene_folder, settings):
+        found = look(scene_folder, settings)
+        taken.append(found[1])
+        return found
+
+    monkeypatch.setattr(forecasts, "_look", looked)
+    iteration = forecast_scene(tiny_scene, TrainSettings(sh_degree=1))["speed"]["fixed"] / 1000
+    assert 0 < iteration * forecasts.SECOND_LOOK.iterations < taken[1] < 100
 
 
 def test_a_damaged_history_is_read_as_far_as_it_goes(forecast, tiny_scene, tmp_path):
