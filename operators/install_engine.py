@@ -110,7 +110,7 @@ class SWAG_OT_remove_engine(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if context.window_manager.swag.job:
-            cls.poll_message_set(f"{context.window_manager.swag.job} is running")
+            cls.poll_message_set("Something is running: wait for its end, or cancel it")
             return False
         cls.poll_message_set("No environment has been made")
         return engine_process.environment_folder().exists()

@@ -39,10 +39,8 @@ class Job:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        running = context.window_manager.swag.job
-        if running:
-            cls.poll_message_set(f"{running} is running")
-        return not running
+        cls.poll_message_set("Something is running: wait for its end, or cancel it")
+        return not context.window_manager.swag.job
 
     # -- without a window ---------------------------------------------------------------------------------------------
 

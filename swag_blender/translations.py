@@ -379,6 +379,20 @@ GERMAN = {
     "Width in pixels that the photographs are trained at; 0: as the quality has it": (
         "Breite in Pixeln, mit der die Fotos trainiert werden; 0: wie es die Güte vorsieht"
     ),
+    "Something is running: wait for its end, or cancel it": "Etwas läuft: sein Ende abwarten oder abbrechen",
+    "No environment has been made": "Es gibt keine Umgebung",
+    "Select objects with materials, in a scene whose splats have a water": (
+        "Objekte mit Materialien auswählen, in einer Szene, deren Splats ein Wasser haben"
+    ),
+    "No job has written a log yet": "Noch hat nichts ein Protokoll geschrieben",
+    "There is no imported scene and no splats; or several, and none of them is selected": (
+        "Es gibt weder importierte Szene noch Splats; oder mehrere, und nichts davon ist ausgewählt"
+    ),
+    "Nothing differs from the plan": "Nichts weicht vom Plan ab",
+    "It is stopping already": "Es hält schon an",
+    "No training is running": "Es läuft kein Training",
+    "There are no splats in the scene": "In der Szene sind keine Splats",
+    "Select an object with splats first": "Zuerst ein Objekt mit Splats auswählen",
     "Words": "Worte",
     ("Write the node groups of splats and water to a library, so that the asset browser has them in every file"): (
         "Die Knotengruppen von Splats und Wasser in eine Bibliothek schreiben, damit der Asset-Browser sie in "

@@ -32,7 +32,7 @@ print("SHOWN", json.dumps(sorted(word for word in found if re.search("[A-Za-z]{2
 
 
 def drawn(root):
-    """The constants among the texts of labels and buttons."""
+    """The constants among the texts of labels and buttons, and why a button is off."""
     words = set()
     for folder in ("swag_blender", "operators"):
         for path in (root / folder).rglob("*.py"):
@@ -42,6 +42,7 @@ def drawn(root):
                 texts = [keyword.value for keyword in call.keywords if keyword.arg == "text"]
                 function = getattr(call.func, "id", getattr(call.func, "attr", ""))
                 texts += call.args[1:2] if function == "draw_wrapped" else []
+                texts += call.args[:1] if function == "poll_message_set" else []
                 for text in texts:
                     either = (text.body, text.orelse) if isinstance(text, ast.IfExp) else (text,)
                     words |= {n.value for n in either if isinstance(n, ast.Constant) and isinstance(n.value, str)}
