@@ -11,7 +11,7 @@ active camera. The shape is drawn in one of three ways:
   in the sphere's own space (there 1 is three sigma) and v the unit viewing direction,
       alpha = opacity exp(-4.5 d^2),   d^2 = p.p - (p.v)^2,
   d being the distance of the ray from the centre: the largest value of the 3D Gaussian along the ray.
-- in the viewport ("Points in Viewport"): coloured points, fast at any number.
+- in the viewport ("Points in Viewport"): coloured points, the fainter the smaller, fast at any number.
 
 Splat trainers blend display (sRGB) values. Two ways to blend here:
 - linear light (default): colours are converted by the exact sRGB curve and blended as light, as Cycles and EEVEE do
@@ -174,8 +174,7 @@ def node_group() -> bpy.types.NodeTree:
 
     ellipsoids = splat_shapes.ellipsoids(tree, geometry, ray, view, inputs[PIXEL_SIZE])
     facing = splat_shapes.rectangles(tree, geometry, position, camera, opacity, inputs[PIXEL_SIZE])
-    points = add(tree, "GeometryNodeSetMaterial", Geometry=geometry, Material=point_material.material())
-    points = Field(points.outputs["Geometry"])
+    points = splat_shapes.points(tree, geometry, opacity)
 
     shown = _switch(tree, inputs[POINTS_IN_VIEWPORT], ellipsoids, points)
     rendered = _switch(tree, inputs[FACE_CAMERA], ellipsoids, facing)

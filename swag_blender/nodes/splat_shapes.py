@@ -19,6 +19,18 @@ PIXEL_VARIANCE = 0.3
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
+def points(tree: bpy.types.NodeTree, geometry: Field, opacity: Field) -> Field:
+    """The points themselves, opaque, so small that faint and long splats do not hide what lies behind them."""
+    x, y, z = attribute(tree, "scale", "FLOAT_VECTOR").xyz()
+    largest, smallest = (x.math(which, y).math(which, z) for which in ("MAXIMUM", "MINIMUM"))
+    middle = x + y + z - largest - smallest
+    made = add(tree, "GeometryNodeSetPointRadius", Points=geometry, Radius=middle * opacity)
+    made = add(
+        tree, "GeometryNodeSetMaterial", Geometry=Field(made.outputs["Points"]), Material=point_material.material()
+    )
+    return Field(made.outputs["Geometry"])
+
+
 def ellipsoids(
     tree: bpy.types.NodeTree, points: Field, ray: Field, view: bpy.types.NodeInputs, pixel_size: Field
 ) -> Field:

@@ -165,12 +165,19 @@ def test_viewport_shows_points_or_splats(blender):
     blender.run(
         SETUP
         + """
-obj = splats.new_splat_object("reef", random_splats(500, 4), scene.collection)
+made = random_splats(500, 4)
+obj = splats.new_splat_object("reef", made, scene.collection)
 def shown():
     graph = bpy.context.evaluated_depsgraph_get()
     graph.update()
     return sum(i.is_instance for i in graph.object_instances)
 assert shown() == 0
+# Faint and long ones small, or they would hide what is behind them; what exporters read stays.
+radius = np.empty(500, "f4")
+obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.attributes["radius"].data.foreach_get("value", radius)
+assert np.allclose(radius, np.median(made.scales, 1) * made.opacities, atol=1e-6)
+obj.data.attributes["radius"].data.foreach_get("value", radius)
+assert np.allclose(radius, made.scales.mean(1), atol=1e-6)
 splat_preview.set_input(obj, splat_preview.POINTS_IN_VIEWPORT, False)
 assert shown() == 500
         """
