@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, JSON, sentences."""
 
 import json
+import os
 import resource
 import signal
 import subprocess
@@ -150,3 +151,24 @@ def test_a_missing_package_is_named(tmp_path):
     done = swag("doctor", env={"PYTHONPATH": str(tmp_path)})
     assert_one_sentence(done)
     assert "lacks the package torch" in done.stderr
+
+
+@pytest.mark.parametrize("module", ["swag_engine.__main__", "swag_engine.worker"])
+def test_threads_are_told_to_share_the_cores_before_numpy_and_torch_come(module):
+    script = """
+import importlib, os, sys
+
+class Watch:
+    def find_spec(self, name, path=None, target=None):
+        if name in ("numpy", "torch"):
+            assert os.environ["OPENBLAS_NUM_THREADS"] == "1" and os.environ["OMP_WAIT_POLICY"] == "PASSIVE", name
+            print(name)
+
+sys.meta_path.insert(0, Watch())
+importlib.import_module(sys.argv[1])
+"""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("OPENBLAS_", "OMP_"))}
+    done = subprocess.run(
+        [sys.executable, "-c", script, module], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0 and "numpy" in done.stdout, done.stderr
