@@ -34,10 +34,10 @@ from ..training.speed import Extent, Speed, measure_speed, predicted_seconds
 Progress = Callable[[str, float], None]
 FIRST_LOOK, SECOND_LOOK = Size(60, 240, 5_000), Size(170, 340, 12_000)
 """Two small runs: what the second gains over the first says how much there is to gain."""
-GAIN, GAIN_EXPONENT = 1.35, 0.55
+GAIN, GAIN_EXPONENT = 1.5, 0.25
 """PSNR after T iterations = second + GAIN * slope * ln(T / 170)^GAIN_EXPONENT, with the slope in dB per ln of
-iterations between the two looks: fitted to 500, 1500 and 4500 iterations of three scenes
-(benchmarks/results/train_scenes.json), where it is off by .6 dB at the median."""
+iterations between the two looks: fitted to 500 to 9000 iterations of three scenes at 480 pixels (train_scenes.json and
+tradeoff_*.json in benchmarks/results), where it is off by .4 dB at the median and by 1.2 dB at most."""
 SPREAD_DB, SPREAD_OF_GAIN = 0.3, 0.2
 LEAST, MOST = 0.75, 1.5
 """Of the time that a first look promises, where no run on this machine has told more."""

@@ -1,5 +1,6 @@
 """How fast this machine trains this scene, from a few iterations, and what a run of some size will take."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
@@ -79,12 +80,9 @@ def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
     started = time.perf_counter()
     load_images(scene, others, TIMED_WIDTH)
     load = (time.perf_counter() - started) / max(1, len(others))
-    cloud = gaussians_from_points(scene.points, TIMED_GAUSSIANS, settings.sh_degree, 0, torch.zeros(3).numpy())
-    half = GaussianCloud(**{
-        name: tensor.detach()[::2].clone() if len(tensor) == len(cloud) else tensor.detach().clone()
-        for name, tensor in cloud.parameters().items()
-    })  # fmt: skip
-    n, pixels = len(cloud), image.camera.width * image.camera.height
+    points = gaussians_from_points(scene.points, TIMED_GAUSSIANS, settings.sh_degree, 0, torch.zeros(3).numpy())
+    cloud, half = _grown(points, TIMED_GAUSSIANS), _grown(points, TIMED_GAUSSIANS // 2)
+    pixels = image.camera.width * image.camera.height
     work = [
         _iteration(cloud, image, 1, settings),
         _iteration(cloud, image, 2, settings),
@@ -94,8 +92,20 @@ def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
     rounds = [[once() for once in work] for _ in range(TIMINGS)]
     whole, smaller, fewer = (min(times) for times in zip(*rounds, strict=True))
     per_pixel = max(0.0, (whole - smaller) / (0.75 * pixels))
-    per_gaussian = max(0.0, (whole - fewer) / (n - len(half))) if n > len(half) else 0.0
-    return Speed(max(0.0, whole - per_pixel * pixels - per_gaussian * n), per_gaussian, per_pixel, load)
+    per_gaussian = max(0.0, (whole - fewer) / (len(cloud) - len(half)))
+    return Speed(max(0.0, whole - per_pixel * pixels - per_gaussian * len(cloud)), per_gaussian, per_pixel, load)
+
+
+def _grown(points: GaussianCloud, count: int) -> GaussianCloud:
+    """The cloud as growth leaves it: so many Gaussians about those of the points, covering as much of the picture."""
+    of_point = torch.arange(count) % len(points)
+    cloud = GaussianCloud(**{
+        name: (tensor.detach()[of_point] if len(tensor) == len(points) else tensor.detach()).clone()
+        for name, tensor in points.parameters().items()
+    })  # fmt: skip
+    cloud.means += cloud.log_scales.exp() * torch.randn(cloud.means.shape, generator=torch.Generator().manual_seed(0))
+    cloud.log_scales += 0.5 * math.log(len(points) / count)
+    return cloud
 
 
 def _iteration(cloud: GaussianCloud, image: TrainingImage, factor: int, settings: TrainSettings) -> Callable[[], float]:
