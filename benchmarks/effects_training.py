@@ -21,7 +21,7 @@ from swag_engine.scene.colmap import load_scene  # noqa: E402
 from swag_engine.training.config import TrainSettings  # noqa: E402
 from swag_engine.training.loop import Trainer, train  # noqa: E402
 
-ITERATIONS = 60
+ITERATIONS = 300
 OFF = "water=off,lamp=off,exposure=off,caustics=off,moving_objects=off"
 ROWS = {
     "planned": "moving_objects=off",

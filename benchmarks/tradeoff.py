@@ -1,6 +1,6 @@
-"""What accuracy costs in time on the demo and on japanese_gardens: presets, two widths, with and without the water.
+"""What accuracy costs in time on the demo and on japanese_gardens: presets and two widths, the demo without water too.
 
-    python benchmarks/tradeoff.py FOLDER
+    python benchmarks/tradeoff.py FOLDER [WEIGHTS]        WEIGHTS: a folder with the networks of LPIPS
 
 Makes the runs in FOLDER, prints a table for each scene, and writes docs/tradeoff_SCENE.png and
 benchmarks/results/tradeoff_SCENE.json. Stopped and started again with the same FOLDER it goes on. A scene that is not
@@ -18,10 +18,11 @@ SCENES = {
     "demo": ROOT / "tests" / "scenes" / "reef_wreck",
     "japanese_gardens": ROOT.parent / "shared" / "data" / "japanese_gardens",
 }
-GRID = ["--presets", "draft", "standard", "high", "--widths", "240", "480", "--effects", "default", "water=off"]
+GRID = ["--presets", "draft", "standard", "high", "--widths", "240", "480"]
+EFFECTS = {"demo": ["default", "water=off"], "japanese_gardens": ["default"]}
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, *weights: str) -> None:
     for name, scene in SCENES.items():
         if not scene.exists():
             continue
@@ -35,6 +36,9 @@ def main(folder: Path) -> None:
             "--out",
             str(out),
             *GRID,
+            "--effects",
+            *EFFECTS[name],
+            *(word for path in weights for word in ("--weights-dir", path)),
         ]
         print(f"\n{name}\n", flush=True)
         subprocess.run(command, cwd=ROOT, check=True)
@@ -43,4 +47,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]).resolve())
+    main(Path(sys.argv[1]).resolve(), *sys.argv[2:])
