@@ -170,14 +170,15 @@ def _image(pixels: np.ndarray, style: str = "") -> str:
 
 
 def new_plots(x: str, *ys: str) -> "tuple[Figure, list[Axes]]":
-    """An empty plot for each of `ys`, side by side, all against x; ink is INK."""
+    """An empty plot for each of `ys`, two in a row, all against x; ink is INK."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     with rc_context({"text.color": INK, "axes.edgecolor": INK, "axes.labelcolor": INK, "xtick.color": INK,
                      "ytick.color": INK}):  # fmt: skip
-        figure = Figure((4.6 * len(ys), 3.0), layout="constrained")
-        plots = [figure.add_subplot(1, len(ys), column + 1) for column in range(len(ys))]
+        rows, columns = (len(ys) + 1) // 2, min(2, len(ys))
+        figure = Figure((4.6 * columns, 3.0 * rows), layout="constrained")
+        plots = [figure.add_subplot(rows, columns, place + 1) for place in range(len(ys))]
         for axes, y in zip(plots, ys, strict=True):
             axes.set(xlabel=x, ylabel=y)
             axes.spines[["top", "right"]].set_visible(False)
