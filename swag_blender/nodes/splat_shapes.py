@@ -9,6 +9,7 @@ from .build import Field, add, arranged, combined
 
 OPACITY, REACH, PLACE = "swag:opacity", "swag:reach", "swag:place"
 RADIUS_IN_SIGMA = 3.0
+POINT_IN_SIGMA = 1.5
 # Splat renderers leave out what is fainter.
 LEAST_ALPHA = 1 / 255
 # Kerbl et al. evaluate the projection's derivative at most this far outside the picture: beyond, it is of no use.
@@ -24,7 +25,7 @@ def points(tree: bpy.types.NodeTree, geometry: Field, opacity: Field) -> Field:
     x, y, z = attribute(tree, "scale", "FLOAT_VECTOR").xyz()
     largest, smallest = (x.math(which, y).math(which, z) for which in ("MAXIMUM", "MINIMUM"))
     middle = x + y + z - largest - smallest
-    made = add(tree, "GeometryNodeSetPointRadius", Points=geometry, Radius=middle * opacity)
+    made = add(tree, "GeometryNodeSetPointRadius", Points=geometry, Radius=middle * opacity * POINT_IN_SIGMA)
     made = add(
         tree, "GeometryNodeSetMaterial", Geometry=Field(made.outputs["Points"]), Material=point_material.material()
     )
