@@ -9,6 +9,7 @@ import torch
 
 from ..effects.simulated import Simulated
 from ..gaussians.cloud import GaussianCloud
+from ..gaussians.grow import PER_GAUSSIAN
 from ..gaussians.init import gaussians_from_points
 from ..rasterize.backends import device_for
 from ..rasterize.render import render
@@ -99,10 +100,8 @@ def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
 def _grown(points: GaussianCloud, count: int) -> GaussianCloud:
     """The cloud as growth leaves it: so many Gaussians about those of the points, covering as much of the picture."""
     of_point = torch.arange(count) % len(points)
-    cloud = GaussianCloud(**{
-        name: (tensor.detach()[of_point] if len(tensor) == len(points) else tensor.detach()).clone()
-        for name, tensor in points.parameters().items()
-    })  # fmt: skip
+    parts = {name: getattr(points, name)[of_point] for name in PER_GAUSSIAN}
+    cloud = GaussianCloud(**parts, background=points.background.clone())
     cloud.means += cloud.log_scales.exp() * torch.randn(cloud.means.shape, generator=torch.Generator().manual_seed(0))
     cloud.log_scales += 0.5 * math.log(len(points) / count)
     return cloud

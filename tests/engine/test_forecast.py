@@ -1,16 +1,18 @@
 """What a run is said to take and reach before it begins, and what becomes of it afterwards."""
 
 import json
+from dataclasses import fields, replace
 
 import pytest
 
 from swag_engine.evaluation import forecast as forecasts
 from swag_engine.evaluation.forecast import describe, expectation, forecast_scene, history, record, time_text
+from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import cache_root
 from swag_engine.training.config import TrainSettings
 from swag_engine.training.loop import train
 from swag_engine.training.presets import PRESETS
-from swag_engine.training.speed import Speed
+from swag_engine.training.speed import Speed, measure_speed
 
 SETTINGS = TrainSettings(iterations=40, width=48, max_gaussians=320, sh_degree=1)
 
@@ -71,6 +73,15 @@ def test_what_every_run_takes_is_counted(forecast, tiny_scene):
     for damaged in ({"recipe": "swag"}, [], document | {"speed": {}}):
         kept.write_text(json.dumps(damaged))
         assert expectation(tiny_scene, SETTINGS) is None
+
+
+def test_a_scene_of_as_many_points_as_a_colour_has_channels(tiny_scene, tmp_path, monkeypatch):
+    monkeypatch.setenv("SWAG_CACHE_DIR", str(tmp_path))
+    scene = load_scene(tiny_scene)
+    points = scene.points
+    three = replace(points, **{field.name: getattr(points, field.name)[:3] for field in fields(points)})
+    speed = measure_speed(replace(scene, points=three), TrainSettings(sh_degree=1))
+    assert 0 < speed.milliseconds(1000, 64 * 48) < 10_000
 
 
 def test_a_speed_measured_beside_other_work_is_held_against_a_look(tiny_scene, tmp_path, monkeypatch):
