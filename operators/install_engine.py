@@ -9,7 +9,7 @@ import bpy
 
 from ..swag_blender import engine_process
 from ..swag_blender.engine_process import Engine, EngineError
-from ..swag_blender.job import Job
+from ..swag_blender.job import Job, nothing_runs
 from ..swag_blender.preferences import preferences
 
 
@@ -109,8 +109,7 @@ class SWAG_OT_remove_engine(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.window_manager.swag.job:
-            cls.poll_message_set("Something is running: wait for its end, or cancel it")
+        if not nothing_runs(cls, context):
             return False
         cls.poll_message_set("No environment has been made")
         return engine_process.environment_folder().exists()

@@ -39,8 +39,7 @@ class Job:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        cls.poll_message_set("Something is running: wait for its end, or cancel it")
-        return not context.window_manager.swag.job
+        return nothing_runs(cls, context)
 
     # -- without a window ---------------------------------------------------------------------------------------------
 
@@ -186,6 +185,12 @@ class SceneJob(Job):
         if not scene:
             raise EngineError(f"The scene {self._scene} is gone; begin again.")
         return self.take(scene.swag, event)
+
+
+def nothing_runs(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """For the `poll` of an operator that waits for the end of any job."""
+    operator.poll_message_set("Something is running: wait for its end, or cancel it")
+    return not context.window_manager.swag.job
 
 
 def keep_log(engine: Engine) -> None:
