@@ -1,6 +1,7 @@
 """Train the scene's photographs; the splats appear while they are trained."""
 
 import contextlib
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ from ..swag_blender.nodes import splat_preview
 from ..swag_blender.properties import time_text
 from ..swag_engine.errors import InputError
 from ..swag_engine.formats.ply import read_ply
+from ..swag_engine.gaussians.splats import Splats
 from ..swag_engine.training.run_folder import RunFolder
 
 RUN_KEY = "swag_run"  # on the object with the splats of a run: the run's folder
+_reader = ThreadPoolExecutor(1)
 
 
 class SWAG_OT_train(Job, bpy.types.Operator):
@@ -49,6 +52,7 @@ class SWAG_OT_train(Job, bpy.types.Operator):
             raise EngineError("Choose the folder with the photographs and their COLMAP model first.")
         if not self.resume:
             swag.run_folder = str(free_run_folder(Path(swag.run_path)))
+        self._preview: tuple[Future[Splats], dict[str, Any] | None] | None = None
         self._scene, self._run, self._photographs = context.scene.name, swag.run_path, swag.scene_path
         engine = Engine()
         engine.send(
@@ -64,18 +68,25 @@ class SWAG_OT_train(Job, bpy.types.Operator):
         return engine
 
     def on_event(self, context: bpy.types.Context, event: dict[str, Any]) -> None:
-        scene = bpy.data.scenes.get(self._scene)
-        if event["event"] == "preview" and scene:
-            # A window that was busy comes late: the run has ended and its preview is gone.
-            with contextlib.suppress(InputError):
-                obj = show_splats(scene, event["path"], self._run, self._photographs)
-                water.remember_water(obj, event.get("water"), 0.0)
+        # Read beside the window, which would wait for longer than all the rest takes; none waits where none is seen.
+        if event["event"] == "preview" and not self._preview and not bpy.app.background:
+            self._preview = _reader.submit(read_ply, Path(event["path"])), event.get("water")
+
+    def on_timer(self, context: bpy.types.Context) -> None:
+        if self._preview is None or not self._preview[0].done():
+            return
+        (reading, values), self._preview = self._preview, None
+        # A window that was busy comes late: the run has ended and its preview is gone.
+        with contextlib.suppress(InputError):
+            if scene := bpy.data.scenes.get(self._scene):
+                obj = show_splats(scene, reading.result(), self._run, self._photographs)
+                water.remember_water(obj, values, 0.0)
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         scene = bpy.data.scenes.get(self._scene)
         if not scene:
             raise EngineError(f"The scene {self._scene} is gone; the trained splats are in {event['ply']}.")
-        obj = show_splats(scene, event["ply"], self._run, self._photographs)
+        obj = show_splats(scene, read_ply(Path(event["ply"])), self._run, self._photographs)
         remember_training(obj, RunFolder(Path(self._run)), event["metrics"])
         if context.mode == "OBJECT" and context.view_layer.objects.get(obj.name):
             # What the user exports, moves or isolates next.
@@ -108,13 +119,11 @@ def remember_training(obj: bpy.types.Object, run: RunFolder, metrics: dict[str, 
     water.remember_water(obj, run.read_water(), settings.metres_per_unit)
 
 
-def show_splats(scene: bpy.types.Scene, ply: str, run: str, photographs: str) -> bpy.types.Object:
-    """Put the splats of a PLY file into the scene, in the object that this run has there already if it has one.
+def show_splats(scene: bpy.types.Scene, loaded: Splats, run: str, photographs: str) -> bpy.types.Object:
+    """Put splats into the scene, in the object that this run has there already if it has one.
 
     The object hangs from the imported scene of the same photographs; without one it stands as it was trained.
-    Raises InputError when the file cannot be read.
     """
-    loaded = read_ply(Path(ply))
     obj = next((o for o in scene.objects if o.get(RUN_KEY) == run and splats.is_splats(o)), None)
     if obj:
         splats.replace_splats(obj, loaded)

@@ -12,6 +12,7 @@ from typing import Any
 import bpy
 
 from ..swag_engine.errors import InputError
+from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.training.run_folder import RunFolder, read_json
 from . import engine_process
 
@@ -95,7 +96,7 @@ def bring_in(path: Path) -> None:
         metrics = read_json(run.metrics, f"{path} holds no result yet: train it to an end first.")
         photographs = str(run.read_config()[0])
         bpy.ops.swag.import_scene(directory=photographs)
-        obj = train.show_splats(scene, str(run.ply), str(run.path), photographs)
+        obj = train.show_splats(scene, read_ply(run.ply), str(run.path), photographs)
         train.remember_training(obj, run, metrics)
         bpy.ops.swag.prepare_render()
 

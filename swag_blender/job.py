@@ -33,6 +33,9 @@ class Job:
     def on_event(self, context: bpy.types.Context, event: dict[str, Any]) -> None:
         """Called for each event that is neither progress nor result."""
 
+    def on_timer(self, context: bpy.types.Context) -> None:
+        """Called ten times a second in a window, after the events."""
+
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Take in the `result` event; returns what to tell the user. Raises EngineError or InputError."""
         raise NotImplementedError
@@ -134,6 +137,7 @@ class Job:
                 context.window_manager.swag.show(event)
             elif event not in previews[:-1]:
                 self.on_event(context, event)
+        self.on_timer(context)
         if events and time.monotonic() - self._drawn >= REDRAW_SECONDS:
             redraw(context)
             self._drawn = time.monotonic()

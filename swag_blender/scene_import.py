@@ -75,10 +75,12 @@ def look_through(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
 
 
 def show_colors(screen: bpy.types.Screen) -> None:
-    """Turn solid 3D viewports to Material Preview: solid shading draws point clouds grey."""
+    """Turn solid 3D viewports to Material Preview, for solid shading draws point clouds grey, and there switch the
+    outlines of what is selected off, which would be drawn round every single point."""
     for area in screen.areas:
         if area.type == "VIEW_3D" and area.spaces.active.shading.type == "SOLID":
             area.spaces.active.shading.type = "MATERIAL"
+            area.spaces.active.overlay.show_outline_selected = False
 
 
 def find_root(obj: bpy.types.Object | None) -> bpy.types.Object | None:

@@ -163,8 +163,13 @@ def node_group() -> bpy.types.NodeTree:
     ray = position - Field(view["Location"])
 
     color = _color(tree, ray.vector("NORMALIZE"), inputs[SH_DEGREE])
-    color, linear = _through_water(tree, inputs, ray, color)
-    color = mixed(linear, color, inputs[BLEND_DISPLAY])
+    light = by_channel(tree, to_light, color)
+    watery, watery_light = _through_water(tree, inputs, ray, color)
+    water = inputs[WATER].math("GREATER_THAN", 0.0)
+    color, light = (
+        _switch(tree, water, clear, seen, "VECTOR") for clear, seen in ((color, watery), (light, watery_light))
+    )
+    color = _switch(tree, inputs[BLEND_DISPLAY], light, color, "VECTOR")
     tint = attribute(tree, TINT, "FLOAT_COLOR")
     color = mixed(color, tint, Field(add(tree, "FunctionNodeSeparateColor", Color=tint).outputs["Alpha"]))
     opacity = attribute(tree, "radiance:base", "FLOAT_COLOR")
@@ -242,8 +247,9 @@ def _through_water(tree: bpy.types.NodeTree, inputs: dict[str, Field], ray: Fiel
     return as_display, mixed(seen, by_channel(tree, to_light, seen), display)
 
 
-def _switch(tree: bpy.types.NodeTree, switch: Field, off: Field, on: Field) -> Field:
-    node = add(tree, "GeometryNodeSwitch", {"input_type": "GEOMETRY"}, Switch=switch, **{"False": off, "True": on})
+def _switch(tree: bpy.types.NodeTree, switch: Field, off: Field, on: Field, kind: str = "GEOMETRY") -> Field:
+    """One of two; only that one is computed, where `switch` is the same for all points."""
+    node = add(tree, "GeometryNodeSwitch", {"input_type": kind}, Switch=switch, **{"False": off, "True": on})
     return Field(node.outputs["Output"])
 
 
@@ -253,10 +259,11 @@ def _color(tree: bpy.types.NodeTree, direction: Field, degree: Field) -> Field:
     total = base * SH_0 + (0.5, 0.5, 0.5)
     index = 0
     for level, functions in enumerate(harmonics(direction), start=1):
-        used = degree.math("GREATER_THAN", level - 0.5)
+        more = total
         for function in functions:
             # Coefficients that the splats do not have read as zero.
             coefficient = attribute(tree, f"radiance:sh_{index}", "FLOAT_VECTOR")
-            total = coefficient.vector("MULTIPLY_ADD", function * used, total)
+            more = coefficient.vector("MULTIPLY_ADD", function, more)
             index += 1
+        total = _switch(tree, degree.math("GREATER_THAN", level - 0.5), total, more, "VECTOR")
     return total.vector("MAXIMUM", (0.0, 0.0, 0.0))

@@ -30,21 +30,23 @@ State = Literal["on", "off", "unknown"]
 LEAST_BIC_GAIN = 10.0
 LEAST_FALLOFF = 0.15
 """Share of its light that a lamp must lose over the scene's range beyond what water takes."""
+LEAST_LAMP_BIC, SURE_LAMP_BIC, LEAST_LAMP_SHARE = 30.0, 200.0, 0.6
+"""Light that changes by itself, as in a room, can look like a lamp. A BIC gain below the first is none; one below the
+second counts where light falls off by so much of what the inverse square of range would make it."""
 LAMP_ERROR = 0.3
 """Share of a lamp's fall-off that its formula may be wrong by: water under a lamp must take so much more."""
 GREY = 0.2
 """Spread of beta_D over the channels, as a share of the largest, below which the loss has no colour: water has one."""
-LEAST_GAIN_SD, LEAST_GAIN_BIC = 0.03, 50.0
-"""Of the log gains; a lamp's or the waves' own light, which the formula misses, gains a BIC of some tens by them."""
-FLICKER_GAIN = 0.2
-"""Share of the caustics' flicker that the mean light of a photograph may differ by without any exposure."""
+LEAST_GAIN_SD, LEAST_GAIN_BIC = 0.045, 100.0
+"""Of the log gains: the light of a lamp or of waves and what a telephone does, which the formula misses, look like
+gains of 3 %, or gain a BIC of some tens by them."""
 LEAST_LENS = 0.05
 WIDEST_INTERVAL = 0.5
 """Of the largest beta_D: half of its 95 % interval, as a share of it."""
 MOST_RADIUS_CORRELATION = 0.9
-LEAST_COLOR = 0.05
-"""Share by which one colour must surely fade beside another: the lower 95 % bound. Shine and blur take from some
-surfaces only, and halves of the scene disagree about them."""
+LEAST_COLOR, SURE_COLOR, LEAST_WATER_BIC = 0.2, 0.08, 50.0
+"""Share by which one colour must fade beside another, the lower 95 % bound of that, and its BIC gain. Shine, blur and
+what a telephone makes of a picture take from some surfaces only, and halves of the scene disagree about them."""
 SURE_BIC = 100.0
 """BIC gains of attenuation and of the veil that water is believed by without sure colours, where the darkest light
 rises with range, too: shine and lamps bring no veil that the dark shows."""
@@ -56,7 +58,10 @@ light. Colours that grow alike with range, as they do where far texture is blurr
 DARKEST = 0.01
 RANGE_BINS = 8
 
-LEAST_FLICKER, LEAST_NEIGHBOUR_CORRELATION = 0.06, 0.1
+LEAST_FLICKER, LEAST_SHARED = 0.06, 0.014
+"""Sd of the log light that points side by side share, and that times their correlation."""
+BESIDE = 0.04
+"""Of half a photograph's diagonal: the waves' light is finer than what shine or a telephone's contrast changes."""
 LEAST_STEADINESS = 0.6
 """Flicker between the nearer half of the views over that of the farther: waves do not care where the camera is, but
 shine and the shadows of a lamp do."""
@@ -94,13 +99,10 @@ class WaterFindings:
 # Water, lamp and exposure ---------------------------------------------------------------------------------------------
 
 
-def water_findings(
-    observations: Observations, open_water: np.ndarray | None = None, flicker: float = 0.0, seed: int = 0
-) -> WaterFindings:
+def water_findings(observations: Observations, open_water: np.ndarray | None = None, seed: int = 0) -> WaterFindings:
     """Attenuation, backscatter, its own coefficient, lamp and exposure, of all sightings of a scene.
 
-    open_water (3,): linear light where the photographs show nothing but water, as open_water_light gives it. flicker:
-    sd of the log light of caustics, 0 where there are none.
+    open_water (3,): linear light where the photographs show nothing but water, as open_water_light gives it.
     """
     names = ("attenuation", "backscatter", "separate_backscatter", "lamp", "exposure")
     if len(observations) < LEAST_OBSERVATIONS:
@@ -132,14 +134,13 @@ def water_findings(
     variance = float(np.var(gained.log_gains) - np.mean(gained.gain_errors**2))
     spread = float(np.sqrt(max(variance, 0)))
     gain_bic = bic(plain) - bic(gained)
-    least_spread = LEAST_GAIN_SD + FLICKER_GAIN * flicker
-    gains = gain_bic > LEAST_GAIN_BIC and spread > least_spread
+    gains = gain_bic > LEAST_GAIN_BIC and spread > LEAST_GAIN_SD
     lens_bic = bic(apart[False, gains]) - bic(apart[True, gains])
     lens = lens_bic > LEAST_BIC_GAIN and _unevenness(apart[True, gains]) > LEAST_LENS
     exposure = Finding(
         "on" if gains else "off",
-        {"gain_sd": spread, "gain_sd_least": least_spread, "bic_gain": gain_bic, "bic_gain_least": LEAST_GAIN_BIC},
-        f"The photographs' brightness differs by {spread:.1%} (sd; more than {least_spread:.1%} counts).",
+        {"gain_sd": spread, "gain_sd_least": LEAST_GAIN_SD, "bic_gain": gain_bic, "bic_gain_least": LEAST_GAIN_BIC},
+        f"The photographs' brightness differs by {spread:.1%} (sd; more than {LEAST_GAIN_SD:.1%} counts).",
     )
 
     fits = {
@@ -174,13 +175,15 @@ def water_findings(
     loses = attenuation_bic > LEAST_BIC_GAIN and change.max() >= LEAST_CHANGE
     halves = [sightings.half(random).fit(best.family, best, steps=10) for _ in range(HALVES)] if loses else []
     weakest = int(np.argmin(change))
+    grey = float(1 - best.beta_D[weakest] / max(best.beta_D[strongest], 1e-12))
     parted = [
         float(-np.expm1((made.beta_D[weakest] - made.beta_D[strongest]) * (far - near))) for made in (best, *halves)
     ]
-    color = parted[0] - 1.96 * float(np.std(parted[1:], ddof=1)) if loses else 0.0
-    grey = float(1 - best.beta_D[weakest] / max(best.beta_D[strongest], 1e-12))
+    color = parted[0] if loses else 0.0
+    sure_color = color - 1.96 * float(np.std(parted[1:], ddof=1)) if loses else 0.0
+    colored = grey >= GREY and color >= LEAST_COLOR and sure_color >= SURE_COLOR and attenuation_bic > LEAST_WATER_BIC
     veiled_surely = adds_light and min(veil_bic, attenuation_bic) > SURE_BIC
-    dims = loses and change.max() >= least_change and ((grey >= GREY and color >= LEAST_COLOR) or veiled_surely)
+    dims = loses and change.max() >= least_change and (colored or veiled_surely)
     veils = adds_light and dims
     # The coefficients are those of the widest family that was accepted: what need not be separate is nearly tied.
     fit = separate if veils else direct if dims else none
@@ -201,6 +204,8 @@ def water_findings(
                 "change_least": least_change,
                 "color": color,
                 "color_least": LEAST_COLOR,
+                "sure_color": sure_color,
+                "sure_color_least": SURE_COLOR,
                 "color_of_loss": grey,
                 "color_of_loss_least": GREY,
                 "interval": width,
@@ -211,8 +216,8 @@ def water_findings(
             f"{named.capitalize()} loses {change.max():.0%} between the nearest and the farthest points "
             f"({least_change:.0%} at least); BIC gain {attenuation_bic:,.0f} ({LEAST_BIC_GAIN:.0f} at least)"
             + (
-                f"; beside another colour it fades by {color:.0%} at least ({LEAST_COLOR:.0%} counts)."
-                if dims and color >= LEAST_COLOR
+                f"; beside another it fades by {color:.0%} ({LEAST_COLOR:.0%} counts), for sure {sure_color:.0%}."
+                if dims and colored
                 else "; the veil that the darkest light shows says the same."
                 if dims
                 else "."
@@ -241,7 +246,8 @@ def water_findings(
             effects["attenuation"],
             f"It cannot be told from a lamp, the lens, shine or blur, which take from all colours alike: {named} loses "
             f"{change.max():.0%} between the nearest and the farthest points ({least_change:.0%} at least), and "
-            f"fades beside another colour by {max(color, 1e-9):.0%} for sure ({LEAST_COLOR:.0%} at least).",
+            f"fades beside another colour by {color:.0%}, {max(sure_color, 1e-9):.0%} for sure ({LEAST_COLOR:.0%} and "
+            f"{SURE_COLOR:.0%} at least).",
         )
     elif not dims and resolution > LEAST_CHANGE:
         effects["attenuation"] = _untold(
@@ -306,11 +312,15 @@ def _lamp(fits: Sequence[Fit], bic: Callable[[Fit], float], ranges: np.ndarray) 
     if colorless:  # then water is no alternative, and the lamp is weighed against even light
         lit, gain = falling, bic(even) - bic(falling)
     falloff = 1 - (lit.tau + near**2) / (lit.tau + far**2)
-    found = falloff >= LEAST_FALLOFF and gain > LEAST_BIC_GAIN
+    share = falloff / max(1 - (near / far) ** 2, 1e-12)
+    least = LEAST_LAMP_BIC if share >= LEAST_LAMP_SHARE else SURE_LAMP_BIC
+    found = falloff >= LEAST_FALLOFF and gain > least
     tied = falloff >= LEAST_FALLOFF and gain > -LEAST_BIC_GAIN
     figures = {
         "bic_gain": gain,
-        "bic_gain_least": LEAST_BIC_GAIN,
+        "bic_gain_least": least,
+        "inverse_square": float(share),
+        "inverse_square_least": LEAST_LAMP_SHARE,
         "falloff": float(falloff),
         "falloff_least": LEAST_FALLOFF,
         "color_of_loss": grey,
@@ -319,13 +329,13 @@ def _lamp(fits: Sequence[Fit], bic: Callable[[Fit], float], ranges: np.ndarray) 
     reason = (
         f"Light falls off from the camera by {falloff:.0%} over the scene's range ({LEAST_FALLOFF:.0%} at least)"
         + ("" if colorless else " beyond what water takes")
-        + f"; BIC gain {gain:,.0f} ({LEAST_BIC_GAIN:.0f} at least)"
+        + f"; BIC gain {gain:,.0f} ({least:.0f} at least)"
         + (f", and the loss has no colour (spread {grey:.0%}, {GREY:.0%} at most)." if colorless else ".")
     )
     if tied and not found:
         reason = (
             f"It cannot be told: light that falls off from the camera by {falloff:.0%} explains the colours as well as "
-            f"water does (BIC gain {gain:,.0f}, {LEAST_BIC_GAIN:.0f} at least)."
+            f"water does (BIC gain {gain:,.0f}, {least:.0f} at least)."
         )
     return Finding("on" if found else "unknown" if tied else "off", figures, reason)
 
@@ -366,14 +376,13 @@ def dark_rise(observations: Observations) -> np.ndarray:
 
 def caustics_finding(observations: Observations, centres: np.ndarray, positions: np.ndarray) -> Finding:
     """Whether light flickers on the ground: the same point, seen from nearly the same place, brighter or darker, and
-    its neighbours with it. centres (V, 3) of the cameras, positions (P, 3) of the points.
+    what lies right beside it with it. centres (V, 3) of the cameras, positions (P, 3) of the points.
 
     Only the changes that whole photographs do not share count, and those of lone points are errors of matching.
     """
     views = len(centres)
     grey = np.log(observations.light.mean(1) + 1e-3)
     changes: list[np.ndarray] = []
-    alike: list[np.ndarray] = []
     angles: list[np.ndarray] = []
     by_image = [np.flatnonzero(observations.image == k) for k in range(views)]
     for a in range(views):
@@ -391,40 +400,39 @@ def caustics_finding(observations: Observations, centres: np.ndarray, positions:
             )
             if same.sum() < LEAST_PAIR:
                 continue
-            change = _rough(grey[right][same] - grey[left][same], observations.place[left][same])
-            places = places[same]
-            near = cKDTree(places).query(places, k=2)[1][:, 1]
-            changes.append(change)
-            alike.append(change[near])
-            angles.append(np.arccos(np.clip(cosine[same], -1, 1)))
-    figures: dict[str, Any] = {"flicker_least": LEAST_FLICKER, "neighbours_least": LEAST_NEIGHBOUR_CORRELATION}
-    if not changes:
+            place = observations.place[left][same]
+            beside = cKDTree(place).query_pairs(BESIDE, output_type="ndarray")
+            changes.append(_rough(grey[right][same] - grey[left][same], place)[beside])
+            angles.append(np.arccos(np.clip(cosine[same], -1, 1))[beside].mean(1))
+    change, angle = np.concatenate([np.zeros((0, 2)), *changes]), np.concatenate([np.zeros(0), *angles])
+    figures: dict[str, Any] = {
+        "flicker_least": LEAST_FLICKER,
+        "shared_least": LEAST_SHARED,
+        "steadiness_least": LEAST_STEADINESS,
+        "pairs": len(change),
+        "pairs_least": LEAST_PAIR,
+    }
+    if len(change) < LEAST_PAIR:
         return Finding(
             "unknown",
             figures,
-            f"It cannot be told: no two photographs see {LEAST_PAIR} points from nearly the same place "
-            f"(within {PAIR_ANGLE:.0f} degrees, range within {PAIR_RANGE:.0%}).",
+            f"It cannot be told: only {len(change)} times ({LEAST_PAIR} at least) do two photographs see points "
+            f"side by side from nearly the same place (within {PAIR_ANGLE:.0f} degrees and {PAIR_RANGE:.0%} of range).",
         )
-    change, neighbour, angle = np.concatenate(changes), np.concatenate(alike), np.concatenate(angles)
     nearer = angle <= np.median(angle)
-    flicker, correlation = _flicker(change[nearer], neighbour[nearer])
-    farther = _flicker(change[~nearer], neighbour[~nearer])[0] if (~nearer).any() else flicker
-    steadiness = flicker / max(farther, 1e-6)
-    found = flicker > LEAST_FLICKER and correlation > LEAST_NEIGHBOUR_CORRELATION and steadiness > LEAST_STEADINESS
-    figures |= {
-        "flicker": flicker,
-        "neighbours": correlation,
-        "steadiness": steadiness,
-        "steadiness_least": LEAST_STEADINESS,
-        "pairs": len(change),
-    }
+    flicker, correlation = _flicker(change)
+    farther = _flicker(change[~nearer])[0] if (~nearer).any() else flicker
+    steadiness = _flicker(change[nearer])[0] / max(farther, 1e-6)
+    shared = flicker * correlation
+    found = flicker > LEAST_FLICKER and shared > LEAST_SHARED and steadiness > LEAST_STEADINESS
+    figures |= {"flicker": flicker, "neighbours": correlation, "shared": shared, "steadiness": steadiness}
     return Finding(
         "on" if found else "off",
         figures,
         f"Seen again from nearly the same place, light on the ground differs by {flicker:.1%} (sd; more than "
-        f"{LEAST_FLICKER:.0%} counts), alike for neighbours (correlation {correlation:.2f}, more than "
-        f"{LEAST_NEIGHBOUR_CORRELATION} counts) and as much between near views as between farther ones "
-        f"({steadiness:.2f} times, more than {LEAST_STEADINESS} counts).",
+        f"{LEAST_FLICKER:.0%} counts), alike for what lies side by side (correlation {correlation:.2f}; the product "
+        f"{shared:.1%}, more than {LEAST_SHARED:.1%} counts) and as much between near views as between farther ones "
+        f"({steadiness:.2g} times, more than {LEAST_STEADINESS} counts).",
     )
 
 
@@ -437,11 +445,12 @@ def _rough(change: np.ndarray, place: np.ndarray) -> np.ndarray:
     return change - terms @ smooth
 
 
-def _flicker(change: np.ndarray, neighbour: np.ndarray) -> tuple[float, float]:
-    """Sd of the log light that neighbours share, and their correlation: the rest is error of the colours."""
-    sd = max(_robust_sd(change), 1e-6)
-    correlation = float(np.corrcoef(np.clip(change, -3 * sd, 3 * sd), np.clip(neighbour, -3 * sd, 3 * sd))[0, 1])
-    return sd * float(np.sqrt(max(correlation, 0))), correlation
+def _flicker(change: np.ndarray) -> tuple[float, float]:
+    """Sd of the log light that two points side by side (n, 2) share, and their correlation: the rest is error of the
+    colours."""
+    usual = 3 * max(_robust_sd(change), 1e-6)
+    correlation = float(np.corrcoef(np.clip(change, -usual, usual).T)[0, 1])
+    return usual / 3 * float(np.sqrt(max(correlation, 0))), correlation
 
 
 def _robust_sd(values: np.ndarray) -> float:

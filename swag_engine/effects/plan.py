@@ -216,8 +216,7 @@ def make_plan(
     observations = observe(images, [views[name].point_indices for name in names], scene.points)
     centres = np.stack([image.camera.centre for image in images])
     caustics = evidence.caustics_finding(observations, centres, scene.points.positions)
-    flicker = caustics.evidence["flicker"] if caustics.state == "on" else 0.0
-    water = evidence.water_findings(observations, evidence.open_water_light(images, scene), flicker)
+    water = evidence.water_findings(observations, evidence.open_water_light(images, scene))
     findings = water.effects | {"caustics": caustics}
     separate = findings["separate_backscatter"]
     if findings["backscatter"].state == "on" and separate.state == "off":
