@@ -29,7 +29,7 @@ from swag_engine.scene.colmap import load_scene  # noqa: E402
 from swag_engine.scene.images import load_images  # noqa: E402
 from swag_engine.scene.split import split_views  # noqa: E402
 from swag_engine.strict_json import to_json  # noqa: E402
-from swag_engine.water.identify import FIT_WIDTH, Observations, observe  # noqa: E402
+from swag_engine.water.observations import FIT_WIDTH, Observations, observe  # noqa: E402
 
 SHARED = ROOT.parent / "shared" / "data"
 RESULTS = ROOT / "benchmarks" / "results"

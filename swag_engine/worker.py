@@ -116,7 +116,7 @@ class Worker:
             return inspect(request.scene, request.arrays)
         if isinstance(request, PlanRequest):
             from .effects.plan import plan_and_keep
-            from .water.identify import FIT_WIDTH
+            from .water.observations import FIT_WIDTH
 
             settings = request.settings.sized()
             width = settings.width or FIT_WIDTH  # a time budget finds its own

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from ..priors.interpolate import Admission
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage
-from ..water.identify import (
+from ..water.observations import (
     LEAST_CHANGE,
     LEAST_OBSERVATIONS,
     LEAST_RANGE_RATIO,
@@ -30,16 +30,16 @@ State = Literal["on", "off", "unknown"]
 LEAST_BIC_GAIN = 10.0
 LEAST_FALLOFF = 0.15
 """Share of its light that a lamp must lose over the scene's range beyond what water takes."""
-LEAST_LAMP_BIC, SURE_LAMP_BIC, LEAST_LAMP_SHARE = 30.0, 200.0, 0.6
+LEAST_LAMP_BIC, SURE_LAMP_BIC, LEAST_LAMP_SHARE = 30.0, 200.0, 0.75
 """Light that changes by itself, as in a room, can look like a lamp. A BIC gain below the first is none; one below the
 second counts where light falls off by so much of what the inverse square of range would make it."""
 LAMP_ERROR = 0.3
 """Share of a lamp's fall-off that its formula may be wrong by: water under a lamp must take so much more."""
 GREY = 0.2
 """Spread of beta_D over the channels, as a share of the largest, below which the loss has no colour: water has one."""
-LEAST_GAIN_SD, LEAST_GAIN_BIC = 0.045, 100.0
-"""Of the log gains: the light of a lamp or of waves and what a telephone does, which the formula misses, look like
-gains of 3 %, or gain a BIC of some tens by them."""
+LEAST_GAIN_SD, LEAST_GAIN_BIC, LEAST_GAIN_BIC_BY_LAMP = 0.045, 100.0, 700.0
+"""Of the log gains: the light of waves and what a telephone does, which the formula misses, look like gains of 3 %, or
+gain a BIC of some tens by them, and that of a lamp of some hundreds."""
 LEAST_LENS = 0.05
 WIDEST_INTERVAL = 0.5
 """Of the largest beta_D: half of its 95 % interval, as a share of it."""
@@ -47,7 +47,7 @@ MOST_RADIUS_CORRELATION = 0.9
 LEAST_COLOR, SURE_COLOR, LEAST_WATER_BIC = 0.2, 0.08, 50.0
 """Share by which one colour must fade beside another, the lower 95 % bound of that, and its BIC gain. Shine, blur and
 what a telephone makes of a picture take from some surfaces only, and halves of the scene disagree about them."""
-SURE_BIC = 100.0
+SURE_BIC = 400.0
 """BIC gains of attenuation and of the veil that water is believed by without sure colours, where the darkest light
 rises with range, too: shine and lamps bring no veil that the dark shows."""
 HALVES = 12
@@ -58,10 +58,13 @@ light. Colours that grow alike with range, as they do where far texture is blurr
 DARKEST = 0.01
 RANGE_BINS = 8
 
-LEAST_FLICKER, LEAST_SHARED = 0.06, 0.014
+LEAST_FLICKER, LEAST_SHARED = 0.05, 0.0035
 """Sd of the log light that points side by side share, and that times their correlation."""
 BESIDE = 0.04
-"""Of half a photograph's diagonal: the waves' light is finer than what shine or a telephone's contrast changes."""
+"""Distance of points side by side, in halves of a photograph's diagonal."""
+SMOOTH_DEGREES = {4: 60, 2: 0}
+"""Degree of the polynomial over a photograph that is no flicker, for so many points at least: the waves' light is finer
+than a lens' fall-off, a lamp's beam, and what a telephone does for contrast."""
 LEAST_STEADINESS = 0.6
 """Flicker between the nearer half of the views over that of the farther: waves do not care where the camera is, but
 shine and the shadows of a lamp do."""
@@ -131,8 +134,7 @@ def water_findings(observations: Observations, open_water: np.ndarray | None = N
     }
     gained = min((fit for (_, gains), fit in apart.items() if gains), key=bic)
     plain = min((fit for (_, gains), fit in apart.items() if not gains), key=bic)
-    variance = float(np.var(gained.log_gains) - np.mean(gained.gain_errors**2))
-    spread = float(np.sqrt(max(variance, 0)))
+    spread = _spread(gained)
     gain_bic = bic(plain) - bic(gained)
     gains = gain_bic > LEAST_GAIN_BIC and spread > LEAST_GAIN_SD
     lens_bic = bic(apart[False, gains]) - bic(apart[True, gains])
@@ -263,6 +265,12 @@ def water_findings(observations: Observations, open_water: np.ndarray | None = N
         )
     if effects["attenuation"].state == "unknown" and adds_light:
         effects["backscatter"] = _untold(effects["backscatter"], effects["attenuation"].reason)
+    if gains and lamp.state == "on" and gain_bic <= LEAST_GAIN_BIC_BY_LAMP:
+        effects["exposure"] = _untold(
+            exposure,
+            f"It cannot be told from the lamp's own light: BIC gain {gain_bic:,.0f} ({LEAST_GAIN_BIC_BY_LAMP:.0f} at "
+            "least under a lamp).",
+        )
     for name in ("attenuation", "backscatter", "lamp"):
         finding = effects[name]
         finding.evidence.update(
@@ -284,6 +292,15 @@ def water_findings(observations: Observations, open_water: np.ndarray | None = N
                 f"(correlation {correlation:.2f}, {MOST_RADIUS_CORRELATION} at most).",
             )
     return WaterFindings(effects, fit, np.unique(sightings.observations.image).tolist(), intervals)
+
+
+def _spread(fit: Fit) -> float:
+    """Sd of the log gains without that of their errors. A survey's straight lines cannot tell gains that rise from one
+    photograph to the next from a lens that is brighter on one side: what is not known so does not count."""
+    squared_errors, directions = np.linalg.eigh(fit.gain_covariance)
+    known = squared_errors < LEAST_GAIN_SD**2
+    variance = (directions.T @ fit.log_gains)[known] ** 2 - squared_errors[known]
+    return float(np.sqrt(max(variance.sum() / max(known.sum() - 1, 1), 0)))
 
 
 def _unevenness(fit: Fit) -> float:
@@ -431,16 +448,18 @@ def caustics_finding(observations: Observations, centres: np.ndarray, positions:
         figures,
         f"Seen again from nearly the same place, light on the ground differs by {flicker:.1%} (sd; more than "
         f"{LEAST_FLICKER:.0%} counts), alike for what lies side by side (correlation {correlation:.2f}; the product "
-        f"{shared:.1%}, more than {LEAST_SHARED:.1%} counts) and as much between near views as between farther ones "
+        f"{shared:.2%}, more than {LEAST_SHARED:.2%} counts) and as much between near views as between farther ones "
         f"({steadiness:.2g} times, more than {LEAST_STEADINESS} counts).",
     )
 
 
 def _rough(change: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Log changes (n,) without what is smooth over the photograph, as exposure, the lens or a lamp's beam are."""
+    """Log changes (n,) without what is smooth over the photograph."""
     usual = 3 * _robust_sd(change)
     middle = np.median(change)
-    terms = np.column_stack([np.ones(len(change)), lens_terms(place)])
+    degree = next(degree for degree, least in SMOOTH_DEGREES.items() if len(change) >= least)
+    x, y = place.T
+    terms = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], 1)
     smooth = np.linalg.lstsq(terms, np.clip(change, middle - usual, middle + usual), rcond=None)[0]
     return change - terms @ smooth
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..water.identify import LEAST_VEIL, Observations
+from ..water.observations import LEAST_VEIL, Observations
 
 OPEN_WATER_SD = 0.2
 """Share by which B may differ from the light of what looks like open water."""
@@ -59,7 +59,7 @@ class Fit:
     """The values of a family that explain sightings best.
 
     beta_D, beta_B (3,) per unit of the ranges, B (3,) linear light, tau in squared units (infinite without a lamp),
-    log_gains (V,) of the photographs with mean 0 and their standard errors (V,), lens (5,) as lens_terms takes them.
+    log_gains (V,) of the photographs with mean 0 and their covariance (V, V), lens (5,) as lens_terms takes them.
     squares (3,): mean squared residual, weighted; residual (M, 3).
     """
 
@@ -69,7 +69,7 @@ class Fit:
     B: np.ndarray
     tau: float
     log_gains: np.ndarray
-    gain_errors: np.ndarray
+    gain_covariance: np.ndarray
     lens: np.ndarray
     squares: np.ndarray
     residual: np.ndarray
@@ -211,12 +211,16 @@ class Sightings:
         return gain, direct, veil
 
     def _solved(self, family: Family, values: np.ndarray, c: int) -> tuple[np.ndarray, ...]:
-        """Of channel c: factors, each sighting's J, the residual, and the weighted square of J's factor per point."""
+        """Of channel c: factors, each sighting's J, the residual, and the weighted square of J's factor per point.
+
+        No J is negative: in dense water, where little but the veil is seen, that is what keeps the veil from being
+        thought brighter than the photographs are.
+        """
         gain, direct, veil = self._factors(family, values, c)
         a, weight = gain * direct, self.weights[:, c]
         square = np.bincount(self.track, weight * a * a)
         rest = self.light[:, c] - gain * values[6 + c] * veil
-        J = (np.bincount(self.track, weight * a * rest) / square)[self.track]
+        J = (np.bincount(self.track, weight * a * rest) / square).clip(min=0)[self.track]
         return gain, direct, veil, J, rest - a * J, square
 
     def _linearised(self, family: Family, values: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -253,9 +257,9 @@ class Sightings:
                 own[np.arange(len(seen)), self.image] = seen
                 matrix = np.concatenate([matrix, own], 1)
                 places = places + list(range(GAINS, size))
-            # The part of each column that a change of J would do as well is no change.
+            # The part of each column that a change of J would do as well is no change, where J is free to change.
             along = self.sums @ ((weight * a)[:, None] * matrix)
-            matrix -= a[:, None] * (along / square[:, None])[self.track]
+            matrix -= (a * (J > 0))[:, None] * (along / square[:, None])[self.track]
             cost += 0.5 * float(weight @ residual**2)
             gradient[places] -= matrix.T @ (weight * residual)
             curvature[np.ix_(places, places)] += matrix.T @ (weight[:, None] * matrix)
@@ -339,7 +343,6 @@ class Sightings:
         noise = squares.mean() * 3 / independent_channels(residual)
         covariance[np.ix_(index, index)] = noise * np.linalg.pinv(curvature[np.ix_(index, index)])
         centred = np.eye(self.views) - 1 / self.views  # only differences of gains mean anything
-        gain_errors = np.sqrt(np.diag(centred @ covariance[GAINS:, GAINS:] @ centred).clip(min=0))
         zero = np.zeros(3)
         return Fit(
             family=family,
@@ -348,7 +351,7 @@ class Sightings:
             B=values[6:9] if family.backscatter else zero,
             tau=float(np.exp(values[9]) * self.unit**2) if family.lamp else np.inf,
             log_gains=values[GAINS:],
-            gain_errors=gain_errors,
+            gain_covariance=centred @ covariance[GAINS:, GAINS:] @ centred,
             lens=values[LENS],
             squares=squares,
             residual=residual,

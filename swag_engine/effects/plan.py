@@ -24,9 +24,9 @@ from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images, mask_of
 from ..scene.split import split_views
 from ..strict_json import from_json, strict, to_json
-from ..water import identify
-from ..water.identify import FIT_WIDTH, Observations, fit_water, observe
+from ..water import observations as water_observations
 from ..water.medium import Medium, open_water, through_water
+from ..water.observations import FIT_WIDTH, observe
 from . import evidence
 from .caustics import Illumination, illuminated
 from .evidence import Finding, State, WaterFindings
@@ -130,7 +130,7 @@ def made_from(scene: Scene) -> str:
             hashed.update(f"{view.name} {path and path.stat().st_size} {path and path.stat().st_mtime_ns};".encode())
         hashed.update(view.camera.world_to_camera.tobytes())
     hashed.update(scene.points.positions.tobytes())
-    for source in sorted((*Path(__file__).parent.glob("*.py"), Path(identify.__file__))):
+    for source in sorted((*Path(__file__).parent.glob("*.py"), Path(water_observations.__file__))):
         hashed.update(source.read_bytes())
     return hashed.hexdigest()[:16]
 
@@ -244,7 +244,7 @@ def make_plan(
         )
         for name in EFFECTS
     }
-    return Plan(effects, _water(water, observations), made_from(scene))
+    return Plan(effects, _water(water), made_from(scene))
 
 
 def _interpolation(scene: Scene, images: Sequence[TrainingImage], network: FrameNetwork | None) -> Finding:
@@ -283,23 +283,17 @@ def _starts(water: WaterFindings, names: Sequence[str]) -> dict[str, dict[str, A
     return starts
 
 
-def _water(water: WaterFindings, observations: Observations) -> dict[str, Any] | None:
+def _water(water: WaterFindings) -> dict[str, Any] | None:
     fit = water.fit
     if fit is None or not fit.family.attenuation:
         return None
     values = {name: getattr(fit, name) for name in ("beta_D", "beta_B", "B")}
-    if fit.family.backscatter and not fit.family.lamp and not fit.family.gains:
-        # Where there is nothing but water, all sightings by their light and not by its logarithm tell it better: the
-        # demo's backscatter of red comes out 2 % off in place of 35 %.
-        plain = fit_water(observations)
-        values = {name: getattr(plain, name) if plain.found else value for name, value in values.items()}
-    moved = {name: water.intervals[name] + value - getattr(fit, name) for name, value in values.items()}
 
     def rounded(of: dict[str, np.ndarray]) -> dict[str, list[Any]]:
         names = {"B": "B_inf"}
         return {names.get(name, name): np.round(value.clip(min=0), 6).tolist() for name, value in of.items()}
 
-    return rounded(values) | {"light": "linear", "per": "unit", "intervals": rounded(moved)}
+    return rounded(values) | {"light": "linear", "per": "unit", "intervals": rounded(water.intervals)}
 
 
 # What it costs --------------------------------------------------------------------------------------------------------

@@ -17,9 +17,9 @@ from ..priors.interpolate import Interpolator
 from ..scene.cameras import Camera
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage
-from ..water.identify import FIT_WIDTH
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
+from ..water.observations import FIT_WIDTH
 from ..weights.registry import find
 from .config import TrainSettings
 from .prepare import DEPTH_NETWORK, FRAME_NETWORK, at_least_wide

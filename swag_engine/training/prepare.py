@@ -18,10 +18,10 @@ from ..priors.depth import InverseDepth, StoredDepth, depth_priors
 from ..priors.interpolate import Interpolator, admission, interpolated_pose, neighbour_pairs
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage, load_images
-from ..water.identify import FIT_WIDTH, observe
 from ..water.light import to_display
 from ..water.medium import Medium, without_water
 from ..water.network import WaterNetwork
+from ..water.observations import FIT_WIDTH, observe
 from ..water.presets import water_of_type
 from ..weights.registry import find
 from .config import TrainSettings

@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
 # The whole way in the real Blender, with a picture of each stage: tour.sh ROOT EXTENSION.zip SCENE OUT
+#   SCRIPT: another script than tour.py to run there
 #   ROOT: the folder made by ../shared/real-blender/setup and share-venv; takes minutes on a machine without a graphics card
 set -euo pipefail
 root=${1:?usage: tour.sh ROOT EXTENSION.zip SCENE OUT} zip=${2:?} scene=${3:?} out=${4:?}
 here=$root/gui/tour; rm -rf "$here"; mkdir -p "$here" "$out"
-cp "$(dirname "$0")/tour.py" "$here/script.py"; cp "$(dirname "$0")/window.py" "$here"; cp "$zip" "$here/extension.zip"; cp -r "$scene" "$here/scene"
+cp "${SCRIPT:-$(dirname "$0")/tour.py}" "$here/script.py"; cp "$(dirname "$0")/window.py" "$here"; cp "$zip" "$here/extension.zip"; cp -r "$scene" "$here/scene"
 python=$(readlink -f "$(dirname "$0")/../../.venv")/bin/python
 env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LIBGL_ALWAYS_SOFTWARE=1 READY=/gui/tour/ready SWAG_ENGINE_PYTHON="$python" \
     SWAG_ZIP=/gui/tour/extension.zip SWAG_SCENE=/gui/tour/scene SWAG_OUT=/gui/tour SWAG_CACHE_DIR=/gui/tour/cache \

@@ -18,7 +18,7 @@ from swag_engine.effects.fit import GAINS, LENS, Family, Sightings
 from swag_engine.priors.interpolate import Admission
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
-from swag_engine.water.identify import Observations, observe
+from swag_engine.water.observations import Observations, observe
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
 VIEWS = 20
@@ -177,6 +177,32 @@ def test_water_that_takes_from_all_colours_alike_is_told_by_its_veil():
     assert states(replace(veiled, darkest=np.zeros_like(veiled.darkest)))["attenuation"] != "on"
 
 
+def test_a_veil_is_not_brighter_than_what_is_photographed():
+    """Where water is dense and its light is not the same from everywhere, little else is seen."""
+    dense = {"beta_D": (0.35, 0.3, 0.28), "beta_B": (0.25, 0.2, 0.18), "B": (0.08, 0.3, 0.35)}
+    observations = sightings(**dense, spread=5.0, count=1000)
+    from_above = np.exp(0.4 * observations.place[:, 1:])
+    observations = replace(observations, light=observations.light * from_above)
+    fit = water_findings(observations).fit
+    veil = fit.B * -np.expm1(-fit.beta_B * observations.ranges[:, None])
+    assert fit.family.backscatter
+    assert (observations.light < veil).mean() < 0.1
+
+
+def test_light_that_falls_off_less_than_a_lamps_has_to_be_surer():
+    """In a room, what is far off can be darker, too; a lamp's light falls off with the square of range."""
+    near, partly = (water_findings(sightings(tau=tau, noise=0.6, count=300)).effects["lamp"] for tau in (1.0, 60.0))
+    assert near.state == "on"
+    assert partly.state == "unknown" and 30 < partly.evidence["bic_gain"] < partly.evidence["bic_gain_least"]
+
+
+def test_exposure_by_a_lamp_has_to_be_surer():
+    observations = sightings(tau=1.0, gain_sd=0.06, noise=0.12, count=300)
+    finding = water_findings(observations).effects["exposure"]
+    assert 100 < finding.evidence["bic_gain"] < 700
+    assert finding.state == "unknown" and "lamp" in finding.reason
+
+
 def test_a_loss_that_could_not_be_seen_is_not_denied():
     assert states(sightings())["attenuation"] == "off"
     finding = water_findings(sightings(count=60, noise=0.5, spread=1.5)).effects["attenuation"]
@@ -243,6 +269,14 @@ def test_light_that_is_uneven_over_a_photograph_is_no_caustics():
     beam = 0.3 * (-1.0) ** observations.image * observations.place[:, 0]
     lit = replace(observations, light=observations.light * np.exp(beam)[:, None])
     assert caustics_finding(lit, centres, positions).state == "off"
+
+
+def test_contrast_that_a_telephone_evens_out_is_no_caustics():
+    """It changes with each photograph, too, but over quarters of it."""
+    observations, centres, positions = flickering(0.0)
+    phase = 2.0 * observations.image[:, None] + observations.place * 4
+    evened = replace(observations, light=observations.light * np.exp(0.2 * np.sin(phase).sum(1))[:, None])
+    assert caustics_finding(evened, centres, positions).state == "off"
 
 
 def test_caustics_cannot_be_told_without_near_views():

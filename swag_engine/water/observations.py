@@ -1,17 +1,10 @@
-"""The water of a scene from its sparse points, before anything is trained.
+"""The light in which each photograph shows the sparse points: what a scene's water, lamp and exposure are told from."""
 
-A point seen from several ranges changes colour by the water between: per channel, in the light of the medium,
-I = J exp(-beta_D r) + B (1 - exp(-beta_B r)), with a J of its own for every point. J is projected out and B follows in
-closed form, so that only the two coefficients are searched, coarse to fine.
-"""
-
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.optimize import minimize
 
 from ..scene.colmap import Points
 from ..scene.images import TrainingImage
@@ -31,8 +24,6 @@ LEAST_CHANGE = 0.10
 """Share of its colour that the scene's range must take from a channel."""
 LEAST_VEIL = 0.02
 """Light that the water must add at the far end of the scene."""
-GRID = np.geomspace(0.02, 6.0, 10)
-"""Coefficients times the median range that are tried first."""
 
 
 @dataclass(frozen=True)
@@ -63,20 +54,6 @@ class Observations:
         return Observations(
             *(values[chosen] for values in (self.track, self.ranges, self.light, self.image, self.place, self.darkest))
         )
-
-
-@dataclass(frozen=True)
-class WaterFit:
-    """beta_D, beta_B (3,) per scene unit and B (3,) in linear light, all (R, G, B).
-
-    found: whether there is water to model; reason: why or why not, in one sentence with the figures behind it.
-    """
-
-    beta_D: np.ndarray
-    beta_B: np.ndarray
-    B: np.ndarray
-    found: bool
-    reason: str
 
 
 def observe(images: Sequence[TrainingImage], point_indices: Sequence[np.ndarray], points: Points) -> Observations:
@@ -137,66 +114,3 @@ def track_ratio(observations: Observations) -> np.ndarray:
     np.minimum.at(nearest, track, observations.ranges)
     np.maximum.at(farthest, track, observations.ranges)
     return farthest / nearest
-
-
-def fit_water(observations: Observations) -> WaterFit:
-    """Least squares, the worst tenth of the points left out the second time.
-
-    Water is found where it takes LEAST_CHANGE of a channel between the 5th and the 95th percentile of the ranges and
-    adds LEAST_VEIL there; light that only falls off, and falls off alike in all channels, is a lamp.
-    """
-    if len(observations.track) < LEAST_OBSERVATIONS:
-        return _nothing(f"The water cannot be told: only {len(observations.track)} sightings of points can be used.")
-    ranges, light = observations.ranges, observations.light
-    near, unit, far = np.quantile(ranges, (0.05, 0.5, 0.95))
-    ratio = np.quantile(track_ratio(observations), 0.95)
-    if ratio < LEAST_RANGE_RATIO:
-        return _nothing(
-            f"The water cannot be told: points are seen from ranges of ratio {ratio:.2f} at most "
-            f"({LEAST_RANGE_RATIO} at least)."
-        )
-    _, track = np.unique(observations.track, return_inverse=True)
-    first = [_fit_channel(track, ranges / unit, light[:, c])[3] for c in range(3)]
-    worst = sum(np.bincount(track, residual**2) / max(np.sum(residual**2), 1e-30) for residual in first)
-    good = (worst <= np.quantile(worst, 0.9))[track]
-    _, kept = np.unique(track[good], return_inverse=True)
-    channels = [_fit_channel(kept, ranges[good] / unit, light[good, c])[:3] for c in range(3)]
-    beta_D, beta_B, B = (np.array(values) for values in zip(*channels, strict=True))
-    beta_D, beta_B = beta_D / unit, beta_B / unit
-    change = 1 - np.exp(-beta_D * (far - near))
-    veil = B * (1 - np.exp(-beta_B * far))
-    figures = (
-        f"it takes {change.max():.0%} of the light between {near:.3g} and {far:.3g} scene units "
-        f"({LEAST_CHANGE:.0%} at least) and adds {veil.max():.2f} of it there ({LEAST_VEIL} at least)."
-    )
-    found = bool(change.max() >= LEAST_CHANGE and veil.max() >= LEAST_VEIL)
-    return WaterFit(beta_D, beta_B, B, found, f"{'Water' if found else 'No water'} is modelled: {figures}")
-
-
-def _nothing(reason: str) -> WaterFit:
-    return WaterFit(np.zeros(3), np.zeros(3), np.zeros(3), False, reason)
-
-
-def _fit_channel(track: np.ndarray, ranges: np.ndarray, light: np.ndarray) -> tuple[float, float, float, np.ndarray]:
-    """beta_D, beta_B (per unit of `ranges`) and B of one channel, and the residuals (M,)."""
-
-    def solve(beta_D: float, beta_B: float) -> tuple[float, np.ndarray]:
-        """B and the residuals with every point's J projected out."""
-        transmission = np.exp(-beta_D * ranges)
-        length = np.bincount(track, transmission**2)
-
-        def without_J(values: np.ndarray) -> np.ndarray:
-            return values - transmission * (np.bincount(track, transmission * values) / length)[track]
-
-        seen, veil = without_J(light), without_J(1 - np.exp(-beta_B * ranges))
-        B = float(np.clip(veil @ seen / max(veil @ veil, 1e-12), 0, 1))
-        return B, seen - B * veil
-
-    def loss(logs: np.ndarray) -> float:
-        return float(np.sum(solve(*np.exp(np.clip(logs, -9, 3)))[1] ** 2))
-
-    start = min(itertools.product(np.log(GRID), repeat=2), key=lambda logs: loss(np.array(logs)))
-    found = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 0})
-    beta_D, beta_B = np.exp(np.clip(found.x, -9, 3))
-    B, residual = solve(beta_D, beta_B)
-    return beta_D, beta_B, B, residual
