@@ -43,7 +43,7 @@ gain a BIC of some tens by them, and that of a lamp of some hundreds."""
 LEAST_LENS = 0.05
 WIDEST_INTERVAL = 0.5
 """Of the largest beta_D: half of its 95 % interval, as a share of it."""
-MOST_RADIUS_CORRELATION = 0.9
+MOST_RADIUS_CORRELATION = 0.75
 LEAST_COLOR, SURE_COLOR, LEAST_WATER_BIC = 0.2, 0.08, 50.0
 """Share by which one colour must fade beside another, the lower 95 % bound of that, and its BIC gain. Shine, blur and
 what a telephone makes of a picture take from some surfaces only, and halves of the scene disagree about them."""
