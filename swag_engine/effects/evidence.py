@@ -201,7 +201,7 @@ def water_findings(observations: Observations, open_water: np.ndarray | None = N
             "on" if dims else "off",
             {
                 "bic_gain": attenuation_bic,
-                "bic_gain_least": LEAST_BIC_GAIN,
+                "bic_gain_least": LEAST_WATER_BIC,
                 "change": change.tolist(),
                 "change_least": least_change,
                 "color": color,
@@ -216,7 +216,7 @@ def water_findings(observations: Observations, open_water: np.ndarray | None = N
                 "resolution_most": LEAST_CHANGE,
             },
             f"{named.capitalize()} loses {change.max():.0%} between the nearest and the farthest points "
-            f"({least_change:.0%} at least); BIC gain {attenuation_bic:,.0f} ({LEAST_BIC_GAIN:.0f} at least)"
+            f"({least_change:.0%} at least); BIC gain {attenuation_bic:,.0f} ({LEAST_WATER_BIC:.0f} at least)"
             + (
                 f"; beside another it fades by {color:.0%} ({LEAST_COLOR:.0%} counts), for sure {sure_color:.0%}."
                 if dims and colored
@@ -257,7 +257,7 @@ def water_findings(observations: Observations, open_water: np.ndarray | None = N
             f"It cannot be told: a loss of {LEAST_CHANGE:.0%} between the nearest and the farthest points would be "
             f"known to +-{resolution:.0%} only.",
         )
-    if dims and width > WIDEST_INTERVAL and not veiled_surely:
+    if dims and width > WIDEST_INTERVAL and not veiled_surely and sure_color < LEAST_COLOR:
         effects["attenuation"] = _untold(
             effects["attenuation"],
             f"The water cannot be told: the loss of {named} is known to +-{width:.0%} only (+-{WIDEST_INTERVAL:.0%} at "
