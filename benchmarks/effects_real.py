@@ -8,6 +8,7 @@ there the quantiles of the light in bins of range stand for points, as if the sa
 """
 
 import sys
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +80,7 @@ def curve(axis, ranges: np.ndarray, light: np.ndarray, track: np.ndarray, fit: F
     axis.set_xlabel("range")
     axis.set_ylabel("linear light, points at the median colour")
     axis.set_ylim(0, None)
-    axis.set_title(title, fontsize=7, loc="left")
+    axis.set_title(textwrap.fill(title, 72), fontsize=7, loc="left")
 
 
 def picture(path: Path, rows: list[tuple]) -> None:
