@@ -11,6 +11,7 @@ from swag_engine.effects.evidence import (
     depth_prior_finding,
     interpolation_finding,
     moving_objects_finding,
+    open_water_light,
     semantics_finding,
     water_findings,
 )
@@ -18,9 +19,11 @@ from swag_engine.effects.fit import GAINS, LENS, Family, Sightings
 from swag_engine.priors.interpolate import Admission
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
-from swag_engine.water.observations import Observations, observe
+from swag_engine.scene.split import split_views
+from swag_engine.water.observations import FIT_WIDTH, Observations, observe
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
+REAL = Path(__file__).resolve().parents[3] / "shared" / "data"
 VIEWS = 20
 BLUE = {"beta_D": (0.17, 0.06, 0.04), "beta_B": (0.14, 0.08, 0.06), "B": (0.03, 0.17, 0.25)}
 
@@ -345,3 +348,29 @@ def test_made_frames_are_for_few_photographs_far_apart(reef):
 def test_moving_objects_wait_for_training_or_masks():
     assert moving_objects_finding([]).state == "unknown"
     assert moving_objects_finding(["a.jpg"]).state == "on"
+
+
+# -- real scenes -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name, expected",
+    [
+        ("japanese_gardens", {"attenuation": "on", "backscatter": "on"}),
+        ("aqualoc_amphorae", {"attenuation": "unknown", "backscatter": "off", "lamp": "on", "exposure": "on"}),
+        ("sparus_seabed", {"attenuation": "unknown", "backscatter": "unknown", "lamp": "unknown"}),
+    ],
+)
+def test_real_scenes(name, expected):
+    folder = REAL / name
+    if not folder.exists():
+        pytest.skip(f"{folder} is not on this machine")
+    scene = load_scene(folder)
+    test = set(split_views([view.name for view in scene.views]).test)
+    views = [view for view in scene.views if view.name not in test]
+    images = load_images(scene, views, FIT_WIDTH)
+    observations = observe(images, [view.point_indices for view in views], scene.points)
+    found = water_findings(observations, open_water_light(images, scene)).effects
+    assert {effect: found[effect].state for effect in expected} == expected
+    centres = np.stack([image.camera.centre for image in images])
+    assert caustics_finding(observations, centres, scene.points.positions).state == "off"
