@@ -60,8 +60,8 @@ RANGE_BINS = 8
 
 LEAST_FLICKER, LEAST_SHARED = 0.05, 0.0035
 """Sd of the log light that points side by side share, and that times their correlation."""
-BESIDE = 0.04
-"""Distance of points side by side, in halves of a photograph's diagonal."""
+BESIDE, MOST_BESIDE = 0.04, 1000
+"""Distance of points side by side, in halves of a photograph's diagonal, and how many of them two photographs tell."""
 SMOOTH_DEGREES = {4: 60, 2: 0}
 """Degree of the polynomial over a photograph that is no flicker, for so many points at least: the waves' light is finer
 than a lens' fall-off, a lamp's beam, and what a telephone does for contrast."""
@@ -419,6 +419,7 @@ def caustics_finding(observations: Observations, centres: np.ndarray, positions:
                 continue
             place = observations.place[left][same]
             beside = cKDTree(place).query_pairs(BESIDE, output_type="ndarray")
+            beside = beside[:: 1 + len(beside) // MOST_BESIDE]
             changes.append(_rough(grey[right][same] - grey[left][same], place)[beside])
             angles.append(np.arccos(np.clip(cosine[same], -1, 1))[beside].mean(1))
     change, angle = np.concatenate([np.zeros((0, 2)), *changes]), np.concatenate([np.zeros(0), *angles])
@@ -468,7 +469,8 @@ def _flicker(change: np.ndarray) -> tuple[float, float]:
     """Sd of the log light that two points side by side (n, 2) share, and their correlation: the rest is error of the
     colours."""
     usual = 3 * max(_robust_sd(change), 1e-6)
-    correlation = float(np.corrcoef(np.clip(change, -usual, usual).T)[0, 1])
+    clipped = np.clip(change, -usual, usual)
+    correlation = float(np.corrcoef(clipped.T)[0, 1]) if (np.ptp(clipped, axis=0) > 0).all() else 0.0
     return usual / 3 * float(np.sqrt(max(correlation, 0))), correlation
 
 

@@ -291,6 +291,13 @@ def test_contrast_that_a_telephone_evens_out_is_no_caustics():
     assert caustics_finding(evened, centres, positions).state == "off"
 
 
+@pytest.mark.filterwarnings("error")
+def test_one_colour_does_not_flicker():
+    observations, centres, positions = flickering(0.0)
+    finding = caustics_finding(replace(observations, light=np.full_like(observations.light, 0.3)), centres, positions)
+    assert finding.state == "off" and finding.evidence["flicker"] == 0
+
+
 def test_caustics_cannot_be_told_without_near_views():
     observations, centres, positions = flickering(0.3)
     assert caustics_finding(observations.take(observations.image == 0), centres, positions).state == "unknown"
