@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from ..scene.colmap import Points
 from ..scene.images import TrainingImage
@@ -92,16 +93,21 @@ def _project(image: TrainingImage, indices: np.ndarray, points: Points) -> tuple
 
 def _patches(image: TrainingImage, pixels: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean linear light (P, 3) of squares of half width `half` (P,) around pixels (P, 2), the darkest (P, 3) around
-    them, and which squares (P,) lie whole in valid pixels."""
+    them, and which squares (P,) lie whole in valid pixels. Pixels that a square covers in part count by that part:
+    squares of whole pixels miss the point by up to half of one, which is most of the error of far colours."""
     height, width = image.valid.shape
     to_light = light_of_bytes()
     planes = np.concatenate([to_light[image.pixels], image.valid[..., None]], axis=2)
     sums = cv2.integral(planes)
-    low = np.round(pixels - half[:, None]).astype(int)
-    high = np.maximum(np.round(pixels + half[:, None]).astype(int), low + 1)
-    whole = (low >= 0).all(1) & (high[:, 0] <= width) & (high[:, 1] <= height)
+    low, high = pixels - half[:, None], pixels + half[:, None]
+    whole = (low >= 0).all(1) & (high <= (width, height)).all(1)
     (x0, y0), (x1, y1) = np.where(whole, low.T, 0), np.where(whole, high.T, 1)
-    means = (sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]) / ((x1 - x0) * (y1 - y0))[:, None]
+
+    def up_to(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.stack([map_coordinates(plane, (y, x), order=1) for plane in sums.transpose(2, 0, 1)], 1)
+
+    area = ((x1 - x0) * (y1 - y0))[:, None]
+    means = (up_to(x1, y1) - up_to(x0, y1) - up_to(x1, y0) + up_to(x0, y0)) / area
     least = to_light[cv2.erode(image.pixels, np.ones((DARK_WINDOW, DARK_WINDOW), np.uint8))]
     column, row = (np.clip(pixels.astype(int), 0, [width - 1, height - 1])).T
     return means[:, :3], least[row, column], whole & (means[:, 3] > 0.999)

@@ -1,5 +1,6 @@
 """Which effects are found in sightings whose truth is known, and in the demo scene."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,6 +114,19 @@ def test_values_and_intervals_hold_the_truth():
     low, high = found.intervals["beta_D"]
     assert (low < high).all() and (low[0] < 0.17 * 1.05) and (high[0] > 0.17 * 0.95)
     assert (high - low)[0] < 0.06
+
+
+def test_exact_sightings_give_the_water_exactly():
+    fit = water_findings(sightings(**BLUE, noise=1e-4)).fit
+    for name, truth in BLUE.items():
+        np.testing.assert_allclose(getattr(fit, name), truth, rtol=0.01)
+
+
+def test_wrong_matches_do_not_bend_the_water():
+    seen = sightings(**BLUE, noise=0.02, count=1500)
+    wrong = np.random.default_rng(1).choice(len(seen), len(seen) // 50, replace=False)
+    seen.light[wrong] = np.random.default_rng(2).uniform(0, 0.8, (len(wrong), 3))
+    np.testing.assert_allclose(water_findings(seen).fit.beta_D, BLUE["beta_D"], rtol=0.15)
 
 
 def test_gains_are_those_of_the_photographs():
@@ -320,6 +334,21 @@ def test_the_demo_scene_has_water_and_nothing_else(reef):
     assert found == EXPECTED | {"attenuation": "on", "backscatter": "on"}
     centres = np.stack([image.camera.centre for image in images])
     assert caustics_finding(observations, centres, scene.points.positions).state == "off"
+
+
+def test_the_demo_scene_gives_its_true_water(reef):
+    scene, images = reef
+    observations = observe(images, [view.point_indices for view in scene.views], scene.points)
+    found = water_findings(observations, open_water_light(images, scene))
+    truth = json.loads((REEF / "truth.json").read_text())["water"]
+    np.testing.assert_allclose(found.fit.beta_D, truth["beta_D"], rtol=0.2)
+    np.testing.assert_allclose(found.fit.B, truth["B_inf"], rtol=0.1)
+    median = 5.5  # range: how fast red's little veil comes nobody can see
+    veil, expected = (
+        B * -np.expm1(-np.array(beta_B) * median)
+        for B, beta_B in ((found.fit.B, found.fit.beta_B), (truth["B_inf"], truth["beta_B"]))
+    )
+    np.testing.assert_allclose(veil, expected, atol=0.01)
 
 
 def test_open_water_calls_for_names(reef):
