@@ -17,12 +17,16 @@ from torch import Tensor
 
 from ..errors import InputError
 from ..files import atomic_path
+from ..gaussians.init import gaussians_from_points
 from ..priors.depth import depth_loss, depth_priors
 from ..priors.interpolate import admission, neighbour_pairs
 from ..rasterize.backends import device_for
-from ..scene.colmap import Scene, load_scene
+from ..scene.cameras import Camera
+from ..scene.colmap import Points, Scene, load_scene
 from ..scene.images import TrainingImage, load_images, mask_of
 from ..scene.split import split_views
+from ..semantics.assign import EVERY, labels_in_view, semantic_loss
+from ..semantics.embed import DIMENSIONS
 from ..strict_json import from_json, strict, to_json
 from ..water import observations as water_observations
 from ..water.medium import Medium, open_water, through_water
@@ -36,7 +40,7 @@ from .names import EFFECTS, parse_effects
 
 DepthNetwork = Callable[[TrainingImage], np.ndarray]
 FrameNetwork = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
-TIMED_GAUSSIANS = 30_000
+TIMED_GAUSSIANS, TIMED_LABELS = 30_000, 8
 TIMINGS = 5
 
 
@@ -301,7 +305,8 @@ def _water(water: WaterFindings) -> dict[str, Any] | None:
 
 def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, float]:
     """Milliseconds that each effect adds to an iteration, forward and backward, at TIMED_GAUSSIANS Gaussians and
-    pictures of width x height; 0 for what changes only which photographs there are, or what is known already."""
+    pictures of width x height, with TIMED_LABELS labels where things get names; 0 for what changes only which
+    photographs there are, or what is known already."""
     device = device_for(backend)
     generator = torch.Generator().manual_seed(0)
 
@@ -310,7 +315,7 @@ def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, 
 
     colors, picture, distances = random(TIMED_GAUSSIANS, 3), random(height, width, 3), random(height, width)
     offsets = random(TIMED_GAUSSIANS, 3).detach() + 1
-    features, targets = random(TIMED_GAUSSIANS, 32), random(TIMED_GAUSSIANS, 32).detach()
+    features, targets = random(TIMED_GAUSSIANS, DIMENSIONS), random(TIMED_GAUSSIANS, DIMENSIONS).detach()
     weights = random(height, width, 3).detach()
     medium = Medium.starting(2.0).to(device)
     lamp, exposure = Lamp(torch.zeros((), device=device), 2.0), Exposure(torch.zeros(1, 1, device=device), [""])
@@ -322,6 +327,17 @@ def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, 
     K = torch.tensor([[width, 0.0, width / 2], [0, width, height / 2], [0, 0, 1]], device=device)
     solid = torch.ones(height, width, device=device)
 
+    camera = Camera("", width, height, width, width, width / 2, height / 2, np.eye(4))
+    places = np.random.default_rng(0).uniform(-1, 1, (TIMED_GAUSSIANS, 3)) * [1, height / width, 0.01] + [0, 0, 2]
+    unseen = np.zeros(len(places))
+    cloud = gaussians_from_points(
+        Points(places, np.zeros(places.shape, np.uint8), unseen, unseen), len(places), 0, 0, np.zeros(3)
+    ).to(device)
+    labels = np.arange(width) * TIMED_LABELS // width + np.ones((height, 1), int)
+
+    def names() -> Tensor:
+        return semantic_loss(features, targets, labels_in_view(cloud, camera, labels, backend) > 0)
+
     def prior() -> Tensor:
         return depth_loss(distances + 1, solid, solid * 0.5, 2.0)
 
@@ -331,10 +347,11 @@ def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, 
         "lamp": lambda: lit(colors, offsets.norm(dim=1), lamp).sum(),
         "exposure": lambda: (exposed(picture, exposure, "") * weights).sum(),
         "caustics": lambda: (illuminated(picture, illumination, "") * weights).sum(),
-        "semantics": lambda: (features - targets).square().mean(),
+        "semantics": names,
         "depth_prior": prior,
     }
-    return dict.fromkeys(EFFECTS, 0.0) | {name: _milliseconds(once, device) for name, once in work.items()}
+    costs = dict.fromkeys(EFFECTS, 0.0) | {name: _milliseconds(once, device) for name, once in work.items()}
+    return costs | {"semantics": costs["semantics"] / EVERY}
 
 
 def _milliseconds(once: Callable[[], Tensor], device: torch.device) -> float:

@@ -17,6 +17,8 @@ from .saliency import OPEN_WATER
 
 MIN_WEIGHT, MIN_SHARE = 0.5, 0.5
 """Pixels, and share of all it adds to the picture, that a Gaussian needs in a region (METHOD.md section 5)."""
+EVERY = 4
+"""Features are learned in one iteration of so many: it costs as much as all else in an iteration."""
 AT_ONCE = 16
 """Labels that one pass over a picture sums."""
 ROUNDS = 3

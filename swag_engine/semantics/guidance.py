@@ -25,7 +25,7 @@ from ..training.recipes import Recipe
 from ..training.targets import Target
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
-from .assign import assign, semantic_loss, targets_in_view
+from .assign import EVERY, assign, semantic_loss, targets_in_view
 from .labels import write_semantics
 from .providers import choose, region_embedder, region_provider
 from .regions import SceneRegions, checked_words, find_regions, resized_labels
@@ -33,8 +33,6 @@ from .saliency import OPEN_WATER, open_water, saliency, small_copy
 
 PRUNED = ("haze", "fish", OPEN_WATER)
 """Classes that are no part of the place, by a word of their name."""
-EVERY = 4
-"""Features are learned in one iteration of so many: it costs as much as all else in an iteration."""
 SURE = 0.7
 """Cosine of a Gaussian's feature with a label's, and length of the feature, from which the Gaussian is taken for it."""
 

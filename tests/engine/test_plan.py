@@ -47,9 +47,8 @@ def test_the_demo_scene_is_planned(planned):
 def test_costs_are_measured_on_this_machine(planned):
     plan, _ = planned
     costs = {name: effect.cost_ms for name, effect in plan.effects.items()}
-    assert all(
-        costs[name] > 0 for name in ("attenuation", "backscatter", "lamp", "exposure", "caustics", "depth_prior")
-    )
+    measured = ("attenuation", "backscatter", "lamp", "exposure", "caustics", "semantics", "depth_prior")
+    assert all(costs[name] > 0 for name in measured)
     assert costs["interpolation"] == costs["separate_backscatter"] == 0
     small = planning.measured_costs(80, 45)
     assert small["exposure"] < costs["exposure"] and small["caustics"] < costs["caustics"]
