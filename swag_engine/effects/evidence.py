@@ -248,7 +248,7 @@ def water_findings(observations: Observations, open_water: np.ndarray | None = N
             effects["attenuation"],
             f"It cannot be told from a lamp, the lens, shine or blur, which take from all colours alike: {named} loses "
             f"{change.max():.0%} between the nearest and the farthest points ({least_change:.0%} at least), and "
-            f"fades beside another colour by {color:.0%}, {max(sure_color, 1e-9):.0%} for sure ({LEAST_COLOR:.0%} and "
+            f"fades beside another colour by {abs(color):.0%}, {max(sure_color, 1e-9):.0%} for sure ({LEAST_COLOR:.0%} and "
             f"{SURE_COLOR:.0%} at least).",
         )
     elif not dims and resolution > LEAST_CHANGE:
