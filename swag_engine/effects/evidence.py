@@ -30,7 +30,7 @@ State = Literal["on", "off", "unknown"]
 LEAST_BIC_GAIN = 10.0
 LEAST_FALLOFF = 0.15
 """Share of its light that a lamp must lose over the scene's range beyond what water takes."""
-LEAST_LAMP_BIC, SURE_LAMP_BIC, LEAST_LAMP_SHARE = 30.0, 200.0, 0.75
+LEAST_LAMP_BIC, SURE_LAMP_BIC, LEAST_LAMP_SHARE = 30.0, 1000.0, 0.78
 """Light that changes by itself, as in a room, can look like a lamp. A BIC gain below the first is none; one below the
 second counts where light falls off by so much of what the inverse square of range would make it."""
 LAMP_ERROR = 0.3
@@ -58,7 +58,7 @@ light. Colours that grow alike with range, as they do where far texture is blurr
 DARKEST = 0.01
 RANGE_BINS = 8
 
-LEAST_FLICKER, LEAST_SHARED = 0.05, 0.0035
+LEAST_FLICKER, LEAST_SHARED = 0.06, 0.0035
 """Sd of the log light that points side by side share, and that times their correlation."""
 BESIDE, MOST_BESIDE = 0.04, 1000
 """Distance of points side by side, in halves of a photograph's diagonal, and how many of them two photographs tell."""
@@ -181,7 +181,7 @@ def water_findings(observations: Observations, open_water: np.ndarray | None = N
     parted = [
         float(-np.expm1((made.beta_D[weakest] - made.beta_D[strongest]) * (far - near))) for made in (best, *halves)
     ]
-    color = parted[0] if loses else 0.0
+    color = abs(parted[0]) if loses else 0.0  # no minus before nothing
     sure_color = color - 1.96 * float(np.std(parted[1:], ddof=1)) if loses else 0.0
     colored = grey >= GREY and color >= LEAST_COLOR and sure_color >= SURE_COLOR and attenuation_bic > LEAST_WATER_BIC
     veiled_surely = adds_light and min(veil_bic, attenuation_bic) > SURE_BIC
@@ -248,7 +248,7 @@ def water_findings(observations: Observations, open_water: np.ndarray | None = N
             effects["attenuation"],
             f"It cannot be told from a lamp, the lens, shine or blur, which take from all colours alike: {named} loses "
             f"{change.max():.0%} between the nearest and the farthest points ({least_change:.0%} at least), and "
-            f"fades beside another colour by {abs(color):.0%}, {max(sure_color, 1e-9):.0%} for sure ({LEAST_COLOR:.0%} and "
+            f"fades beside another colour by {color:.0%}, {max(sure_color, 1e-9):.0%} for sure ({LEAST_COLOR:.0%} and "
             f"{SURE_COLOR:.0%} at least).",
         )
     elif not dims and resolution > LEAST_CHANGE:
@@ -440,7 +440,7 @@ def caustics_finding(observations: Observations, centres: np.ndarray, positions:
     nearer = angle <= np.median(angle)
     flicker, correlation = _flicker(change)
     farther = _flicker(change[~nearer])[0] if (~nearer).any() else flicker
-    steadiness = _flicker(change[nearer])[0] / max(farther, 1e-6)
+    steadiness = _flicker(change[nearer])[0] / max(farther, LEAST_FLICKER / 6)
     shared = flicker * correlation
     found = flicker > LEAST_FLICKER and shared > LEAST_SHARED and steadiness > LEAST_STEADINESS
     figures |= {"flicker": flicker, "neighbours": correlation, "shared": shared, "steadiness": steadiness}
