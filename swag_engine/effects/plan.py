@@ -323,11 +323,11 @@ def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, 
     illumination.log_light = illumination.log_light.to(device)
     for tensor in (*medium.parameters().values(), lamp.log_tau, exposure.raw, illumination.log_light):
         tensor.requires_grad_()
-    viewmat = torch.eye(4, device=device)
-    K = torch.tensor([[width, 0.0, width / 2], [0, width, height / 2], [0, 0, 1]], device=device)
-    solid = torch.ones(height, width, device=device)
-
     camera = Camera("", width, height, width, width, width / 2, height / 2, np.eye(4))
+    viewmat, K = (
+        torch.as_tensor(matrix, dtype=torch.float32).to(device) for matrix in (camera.world_to_camera, camera.K)
+    )
+    solid = torch.ones(height, width, device=device)
     places = np.random.default_rng(0).uniform(-1, 1, (TIMED_GAUSSIANS, 3)) * [1, height / width, 0.01] + [0, 0, 2]
     unseen = np.zeros(len(places))
     cloud = gaussians_from_points(
