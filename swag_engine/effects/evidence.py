@@ -440,7 +440,7 @@ def caustics_finding(observations: Observations, centres: np.ndarray, positions:
     nearer = angle <= np.median(angle)
     flicker, correlation = _flicker(change)
     farther = _flicker(change[~nearer])[0] if (~nearer).any() else flicker
-    steadiness = _flicker(change[nearer])[0] / max(farther, LEAST_FLICKER / 6)
+    steadiness = _flicker(change[nearer])[0] / max(farther, 0.01)  # less is none, and its ratio would be noise
     shared = flicker * correlation
     found = flicker > LEAST_FLICKER and shared > LEAST_SHARED and steadiness > LEAST_STEADINESS
     figures |= {"flicker": flicker, "neighbours": correlation, "shared": shared, "steadiness": steadiness}
