@@ -20,13 +20,13 @@ extension: .venv/ready
 	$(VENV) .ci/build_extension.py
 
 release: .venv/ready
-	$(VENV) -m swag_engine.rasterize.kernels.build --all
+	$(VENV) -m swag_engine.kernels.build --all
 	$(VENV) .ci/build_extension.py
 
 # The stamp changes when a pin or a kernel does, so that a second run starts at once.
-.venv/ready: constraints.txt requirements.txt requirements-dev.txt environment.sh $(wildcard swag_engine/rasterize/kernels/*.*)
+.venv/ready: constraints.txt requirements.txt requirements-dev.txt environment.sh $(wildcard swag_engine/kernels/*.*)
 	PYTHON=$(PYTHON) sh environment.sh
 	touch $@
 
 clean:
-	rm -rf .venv dist demo/output swag_engine/rasterize/kernels/lib
+	rm -rf .venv dist demo/output swag_engine/kernels/lib

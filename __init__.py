@@ -7,10 +7,12 @@ _MODULES = (properties, preferences, engine_process, job, operators, panels, wat
 
 
 def register() -> None:
+    """Register everything with Blender."""
     for module in _MODULES:
         module.register()
 
 
 def unregister() -> None:
+    """Take everything out of Blender again."""
     for module in reversed(_MODULES):
         module.unregister()

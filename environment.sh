@@ -34,4 +34,4 @@ if ! .venv/bin/python -c "import bpy" 2>/dev/null; then
         exit 1
     }
 fi
-.venv/bin/python -m swag_engine.rasterize.kernels.build
+.venv/bin/python -m swag_engine.kernels.build

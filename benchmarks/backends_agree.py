@@ -22,20 +22,19 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 
-import swag_engine.threads  # noqa: E402, F401, I001
-import torch  # noqa: E402
-from torch import Tensor  # noqa: E402
+import torch
+from torch import Tensor
 
-from swag_engine.gaussians.cloud import GaussianCloud  # noqa: E402
-from swag_engine.rasterize import cuda  # noqa: E402
-from swag_engine.rasterize.api import contributions, rasterize  # noqa: E402
-from swag_engine.rasterize.render import render  # noqa: E402
-from swag_engine.scene.cameras import Camera  # noqa: E402
-from swag_engine.training.losses import photometric  # noqa: E402
-from swag_engine.water.medium import Medium  # noqa: E402
-from tests.engine.cuda_fibres import Fibres  # noqa: E402
-from tests.engine.test_cuda import DEVICE, ON_CARD  # noqa: E402
-from tests.engine.test_rasterize import GRADIENTS, blend_by_the_book, make_scene, relative_error  # noqa: E402
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.kernels import cuda
+from swag_engine.rasterize.api import contributions, rasterize
+from swag_engine.rendering.render import render
+from swag_engine.scene.cameras import Camera
+from swag_engine.training.losses import photometric
+from swag_engine.water.medium import Medium
+from tests.engine.cuda_fibres import Fibres
+from tests.engine.test_cuda import DEVICE, ON_CARD
+from tests.engine.test_rasterize import GRADIENTS, blend_by_the_book, make_scene, relative_error
 
 RESULT = ROOT / "benchmarks" / "results" / "backends_agree.json"
 TOLERANCE, TRAINED_GRADIENTS = 1e-4, 5e-3

@@ -19,19 +19,19 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-import cv2  # noqa: E402
-import numpy as np  # noqa: E402
-import torch  # noqa: E402
-from formats import make_splats  # noqa: E402
-from train_scenes import processor  # noqa: E402
+import cv2
+import numpy as np
+import torch
+from formats import make_splats
+from train_scenes import processor
 
-from demo.run import blender_with_extension  # noqa: E402
-from swag_engine.evaluation.run import newest  # noqa: E402
-from swag_engine.formats.ply import read_ply  # noqa: E402
-from swag_engine.rasterize.render import render  # noqa: E402
-from swag_engine.scene.colmap import load_scene  # noqa: E402
-from swag_engine.scene.images import load_images  # noqa: E402
-from swag_engine.training.run_folder import RunFolder  # noqa: E402
+from demo.run import blender_with_extension
+from swag_engine.experiments.evaluate_run import newest
+from swag_engine.formats.ply import read_ply
+from swag_engine.formats.run_folder import RunFolder
+from swag_engine.rendering.render import render
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.images import load_images
 
 RESULTS = ROOT / "benchmarks" / "results" / "blender_preview"
 # Name -> renderer, display values are blended, splats face the camera.

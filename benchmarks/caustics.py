@@ -20,8 +20,8 @@ from torch import Tensor
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from swag_engine.effects.caustics import Illumination, illuminated  # noqa: E402
-from swag_engine.water.light import to_display, to_light  # noqa: E402
+from swag_engine.effects.caustics import Illumination, illuminated
+from swag_engine.water.light import to_display, to_light
 
 ROWS, COLUMNS, VIEWS, STEPS = 60, 96, 16, 640
 WAYS = ("as it is", "weight", "field")

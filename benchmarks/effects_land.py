@@ -16,9 +16,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from swag_engine.effects.plan import plan_scene  # noqa: E402
-from swag_engine.scene.colmap import load_scene  # noqa: E402
-from swag_engine.scene.sfm import reconstruct  # noqa: E402
+from swag_engine.planning.plan import plan_scene
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.sfm import reconstruct
 
 PHOTOGRAPHS = {
     "berlin": "berlin/kapture/sensors/records_data",

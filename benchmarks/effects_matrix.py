@@ -142,10 +142,10 @@ def made(case: Case, clean: Path):
 
 def looked_at(folder: Path) -> tuple:
     """What a plan finds in the scene in this folder: the effects by name, the fit, seconds, number of sightings."""
-    from swag_engine.effects import evidence
+    from swag_engine.evidence.observations import FIT_WIDTH, observe
+    from swag_engine.planning import evidence
     from swag_engine.scene.colmap import load_scene
     from swag_engine.scene.images import load_images
-    from swag_engine.water.observations import FIT_WIDTH, observe
 
     scene = load_scene(folder)
     images = load_images(scene, scene.views, FIT_WIDTH)
@@ -185,7 +185,8 @@ def run_case(case: Case, clean: Path) -> dict:
 
 def color_errors(passes, settings, fit) -> dict[str, float]:
     """Median delta E (CIE 1976) between the clean colours and those seen through the water, as they are and with the
-    fitted water taken away; both of the brightness of the clean ones, for no photograph shows absolute light."""
+    fitted water taken away; both of the brightness of the clean ones, for no photograph shows absolute light.
+    """
     from tests.scenes.make_scene import srgb
 
     def lab(light: np.ndarray) -> np.ndarray:
@@ -213,7 +214,8 @@ def color_errors(passes, settings, fit) -> dict[str, float]:
 def effect_sizes(passes, settings, truth: dict) -> dict[str, float]:
     """By how much of 255 each effect changes the pixels (95th percentile), against the same with the effect at its
     mean: what is constant over range and photographs could be the place itself. Exposure is all that a photograph has
-    for itself as a whole: gain, that of a telephone's white balance, and the waves' mean light on what it shows."""
+    for itself as a whole: gain, that of a telephone's white balance, and the waves' mean light on what it shows.
+    """
     from tests.scenes.make_scene import caustic_pattern, focal_length, lamp_light, srgb, world_points
 
     water, reference = settings.water, truth["range"]["median"]
@@ -370,8 +372,8 @@ def main() -> None:
             rows = list(pool.map(run_case, work, [asked.clean] * len(work)))
         document["sets"][title] = {"summary": summary(rows), "rows": rows}
         show(title, document["sets"][title]["summary"])
-    from swag_engine.effects import evidence
-    from swag_engine.strict_json import to_json
+    from swag_engine.base.strict_json import to_json
+    from swag_engine.planning import evidence
 
     document["thresholds"] = {
         name: value for name, value in vars(evidence).items() if name.isupper() and isinstance(value, int | float)

@@ -16,21 +16,21 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-import cv2  # noqa: E402
-import matplotlib  # noqa: E402
+import cv2
+import matplotlib
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
-from scipy.interpolate import griddata  # noqa: E402
+import matplotlib.pyplot as plt
+from scipy.interpolate import griddata
 
-from swag_engine.effects import evidence  # noqa: E402
-from swag_engine.effects.fit import Family, Fit, Sightings, lens_terms  # noqa: E402
-from swag_engine.effects.plan import describe, make_plan  # noqa: E402
-from swag_engine.scene.colmap import load_scene  # noqa: E402
-from swag_engine.scene.images import load_images  # noqa: E402
-from swag_engine.scene.split import split_views  # noqa: E402
-from swag_engine.strict_json import to_json  # noqa: E402
-from swag_engine.water.observations import FIT_WIDTH, Observations, observe  # noqa: E402
+from swag_engine.base.strict_json import to_json
+from swag_engine.evidence.fit import Family, Fit, Sightings, lens_terms
+from swag_engine.evidence.observations import FIT_WIDTH, Observations, observe
+from swag_engine.planning import evidence
+from swag_engine.planning.plan import describe, make_plan
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.images import load_images
+from swag_engine.scene.split import split_views
 
 SHARED = ROOT.parent / "shared" / "data"
 RESULTS = ROOT / "benchmarks" / "results"

@@ -19,15 +19,15 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 
-from benchmarks.effects_matrix import SKY  # noqa: E402
-from swag_engine.effects.plan import measured_costs  # noqa: E402
-from swag_engine.evaluation.ablate import ALL  # noqa: E402
-from swag_engine.scene.colmap import load_scene  # noqa: E402
-from swag_engine.semantics.assign import EVERY  # noqa: E402
-from swag_engine.training.config import TrainSettings  # noqa: E402
-from swag_engine.training.loop import Trainer, train  # noqa: E402
-from tests.scenes.effect_scenes import rendered, settings_for  # noqa: E402
-from tests.scenes.make_scene import Water, make_scene  # noqa: E402
+from benchmarks.effects_matrix import SKY
+from swag_engine.experiments.ablate import ALL
+from swag_engine.planning.plan import measured_costs
+from swag_engine.scene.colmap import load_scene
+from swag_engine.semantics.assign import EVERY
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.trainer import Trainer, train
+from tests.scenes.effect_scenes import rendered, settings_for
+from tests.scenes.make_scene import Water, make_scene
 
 ITERATIONS, ROUNDS, AIR_ITERATIONS = 300, 3, 1500
 OFF = "water=off,lamp=off,exposure=off,caustics=off,moving_objects=off"

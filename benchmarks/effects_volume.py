@@ -23,7 +23,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.effects_matrix import EFFECTS, looked_at  # noqa: E402
+from benchmarks.effects_matrix import EFFECTS, looked_at
 
 COMMON = {"surface": 5.0, "light": 1.4}
 WATERS: dict[str, dict] = {

@@ -20,12 +20,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-import numpy as np  # noqa: E402
-from train_scenes import processor  # noqa: E402
+import numpy as np
+from train_scenes import processor
 
-from swag_engine.formats.gltf import read_glb, write_glb  # noqa: E402
-from swag_engine.formats.ply import read_ply, write_ply  # noqa: E402
-from swag_engine.gaussians.splats import Splats  # noqa: E402
+from swag_engine.formats.gltf import read_glb, write_glb
+from swag_engine.formats.ply import read_ply, write_ply
+from swag_engine.splats.splats import Splats
 
 RESULTS = ROOT / "benchmarks" / "results" / "formats.json"
 ROUNDS = 5

@@ -24,9 +24,11 @@ import torch
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from swag_engine.rasterize import cuda  # noqa: E402
-from swag_engine.rasterize.api import contributions, rasterize  # noqa: E402
-from swag_engine.rasterize.kernels import build  # noqa: E402
+from swag_engine.kernels import (
+    build,
+    cuda,
+)
+from swag_engine.rasterize.api import contributions, rasterize
 
 RESULTS = ROOT / "benchmarks" / "results"
 PTXAS = "nvidia-cuda-nvcc-cu12"
@@ -131,7 +133,7 @@ def make_parameters(n: int, width: int, height: int) -> Tensors:
 
 
 def make_camera(width: int, height: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """viewmat and K."""
+    """Viewmat and K."""
     focal = 0.8 * width
     K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     return torch.eye(4).to(DEVICE), K.to(DEVICE)

@@ -13,16 +13,16 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-import torch  # noqa: E402
-from raster import MAIN, RESULTS, make_cloud  # noqa: E402
-from train_scenes import processor  # noqa: E402
+import torch
+from raster import MAIN, RESULTS, make_cloud
+from train_scenes import processor
 
-from swag_engine.effects.simulated import Simulated  # noqa: E402
-from swag_engine.rasterize.render import render  # noqa: E402
-from swag_engine.training.config import LearningRates  # noqa: E402
-from swag_engine.training.guard import MOST_APART, Guard  # noqa: E402
-from swag_engine.training.losses import photometric  # noqa: E402
-from swag_engine.training.optimizer import Optimizer  # noqa: E402
+from swag_engine.effects.scene_effects import Simulated
+from swag_engine.rendering.render import render
+from swag_engine.training.guard import MOST_APART, Guard
+from swag_engine.training.losses import photometric
+from swag_engine.training.optimizer import Optimizer
+from swag_engine.training.schedule import LearningRates
 
 ROUNDS = 40
 

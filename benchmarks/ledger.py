@@ -16,9 +16,9 @@ from statistics import median
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from swag_engine.training.config import TrainSettings  # noqa: E402
-from swag_engine.training.loop import trainer_of  # noqa: E402
-from swag_engine.training.run_folder import RunFolder  # noqa: E402
+from swag_engine.formats.run_folder import RunFolder
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.trainer import trainer_of
 
 BLOCK, BLOCKS, WARM_UP = 5, 160, 200
 

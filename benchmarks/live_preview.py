@@ -18,7 +18,7 @@ import numpy as np
 from mathutils import Quaternion
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import install, photograph, report, start, view3d  # noqa: E402
+from window import install, photograph, report, start, view3d
 
 SPLATS, SECONDS = 200_000, 10.0
 drawn: list[float] = []

@@ -18,15 +18,14 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-import swag_engine.threads  # noqa: E402, F401, I001
-import torch  # noqa: E402
-from raster import RESULTS  # noqa: E402
-from train_scenes import SCENES, processor  # noqa: E402
+import torch
+from raster import RESULTS
+from train_scenes import SCENES, processor
 
-from swag_engine.rasterize.render import render  # noqa: E402
-from swag_engine.training import loop  # noqa: E402
-from swag_engine.training.config import TrainSettings  # noqa: E402
-from swag_engine.training.recipes import RECIPES  # noqa: E402
+from swag_engine.rendering.render import render
+from swag_engine.settings.recipes import RECIPES
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import trainer as loop
 
 DEFAULT = TrainSettings().recipe
 LONG, SHORT = 20_000, 5_000

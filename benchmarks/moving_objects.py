@@ -21,12 +21,12 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.train_scenes import SCENES  # noqa: E402
-from swag_engine.scene.colmap import load_scene  # noqa: E402
-from swag_engine.scene.split import split_views  # noqa: E402
-from swag_engine.training.checkpoint import load_checkpoint  # noqa: E402
-from swag_engine.training.config import TrainSettings  # noqa: E402
-from swag_engine.training.loop import train  # noqa: E402
+from benchmarks.train_scenes import SCENES
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.split import split_views
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.checkpoint import load_checkpoint
+from swag_engine.training.trainer import train
 
 WAYS = {"planned": "", "never": "moving_objects=off"}
 SETTINGS = TrainSettings(iterations=1000, width=320, max_gaussians=20_000)

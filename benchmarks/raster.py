@@ -20,20 +20,20 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-import swag_engine.threads  # noqa: E402, F401, I001
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-import torch  # noqa: E402
-from train_scenes import processor  # noqa: E402
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from train_scenes import processor
 
-from swag_engine.effects.simulated import Simulated  # noqa: E402
-from swag_engine.gaussians.cloud import GaussianCloud  # noqa: E402
-from swag_engine.rasterize import cpu, projection, reference  # noqa: E402
-from swag_engine.rasterize.render import render  # noqa: E402
-from swag_engine.scene.cameras import Camera  # noqa: E402
-from swag_engine.training.config import LearningRates  # noqa: E402
-from swag_engine.training.losses import photometric  # noqa: E402
-from swag_engine.training.optimizer import Optimizer  # noqa: E402
+from swag_engine.effects.scene_effects import Simulated
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.kernels import cpu
+from swag_engine.rasterize import projection, reference
+from swag_engine.rendering.render import render
+from swag_engine.scene.cameras import Camera
+from swag_engine.training.losses import photometric
+from swag_engine.training.optimizer import Optimizer
+from swag_engine.training.schedule import LearningRates
 
 RESULTS = ROOT / "benchmarks" / "results"
 MAIN = (50_000, 640, 360)

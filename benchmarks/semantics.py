@@ -24,26 +24,20 @@ import torch
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.train_scenes import processor  # noqa: E402
-from swag_engine.rasterize.render import render  # noqa: E402
-from swag_engine.scene.cameras import Camera  # noqa: E402
-from swag_engine.scene.colmap import load_scene  # noqa: E402
-from swag_engine.scene.images import TrainingImage, load_images, read_picture  # noqa: E402
-from swag_engine.scene.split import split_views  # noqa: E402
-from swag_engine.semantics.assign import (  # noqa: E402
-    assign,
-    label_weights,
-    rendered_labels,
-    semantic_loss,
-    targets_in_view,
-)
-from swag_engine.semantics.embed import Descriptor  # noqa: E402
-from swag_engine.semantics.masks import MaskFolder  # noqa: E402
-from swag_engine.semantics.regions import RegionProvider, SceneRegions, find_regions  # noqa: E402
-from swag_engine.semantics.saliency import Saliency  # noqa: E402
-from swag_engine.training.checkpoint import load_checkpoint  # noqa: E402
-from swag_engine.training.loop import cloud_from_tensors  # noqa: E402
-from swag_engine.training.losses import photometric  # noqa: E402
+from benchmarks.train_scenes import processor
+from swag_engine.rendering.render import render
+from swag_engine.scene.cameras import Camera
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.images import TrainingImage, load_images, read_picture
+from swag_engine.scene.split import split_views
+from swag_engine.semantics.assign import assign, label_weights, rendered_labels, semantic_loss, targets_in_view
+from swag_engine.semantics.embed import Descriptor
+from swag_engine.semantics.masks import MaskFolder
+from swag_engine.semantics.regions import RegionProvider, SceneRegions, find_regions
+from swag_engine.semantics.saliency import Saliency
+from swag_engine.training.checkpoint import load_checkpoint
+from swag_engine.training.losses import photometric
+from swag_engine.training.trainer import cloud_from_tensors
 
 REEF = ROOT / "tests" / "scenes" / "reef_wreck"
 SUIM = ROOT.parent / "shared" / "data" / "suim"
@@ -143,7 +137,8 @@ def consistency(cloud: Any, regions: SceneRegions, cameras: dict[str, Camera], l
 
 def cost(cloud: Any, regions: SceneRegions, images: dict[str, TrainingImage]) -> dict[str, float]:
     """Processor time of semantics in an iteration, and of the iteration without it (picture, loss, gradients), in ms;
-    and what the features of 100 000 Gaussians take in memory."""
+    and what the features of 100 000 Gaussians take in memory.
+    """
     features = torch.zeros(len(cloud), 32, requires_grad=True)
     for parameter in cloud.parameters().values():
         parameter.requires_grad_()

@@ -10,16 +10,16 @@ from mathutils import Matrix
 
 from ..swag_blender import scene_import, splats
 from ..swag_blender.cameras import cameras_of
-from ..swag_engine.errors import InputError
+from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.cameras import Photograph, moved, write_cameras
-from ..swag_engine.formats.choice import Choice, label_ids, something
 from ..swag_engine.formats.export import cameras_folder, with_water
 from ..swag_engine.formats.gltf import COLMAP_UP, glb_size, turn_to_y_up, write_glb
 from ..swag_engine.formats.ply import ply_size, write_ply
+from ..swag_engine.formats.run_folder import RunFolder, read_json, write_json
+from ..swag_engine.formats.select import Choice, label_ids, something
 from ..swag_engine.formats.water import placed
-from ..swag_engine.gaussians.splats import Splats, concatenate
-from ..swag_engine.gaussians.transform import transformed
-from ..swag_engine.training.run_folder import RunFolder, read_json, write_json
+from ..swag_engine.splats.splats import Splats, concatenate
+from ..swag_engine.splats.transform import transformed
 from .train import RUN_KEY
 
 SUFFIXES = (".ply", ".glb")

@@ -6,7 +6,7 @@ import bpy
 from bpy.props import CollectionProperty, EnumProperty, IntProperty, StringProperty
 
 from ..swag_blender import scene_import, splats
-from ..swag_engine.errors import InputError
+from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.gltf import read_glb
 from ..swag_engine.formats.ply import read_ply
 

@@ -90,7 +90,7 @@ class SWAG_OT_check_engine(Job, bpy.types.Operator):
         return self.run_waiting(context) if bpy.app.background else self.run_modal(context)
 
     def start(self, context: bpy.types.Context) -> Engine:
-        return Engine([engine_process.engine_python(), "-m", "swag_engine.doctor"])
+        return Engine([engine_process.engine_python(), "-m", "swag_engine.app.doctor"])
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         del event["event"]

@@ -13,10 +13,10 @@ from ..swag_blender.engine_process import Engine, EngineError
 from ..swag_blender.job import Job
 from ..swag_blender.nodes import splat_preview
 from ..swag_blender.properties import time_text
-from ..swag_engine.errors import InputError
+from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.ply import read_ply
-from ..swag_engine.gaussians.splats import Splats
-from ..swag_engine.training.run_folder import RunFolder
+from ..swag_engine.formats.run_folder import RunFolder
+from ..swag_engine.splats.splats import Splats
 
 RUN_KEY = "swag_run"  # on the object with the splats of a run: the run's folder
 _reader = ThreadPoolExecutor(1)

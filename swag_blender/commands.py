@@ -11,9 +11,9 @@ from typing import Any
 
 import bpy
 
-from ..swag_engine.errors import InputError
+from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.ply import read_ply
-from ..swag_engine.training.run_folder import RunFolder, read_json
+from ..swag_engine.formats.run_folder import RunFolder, read_json
 from . import engine_process
 
 BAD_USAGE = 2

@@ -101,7 +101,7 @@ class Engine:
     """
 
     def __init__(self, command: list[str] | None = None) -> None:
-        command = command or [engine_python(), "-m", "swag_engine.worker"]
+        command = command or [engine_python(), "-m", "swag_engine.app.worker"]
         # A session of its own: Ctrl-C in the terminal reaches Blender, which then decides what becomes of the child.
         # A lower priority: the child takes all processors that Blender leaves, and the window stays quick.
         apart: dict[str, Any] = {"start_new_session": True}

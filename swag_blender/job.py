@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from ..swag_engine.errors import InputError
+from ..swag_engine.base.errors import InputError
 from .engine_process import Engine, EngineError, stop_all, wait_for_result
 
 TIMER_SECONDS = 0.1

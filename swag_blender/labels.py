@@ -26,10 +26,10 @@ from bpy.props import (
 from bpy.types import PropertyGroup
 from mathutils import Color
 
-from ..swag_engine.errors import InputError
-from ..swag_engine.gaussians.splats import Splats, concatenate
-from ..swag_engine.gaussians.transform import transformed
-from ..swag_engine.strict_json import from_json
+from ..swag_engine.base.errors import InputError
+from ..swag_engine.base.strict_json import from_json
+from ..swag_engine.splats.splats import Splats, concatenate
+from ..swag_engine.splats.transform import transformed
 from . import splats, water
 from .nodes.splat_preview import HIDDEN, TINT, copy_inputs
 

@@ -107,7 +107,7 @@ class Installer:
         files = self.fetch(wheels, sizes, total)
         self.pip(FETCHED, f"Unpacking {len(files)} packages", "--no-index", "--no-deps", "--upgrade", *map(str, files))
         doctor = self.run(
-            UNPACKED, "Checking the engine", str(self.python), "-m", "swag_engine.doctor", errors_in_log=False
+            UNPACKED, "Checking the engine", str(self.python), "-m", "swag_engine.app.doctor", errors_in_log=False
         )
         found["doctor"] = json.loads(doctor)
         missing = [name for name, version in found["doctor"]["packages"].items() if version is None]

@@ -94,7 +94,7 @@ class SwagPreferences(bpy.types.AddonPreferences):
 
 
 def draw_doctor(layout: bpy.types.UILayout, found: dict[str, Any]) -> None:
-    """What the engine's Python has, as swag_engine.doctor tells it."""
+    """What the engine's Python has, as swag_engine.app.doctor tells it."""
     column = layout.column(align=True)
     column.scale_y = 0.8
     column.label(text=f"{found['system']}, {found['cores']} processor cores, Python {found['python']}")

@@ -11,9 +11,9 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 from bpy.types import PropertyGroup
 
-from ..swag_engine.errors import InputError
-from ..swag_engine.training.config import TrainSettings
-from ..swag_engine.training.run_folder import RunFolder
+from ..swag_engine.base.errors import InputError
+from ..swag_engine.formats.run_folder import RunFolder
+from ..swag_engine.settings.settings import TrainSettings
 from . import effects
 
 SETTINGS = tuple(field.name for field in dataclasses.fields(TrainSettings))

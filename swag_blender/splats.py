@@ -13,8 +13,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..swag_engine.errors import InputError
-from ..swag_engine.gaussians.splats import Splats
+from ..swag_engine.base.errors import InputError
+from ..swag_engine.splats.splats import Splats
 from .nodes import splat_preview
 
 BASE = "radiance:base"

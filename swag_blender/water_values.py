@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..swag_engine.errors import InputError
+from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.water import DAMAGED
 
 Triple = tuple[float, float, float]

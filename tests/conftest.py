@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-import swag_engine.threads  # noqa: F401
+import swag_engine.base.threads  # noqa: F401
 
 sys.path.insert(0, str(Path(__file__).parent / "scenes"))
 

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from ..gaussians.cloud import GaussianCloud
+from ..gaussians.contributions import contribution_sums
 from ..rasterize.api import rasterize
-from ..rasterize.render import contribution_sums
 from ..scene.cameras import Camera
 
 LEAST_RESIDUAL, LEAST_EXCESS = 0.08, 4.0

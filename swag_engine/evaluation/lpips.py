@@ -14,7 +14,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional
 
-from ..errors import InputError
+from ..base.errors import InputError
 from ..weights.registry import cache_folder
 
 SHIFT = (-0.030, -0.088, -0.188)

@@ -7,13 +7,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..effects.simulated import Simulated
+from ..base.transfer import srgb_to_linear
+from ..effects.scene_effects import Simulated
 from ..gaussians.cloud import GaussianCloud
 from ..rasterize.api import rasterize
-from ..rasterize.render import render
+from ..rendering.render import render
 from ..scene.cameras import Camera
 from ..scene.images import TrainingImage
-from ..training.losses import ssim
+from .ssim import ssim
 
 FLOATER_GAP = 0.05
 """How far in front of a surface a floater is, in median ranges."""
@@ -171,7 +172,7 @@ def restored_error(restored: np.ndarray, clean: np.ndarray, valid: np.ndarray) -
 
 def lab(srgb: np.ndarray) -> np.ndarray:
     """CIE L*a*b* (..., 3), white D65, of sRGB (..., 3) in 0..1 (IEC 61966-2-1)."""
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    linear = srgb_to_linear(srgb)
     xyz = linear @ np.array(
         [[0.4124564, 0.2126729, 0.0193339], [0.3575761, 0.7151522, 0.1191920], [0.1804375, 0.0721750, 0.9503041]]
     )

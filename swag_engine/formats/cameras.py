@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..files import atomic_path
-from ..gaussians.transform import quaternions
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from ..base.strict_json import to_json
 from ..scene.cameras import Camera
-from ..strict_json import to_json
+from ..splats.transform import quaternions
 from .gltf import CAMERA_AXES
 
 # COLMAP's models and their parameters in nerfstudio's words; its missing ones are zero.

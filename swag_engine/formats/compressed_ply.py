@@ -9,7 +9,7 @@ https://blog.playcanvas.com/compressing-gaussian-splats and told by what splat-t
 
 import numpy as np
 
-from ..gaussians.splats import Splats
+from ..splats.splats import Splats
 
 WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 CHUNK = 256

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ..errors import InputError
-from ..gaussians.splats import Splats
-from ..gaussians.transform import transformed
+from ..base.errors import InputError
 from ..scene.cameras import Camera
-from ..training.run_folder import RunFolder, write_json
+from ..splats.splats import Splats
+from ..splats.transform import transformed
 from . import water
 from .cameras import Photograph, moved, write_cameras
-from .choice import Choice, box_between, label_ids, something
 from .gltf import glb_size, turn_to_y_up, write_glb
 from .ply import ply_size, read_ply, write_ply
+from .run_folder import RunFolder, write_json
+from .select import Choice, box_between, label_ids, something
 
 if TYPE_CHECKING:
     from ..scene.colmap import Scene

@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..files import atomic_path
-from ..gaussians.splats import Splats, cleaned, concatenate
-from ..gaussians.transform import quaternions, rotation_matrices, transformed
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from ..base.strict_json import from_json
+from ..base.transfer import srgb_to_linear
 from ..scene.cameras import Camera
-from ..strict_json import from_json
+from ..splats.splats import Splats, cleaned, concatenate
+from ..splats.transform import quaternions, rotation_matrices, transformed
 
 log = logging.getLogger(__name__)
 
@@ -193,7 +194,7 @@ def _attributes(path: Path, splats: Splats) -> Iterator[tuple[str, tuple[np.ndar
     """Name, and array, componentType and type, of every attribute; each array a multiple of 4 bytes."""
     yield "POSITION", (splats.positions, FLOAT, "VEC3")
     color = (0.28209479177387814 * splats.sh[:, 0] + 0.5).clip(0, 1)
-    linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)  # sRGB, IEC 61966-2-1
+    linear = srgb_to_linear(color)
     fallback = np.nan_to_num(np.concatenate([linear, splats.opacities.clip(0, 1)[:, None]], axis=1))
     yield "COLOR_0", ((fallback * 65535 + 0.5).astype("<u2"), UNSIGNED_SHORT, "VEC4")
     yield f"{EXTENSION}:ROTATION", (np.roll(splats.rotations, -1, axis=1), FLOAT, "VEC4")

@@ -14,9 +14,9 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import InputError
-from ..files import atomic_path
-from ..gaussians.splats import Splats, cleaned
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from ..splats.splats import Splats, cleaned
 from .compressed_ply import WORDS, unpack
 
 log = logging.getLogger(__name__)

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..gaussians.splats import Splats
-from ..gaussians.transform import sh_basis, sh_rotation
+from ..base.errors import InputError
+from ..base.transfer import DISPLAY_TOE, LINEAR_TOE, linear_to_srgb, srgb_to_linear
 from ..scene.cameras import Camera
+from ..splats.splats import Splats
+from ..splats.transform import sh_basis, sh_rotation
 
 C0 = 0.28209479177387814
 # Splats handled at a time: each is held against every camera.
@@ -95,10 +96,10 @@ def _view(water: dict[str, Any], amount: float, metres_per_unit: float) -> View:
     def by_coefficients(color: np.ndarray, ranges: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         dimmed = np.exp(-beta_D * ranges)
         veil = amount / (1 + np.exp(-sh_basis(directions, 2) @ veil_sh))
-        light = (to_light(color) if linear else color) * dimmed - veil * np.expm1(-beta_B * ranges)
+        light = (srgb_to_linear(color) if linear else color) * dimmed - veil * np.expm1(-beta_B * ranges)
         if not linear:
             return light, dimmed
-        return to_display(light), dimmed * _light_slope(color) * _display_slope(light)
+        return linear_to_srgb(light), dimmed * _light_slope(color) * _display_slope(light)
 
     def by_table(color: np.ndarray, here: np.ndarray, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         dimmed, veil = (
@@ -135,19 +136,9 @@ def _seen_from(positions: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
     return centres[np.where(sees.any(axis=1), middle, ranges.argmin(axis=1))]
 
 
-def to_light(display: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB values (IEC 61966-2-1), any shape."""
-    return np.where(display <= 0.04045, display / 12.92, ((np.maximum(display, 0.04045) + 0.055) / 1.055) ** 2.4)
-
-
-def to_display(light: np.ndarray) -> np.ndarray:
-    """sRGB values of linear light, any shape; the inverse of to_light."""
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
 def _light_slope(display: np.ndarray) -> np.ndarray:
-    return np.where(display <= 0.04045, 1 / 12.92, 2.4 / 1.055 * ((np.maximum(display, 0) + 0.055) / 1.055) ** 1.4)
+    return np.where(display <= DISPLAY_TOE, 1 / 12.92, 2.4 / 1.055 * ((np.maximum(display, 0) + 0.055) / 1.055) ** 1.4)
 
 
 def _display_slope(light: np.ndarray) -> np.ndarray:
-    return np.where(light <= 0.0031308, 12.92, 1.055 / 2.4 * np.maximum(light, 0.0031308) ** (1 / 2.4 - 1))
+    return np.where(light <= LINEAR_TOE, 12.92, 1.055 / 2.4 * np.maximum(light, LINEAR_TOE) ** (1 / 2.4 - 1))

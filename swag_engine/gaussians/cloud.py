@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..splats.splats import Splats
 from .sh import evaluate_sh
-from .splats import Splats
 
 
 @dataclass

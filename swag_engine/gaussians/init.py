@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from ..errors import InputError
+from ..base.errors import InputError
 from ..scene.colmap import Points
 from .cloud import GaussianCloud
 

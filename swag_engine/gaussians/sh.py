@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from ..rasterize.backends import kernels_for
+from ..kernels.backends import kernels_for
 
 # Constants of the real spherical harmonics (Condon-Shortley phase included), in the order l, m = -l .. l, as 3DGS files
 # have them. E.g. Y_00 = sqrt(1 / 4 pi).

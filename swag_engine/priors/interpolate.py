@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from ..errors import InputError
+from ..base.errors import InputError
 from ..scene.cameras import Camera
 from ..scene.images import TrainingImage
 from ..weights.onnx import Network

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..kernels.backends import kernels_for
 from . import projection, reference
-from .backends import kernels_for
 
 MAX_SCORED = 8
 """Channels that contributions() takes at most."""

@@ -1,11 +1,9 @@
 """3D Gaussians to 2D Gaussians on the image plane (EWA splatting, Zwicker et al. 2001), in torch, differentiable."""
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
-from ..errors import InputError
+from ..kernels.protocol import Projection
 
 NEAR = 0.01  # scene units; nearer centres are not drawn
 BLUR = 0.3  # px^2 added to the variances: a low-pass filter, and it keeps covariances regular
@@ -13,36 +11,6 @@ GUARD = 0.3  # part of the field of view beyond the image's edges where the line
 MAX_SIGMA = 1e4  # px; larger Gaussians are flat over any image
 MIN_ALPHA = 1 / 255
 MAX_EXTENT = 128  # squared, in sigmas; an opacity that reaches farther is no number to draw with
-
-
-MAX_PAIRS = 2**27  # of a Gaussian and a tile it meets; about 6 GB
-
-
-class TooManyPairs(InputError):
-    """Gaussians meet more tiles than can be blended."""
-
-
-def check_pairs(pairs: int) -> None:
-    """Raises TooManyPairs where blending would take more memory than a machine has to spare."""
-    if pairs > MAX_PAIRS:
-        raise TooManyPairs(
-            f"The Gaussians meet {pairs} tiles of the picture, more than the {MAX_PAIRS} that can be blended: "
-            "they are too many or too large. Use fewer Gaussians or a smaller width."
-        )
-
-
-@dataclass
-class Projection:
-    """Of N Gaussians: means2d (N, 2) px, conics (N, 3) = (A, B, C) of [[A, B], [B, C]] in 1/px^2, depths (N,) along z.
-
-    radii (N,): px from the centre to where alpha falls below 1/255, without gradient; 0 where nothing is to be drawn.
-    What is then in the other fields is finite and without gradient.
-    """
-
-    means2d: Tensor
-    conics: Tensor
-    depths: Tensor
-    radii: Tensor
 
 
 def project(

@@ -12,7 +12,7 @@ import cv2  # noqa: F401  (before pycolmap: in the other order cv2.imwrite has c
 import numpy as np
 import pycolmap
 
-from ..errors import InputError
+from ..base.errors import InputError
 from .cameras import Camera
 from .lenses import Lens
 

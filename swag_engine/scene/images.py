@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import platformdirs
 
-from ..errors import InputError
-from ..files import atomic_path
+from ..base.errors import InputError
+from ..base.files import atomic_path
 from .cameras import Camera
 from .colmap import Scene, View
 from .lenses import source_map

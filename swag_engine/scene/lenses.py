@@ -11,7 +11,7 @@ import cv2  # noqa: F401  (before pycolmap: in the other order cv2.imwrite has c
 import numpy as np
 import pycolmap
 
-from ..errors import InputError
+from ..base.errors import InputError
 
 # A pinhole picture stretches without bound towards 90 degrees off the axis; beyond 60 it holds little but blur.
 _WIDEST_TANGENT = float(np.tan(np.radians(60)))

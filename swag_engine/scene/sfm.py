@@ -21,7 +21,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ..errors import InputError
+from ..base.errors import InputError
 from .colmap import pictures_below
 from .images import read_picture
 

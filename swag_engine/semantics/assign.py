@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from ..gaussians.cloud import GaussianCloud
+from ..gaussians.contributions import contribution_sums
 from ..rasterize.api import rasterize
-from ..rasterize.render import contribution_sums
 from ..scene.cameras import Camera
 from .embed import DIMENSIONS
 from .regions import SceneRegions

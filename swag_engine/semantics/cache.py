@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
-from ..files import atomic_path
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from ..base.strict_json import from_json
 from ..scene.images import TrainingImage
-from ..strict_json import from_json
 
 _FORMAT = 1
 

@@ -8,7 +8,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from ..errors import InputError
+from ..base.errors import InputError
 from ..weights.onnx import Graph
 from .cache import file_key
 from .tokenizer import BytePairTokenizer

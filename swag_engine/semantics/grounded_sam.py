@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..errors import InputError
+from ..base.errors import InputError
 from ..scene.images import TrainingImage
 from ..weights.onnx import Graph
 from .cache import file_key

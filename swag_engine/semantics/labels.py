@@ -9,13 +9,13 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from ..errors import InputError
-from ..files import atomic_path
-from ..formats.choice import LABEL
+from ..base.errors import InputError
+from ..base.files import atomic_path
 from ..formats.gltf import write_glb
 from ..formats.ply import write_ply
-from ..gaussians.splats import Splats
-from ..training.run_folder import RunFolder, read_json, write_json
+from ..formats.run_folder import RunFolder, read_json, write_json
+from ..formats.select import LABEL
+from ..splats.splats import Splats
 from .assign import Assignment
 from .embed import DIMENSIONS, Projection
 from .regions import SceneRegions

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ..errors import InputError
+from ..base.errors import InputError
 from ..scene.colmap import Scene, View
 from ..scene.images import TrainingImage
 from ..scene.lenses import source_map

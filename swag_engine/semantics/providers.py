@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
-from ..errors import InputError
+from ..base.errors import InputError
 from ..scene.colmap import Scene
 from ..weights.registry import find_or_fetch, is_here
 from .captions import Blip, Captioner

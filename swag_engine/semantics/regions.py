@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 
-from ..errors import InputError
+from ..base.errors import InputError
 from ..scene.images import TrainingImage
 from .cache import load_found, save_found
 from .captions import Captioner, phrases

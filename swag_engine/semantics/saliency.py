@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ..errors import InputError
+from ..base.errors import InputError
 from ..scene.images import TrainingImage
 from .regions import Region
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
+from ..base.errors import InputError
 
 END_OF_WORD = "</w>"
 CLIP_MERGES = 49152 - 256 - 2

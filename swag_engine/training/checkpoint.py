@@ -8,9 +8,9 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from ..errors import InputError
-from ..files import atomic_path
-from ..strict_json import from_json
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from ..base.strict_json import from_json
 
 KEEP = 2
 

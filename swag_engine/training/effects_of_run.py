@@ -8,22 +8,22 @@ import torch
 from torch import Tensor
 
 from ..effects.moving_objects import LEAST_IMAGES, moving_mask, residual, residuals_elsewhere, share_with_objects
-from ..effects.plan import Plan, write_plan
-from ..effects.simulated import Simulated
+from ..effects.scene_effects import Simulated
 from ..evaluation.metrics import picture
+from ..formats.run_folder import RunFolder
 from ..gaussians.cloud import GaussianCloud
+from ..planning.plan import Plan, write_plan
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage
+from ..settings.recipes import SWITCHES, has, recipe_of, switched
+from ..settings.settings import TrainSettings
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
-from .config import TrainSettings
 from .guard import Guard, copies
 from .objective import Objective
 from .optimizer import Optimizer
-from .planning import Starts
 from .prepare import find_water, take_water_away
-from .recipes import SWITCHES, has, recipe_of, switched
-from .run_folder import RunFolder
+from .run_plan import Starts
 from .targets import Target
 from .trials import doubtful
 
@@ -78,7 +78,10 @@ class EffectsOfRun:
     def choose(self, choices: dict[str, bool]) -> None:
         """Take effects on or off beside what the plan and the user say; what they begin with is not made here."""
         self.choices |= choices
-        self.recipe = switched(recipe_of(self.settings.recipe, self.settings.effects, self.plan), self.choices)
+        self.recipe = switched(
+            recipe_of(self.settings.recipe, self.settings.effects, self.plan.switches() if self.plan else None),
+            self.choices,
+        )
         self.objective = Objective(self.recipe, self.median_range, self.order, self.settings.backend)
 
     def find_water(self, cloud: GaussianCloud) -> Medium | WaterNetwork | None:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ..gaussians.cloud import GaussianCloud
-from ..gaussians.grow import PER_GAUSSIAN
+from ..gaussians.densify import PER_GAUSSIAN
 from .optimizer import Optimizer
 
 CHECKS = 50

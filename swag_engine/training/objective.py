@@ -3,12 +3,12 @@
 import torch
 from torch import Tensor
 
-from ..priors.depth import depth_loss
-from ..rasterize.render import Picture
+from ..effects.depth_prior import depth_loss
+from ..rendering.render import Picture
+from ..settings.recipes import Recipe, Weights
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
 from .losses import attenuation_order, grey_world, photometric, smoothness
-from .recipes import Recipe, Weights
 from .targets import Target
 
 OCEANIC = (0, 1, 2)  # red is taken most, blue least

@@ -3,10 +3,10 @@
 import torch
 from torch import Tensor
 
-from ..effects.simulated import Simulated
+from ..effects.scene_effects import Simulated
 from ..gaussians.cloud import GaussianCloud
-from ..gaussians.grow import PER_GAUSSIAN
-from ..rasterize.backends import kernels_for
+from ..gaussians.densify import PER_GAUSSIAN
+from ..kernels.backends import kernels_for
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
 BETAS = (0.9, 0.999)

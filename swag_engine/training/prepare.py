@@ -10,22 +10,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..effects.plan import Plan
-from ..errors import InputError
+from ..base.errors import InputError
+from ..evidence.observations import FIT_WIDTH, observe
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.sh import C0
+from ..planning.plan import Plan
 from ..priors.depth import InverseDepth, StoredDepth, depth_priors
 from ..priors.interpolate import Interpolator, admission, interpolated_pose, neighbour_pairs
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage, load_images
+from ..settings.jerlov import water_of_type
+from ..settings.recipes import Recipe
+from ..settings.settings import TrainSettings
 from ..water.light import to_display
 from ..water.medium import Medium, without_water
 from ..water.network import WaterNetwork
-from ..water.observations import FIT_WIDTH, observe
-from ..water.presets import water_of_type
 from ..weights.registry import find
-from .config import TrainSettings
-from .recipes import Recipe
 
 DEPTH_NETWORK, FRAME_NETWORK = "depth-anything-v2-small", "rife"
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..effects.plan import Effect, Plan
 from ..evaluation.metrics import ViewScore
+from ..planning.plan import Effect, Plan
 
 if TYPE_CHECKING:
-    from .loop import Trainer
+    from .trainer import Trainer
 
 TRIED_AT = {"lamp": 0.1, "exposure": 0.1, "caustics": 0.1}
 """Share of the run after which each is tried. Water is not: it is modelled to be taken away, and photographs can be

@@ -10,26 +10,23 @@
 An effect takes display values to light, does its work, and brings them back: everything else sees display values only.
 """
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from ..rasterize.backends import kernels_for
-
-DARK, DARK_LIGHT = 0.04045, 0.0031308
-"""Where the curve's straight part ends, as display value and as light."""
+from ..base.transfer import DISPLAY_TOE, LINEAR_TOE
+from ..kernels.backends import kernels_for
 
 
 def to_light(display: Tensor) -> Tensor:
     """Linear light of display values, any shape."""
-    power = ((display.clamp(min=DARK) + 0.055) / 1.055) ** 2.4
-    return torch.where(display <= DARK, display / 12.92, power)
+    power = ((display.clamp(min=DISPLAY_TOE) + 0.055) / 1.055) ** 2.4
+    return torch.where(display <= DISPLAY_TOE, display / 12.92, power)
 
 
 def to_display(light: Tensor) -> Tensor:
     """Display values of linear light, any shape; the inverse of to_light."""
-    power = 1.055 * light.clamp(min=DARK_LIGHT) ** (1 / 2.4) - 0.055
-    return torch.where(light <= DARK_LIGHT, 12.92 * light, power)
+    power = 1.055 * light.clamp(min=LINEAR_TOE) ** (1 / 2.4) - 0.055
+    return torch.where(light <= LINEAR_TOE, 12.92 * light, power)
 
 
 def relit(display: Tensor, log_factor: Tensor, backend: str = "auto") -> Tensor:
@@ -43,9 +40,3 @@ def relit(display: Tensor, log_factor: Tensor, backend: str = "auto") -> Tensor:
     if colors and (kernels := kernels_for(backend, display, log_factor)):
         return kernels.relit(display, log_factor)
     return to_display(to_light(display) * log_factor.exp())
-
-
-def light_of_bytes() -> np.ndarray:
-    """(256,) linear light of 8-bit display values."""
-    display = np.arange(256) / 255
-    return np.where(display <= DARK, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)

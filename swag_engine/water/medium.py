@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from ..gaussians.sh import sh_basis
-from ..rasterize.backends import kernels_for
+from ..kernels.backends import kernels_for
 from .light import relit, to_display, to_light
 
 Light = Literal["linear", "srgb"]

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import onnxruntime  # type: ignore[import-untyped]
-import torch
 
-from ..errors import InputError
+from ..base.errors import InputError
+from ..base.threads import available_cores
 
 FLOAT32 = "tensor(float)"  # in onnxruntime's words
 NUMBERS = {FLOAT32: np.float32, "tensor(int64)": np.int64, "tensor(int32)": np.int32}
@@ -112,12 +112,12 @@ class Graph:
 
 
 def _session(path: Path, kind: str) -> Any:
-    """It runs on as many threads as torch uses, which sleep while they wait: other work shares the cores."""
+    """It runs on as many threads as there are cores, which sleep while they wait: other work shares the cores."""
     if not path.is_file():
         raise InputError(f"There is no file {path}: put {kind} there as an ONNX file, or choose another file.")
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # what goes wrong is raised; warnings are not for users
-    options.intra_op_num_threads = torch.get_num_threads()
+    options.intra_op_num_threads = available_cores()
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import platformdirs
 
-from ..errors import InputError
+from ..base.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Stands in for the engine's Python: speaks the worker's protocol, and does what the name of the scene's folder says.
 
-Called as `fake_worker.py -m swag_engine.worker`, or `-m swag_engine ARGUMENTS` for the command line.
+Called as `fake_worker.py -m swag_engine.app.worker`, or `-m swag_engine ARGUMENTS` for the command line.
 """
 
 import json
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from swag_engine.formats.ply import write_ply
-from swag_engine.gaussians.splats import Splats
+from swag_engine.splats.splats import Splats
 
 ITERATIONS = 10
 cancelled = threading.Event()

@@ -12,7 +12,7 @@ import time
 import bpy
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import install, photograph, report, start, until, view3d  # noqa: E402
+from window import install, photograph, report, start, until, view3d
 
 # Where the buttons are on a screen of 1280 x 800, from its top left corner.
 TRAIN, CONTINUE, PAUSE, CANCEL = (900, 470), (960, 470), (830, 424), (950, 424)

@@ -82,9 +82,9 @@ def drawn_by_the_engine(held, width, height, focal, through=lambda colors, offse
     import torch
 
     from swag_engine.gaussians.sh import evaluate_sh
-    from swag_engine.gaussians.splats import Splats
-    from swag_engine.gaussians.transform import transformed
     from swag_engine.rasterize.api import rasterize
+    from swag_engine.splats.splats import Splats
+    from swag_engine.splats.transform import transformed
 
     t = {name: torch.tensor(array, dtype=torch.float64) for name, array in held.items()}
     eye = np.zeros(3) if matrix is None else np.linalg.inv(matrix)[:3, 3]

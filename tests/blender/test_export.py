@@ -7,8 +7,8 @@ import pytest
 
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply, write_ply
-from swag_engine.gaussians.splats import Splats
-from swag_engine.gaussians.transform import covariances, sh_basis, transformed
+from swag_engine.splats.splats import Splats
+from swag_engine.splats.transform import covariances, sh_basis, transformed
 
 SETUP = """
 import json, sys

@@ -10,12 +10,12 @@ import torch
 from swag_engine.formats import water
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply, write_ply
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.gaussians.splats import Splats
-from swag_engine.rasterize.render import render
+from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.run_folder import RunFolder
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.splats.splats import Splats
 
 SETUP = """
 import json, sys

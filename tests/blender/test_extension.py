@@ -42,9 +42,9 @@ def test_zip_holds_what_runs_and_nothing_else(extension_zip):
     with zipfile.ZipFile(extension_zip) as archive:
         names = archive.namelist()
     for needed in ("__init__.py", "blender_manifest.toml", "LICENSE", "constraints.txt", "requirements.txt",
-                   "swag_engine/worker.py", "swag_blender/panels.py", "operators/train.py"):  # fmt: skip
+                   "swag_engine/app/worker.py", "swag_blender/panels.py", "operators/train.py"):  # fmt: skip
         assert needed in names
-    assert any(name.startswith("swag_engine/rasterize/kernels/lib/") for name in names)
+    assert any(name.startswith("swag_engine/kernels/lib/") for name in names)
     tops = {name.split("/")[0] for name in names}
     assert not tops & {"tests", "demo", "benchmarks", "dist", "docs", ".venv", ".git", ".ci", "Makefile"}
     assert not [name for name in names if "__pycache__" in name or "/." in name]
@@ -57,7 +57,7 @@ def test_registers_and_unregisters_twice_without_leftovers(blender):
 
 
 def test_defaults_are_the_engines(blender):
-    from swag_engine.training.config import TrainSettings
+    from swag_engine.settings.settings import TrainSettings
 
     printed = blender.run("import json; print('SETTINGS', json.dumps(bpy.context.scene.swag.train_settings()))")
     assert blender.json_after("SETTINGS", printed) == TrainSettings().to_json()

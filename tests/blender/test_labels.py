@@ -275,8 +275,8 @@ assert bpy.ops.swag.read_labels() == {"FINISHED"} and len(obj.swag_labels.entrie
 
 
 def test_a_run_is_labelled_through_the_engine(blender, tiny_scene, tmp_path):
-    from swag_engine.training.config import TrainSettings
-    from swag_engine.training.loop import train
+    from swag_engine.settings.settings import TrainSettings
+    from swag_engine.training.trainer import train
 
     train(tiny_scene, tmp_path / "run", TrainSettings(iterations=20, width=64, max_gaussians=320, sh_degree=0))
     for name, columns in (("left", slice(0, 30)), ("right", slice(30, 64))):

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from swag_engine.training.config import TrainSettings
+from swag_engine.settings.settings import TrainSettings
 
 SETUP = """
 import json, sys, pathlib, bpy

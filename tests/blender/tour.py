@@ -11,8 +11,8 @@ import time
 import bpy
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-import window as blender_window  # noqa: E402
-from window import OUT, install, report, start, view3d, write_report  # noqa: E402
+import window as blender_window
+from window import OUT, install, report, start, view3d, write_report
 
 EXTENSION = "bl_ext.user_default.swag_splatting"
 LIMIT = 300  # seconds to wait for anything

@@ -13,9 +13,8 @@ from typing import Any
 import pytest
 import torch
 
-from swag_engine.rasterize import cuda_driver
-from swag_engine.rasterize.cuda_driver import Argument, converted
-from swag_engine.rasterize.kernels import build
+from swag_engine.kernels import build, cuda_driver
+from swag_engine.kernels.cuda_driver import Argument, converted
 
 SHIPPED = tuple(build.FOLDER / name for name in build.CUDA_SOURCES)
 HEADER = Path(__file__).with_name("cuda_fibres.h")

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
-from swag_engine.errors import InputError
-from swag_engine.evaluation import ablate as module
-from swag_engine.evaluation.ablate import Row, ablate, rows, table
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
-from swag_engine.training.recipes import RECIPES, SWITCHES, recipe_of
+from swag_engine.base.errors import InputError
+from swag_engine.experiments import ablate as module
+from swag_engine.experiments.ablate import Row, ablate, rows, table
+from swag_engine.settings.recipes import RECIPES, SWITCHES, recipe_of
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=12, width=48, max_gaussians=320, sh_degree=0)
 

@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from swag_engine.batch import batch, describe
-from swag_engine.errors import InputError
+from swag_engine.app.batch import batch, describe
+from swag_engine.base.errors import InputError
 
 TRAIN = ("--iterations", "40", "--width", "64", "--max-gaussians", "400", "--sh-degree", "0")
 

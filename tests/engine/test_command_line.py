@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from swag_engine.doctor import PACKAGES
+from swag_engine.kernels.machine import PACKAGES
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAIN = ["--iterations", "60", "--width", "64", "--max-gaussians", "400", "--sh-degree", "0"]
@@ -153,7 +153,7 @@ def test_a_missing_package_is_named(tmp_path):
     assert "lacks the package torch" in done.stderr
 
 
-@pytest.mark.parametrize("module", ["swag_engine.__main__", "swag_engine.worker"])
+@pytest.mark.parametrize("module", ["swag_engine.app.cli", "swag_engine.app.worker"])
 def test_threads_are_told_to_share_the_cores_before_numpy_and_torch_come(module):
     script = """
 import importlib, os, sys

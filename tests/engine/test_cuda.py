@@ -10,13 +10,13 @@ import pytest
 import torch
 
 from benchmarks import gpu_check
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
+from swag_engine.evaluation.ssim import ssim
 from swag_engine.gaussians.sh import evaluate_sh
-from swag_engine.rasterize import cuda, cuda_driver
+from swag_engine.kernels import build, cuda, cuda_driver
 from swag_engine.rasterize.api import contributions, rasterize
-from swag_engine.rasterize.kernels import build
 from swag_engine.rasterize.projection import project
-from swag_engine.training.losses import photometric, ssim
+from swag_engine.training.losses import photometric
 from swag_engine.training.optimizer import adam_step
 from swag_engine.water.medium import Medium, open_water, through_water
 from tests.engine.cuda_fibres import Fibres, pretend_card

@@ -9,17 +9,9 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from swag_engine.errors import InputError
-from swag_engine.priors.depth import (
-    Alignment,
-    InverseDepth,
-    align,
-    depth_loss,
-    depth_priors,
-    gate,
-    prior,
-    sparse_points,
-)
+from swag_engine.base.errors import InputError
+from swag_engine.effects.depth_prior import depth_loss
+from swag_engine.priors.depth import Alignment, InverseDepth, align, depth_priors, gate, prior, sparse_points
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import TrainingImage

@@ -9,14 +9,14 @@ import torch
 from clouds import make_cloud
 from tiny import make_tiny_scene
 
-from swag_engine.gaussians.grow import random_of
-from swag_engine.rasterize.render import render
+from swag_engine.gaussians.densify import random_of
+from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
-from swag_engine.training import loop
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import trainer as loop
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.config import TrainSettings
 from swag_engine.training.dropout import FULL_GAP_DB, GAP_DB, dropout_rate, kept
-from swag_engine.training.loop import train
+from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=600, width=64, max_gaussians=3000)
 
@@ -46,7 +46,7 @@ def test_what_is_learned_by_heart_is_found_and_held_back(contradictory, tmp_path
 
 
 def test_nothing_is_left_out_of_a_scene_that_agrees_with_itself(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("swag_engine.training.iteration.kept", lambda *_: pytest.fail("something was left out"))
+    monkeypatch.setattr("swag_engine.training.step.kept", lambda *_: pytest.fail("something was left out"))
     metrics = train(tiny_scene, tmp_path / "run", TrainSettings(iterations=150, width=64, max_gaussians=500))["metrics"]
     assert "at random" not in " ".join(metrics["notes"])
 

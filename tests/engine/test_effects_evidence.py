@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swag_engine.effects.evidence import (
+from swag_engine.evidence.fit import GAINS, LENS, Family, Sightings
+from swag_engine.evidence.observations import FIT_WIDTH, Observations, observe
+from swag_engine.planning.evidence import (
     caustics_finding,
     depth_prior_finding,
     interpolation_finding,
@@ -16,12 +18,10 @@ from swag_engine.effects.evidence import (
     semantics_finding,
     water_findings,
 )
-from swag_engine.effects.fit import GAINS, LENS, Family, Sightings
 from swag_engine.priors.interpolate import Admission
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
-from swag_engine.water.observations import FIT_WIDTH, Observations, observe
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
 REAL = Path(__file__).resolve().parents[3] / "shared" / "data"

@@ -10,18 +10,19 @@ import pytest
 import torch
 from tiny import make_tiny_scene
 
-from swag_engine.effects import caustics, exposure, lamp, simulated
-from swag_engine.effects import plan as planning
+from swag_engine.effects import caustics, exposure, lamp
+from swag_engine.effects import scene_effects as simulated
 from swag_engine.effects.exposure import Exposure
-from swag_engine.effects.names import EFFECTS
-from swag_engine.evaluation.run import render_run
-from swag_engine.rasterize import render as rendering
+from swag_engine.experiments.evaluate_run import render_run
+from swag_engine.planning import plan as planning
+from swag_engine.rendering import render as rendering
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.split import split_views
+from swag_engine.settings.effect_names import EFFECTS
+from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import effects_of_run, trials
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
+from swag_engine.training.trainer import train
 from swag_engine.water.light import relit, to_display, to_light
 from swag_engine.water.medium import Medium, through_water
 

@@ -16,8 +16,8 @@ from safetensors.torch import load_file, save_file
 from tiny import make_tiny_scene
 from torch import nn
 
-from swag_engine.__main__ import main
-from swag_engine.errors import InputError
+from swag_engine.app.cli import main
+from swag_engine.base.errors import InputError
 from swag_engine.evaluation.lpips import BACKBONES, Lpips, load_lpips
 from swag_engine.evaluation.metrics import (
     FLOATER_GAP,
@@ -29,13 +29,13 @@ from swag_engine.evaluation.metrics import (
     restored_error,
     score_picture,
 )
-from swag_engine.evaluation.run import evaluate_run
+from swag_engine.experiments.evaluate_run import evaluate_run
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.rasterize.api import rasterize
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.trainer import train
 from tests.engine.lpips_weights import ArrayUnpickler, weights_folder
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck" / "images"
@@ -408,7 +408,7 @@ def test_colours_without_water_are_compared_where_truth_is_known(tiny_scene, tmp
         pixels[:, 32:] = 1  # open water has no true colour
         return pixels
 
-    monkeypatch.setattr("swag_engine.evaluation.run.picture", picture)
+    monkeypatch.setattr("swag_engine.experiments.evaluate_run.picture", picture)
     evaluation = evaluate_run(tmp_path / "run")
     assert "restored" not in evaluation["views"]["view_00.png"]
     assert evaluation["views"]["view_08.png"]["restored"] == evaluation["restored"]

@@ -8,22 +8,22 @@ import pycolmap
 import pytest
 import torch
 
-from swag_engine.__main__ import main
-from swag_engine.errors import InputError
+from swag_engine.app.cli import main
+from swag_engine.base.errors import InputError
 from swag_engine.formats import water
 from swag_engine.formats.cameras import Photograph, moved, write_cameras
-from swag_engine.formats.choice import Choice, box_between, label_ids
 from swag_engine.formats.export import ExportOptions, export_run
 from swag_engine.formats.gltf import glb_size, read_glb, write_glb
 from swag_engine.formats.ply import ply_size, read_ply, write_ply
+from swag_engine.formats.run_folder import RunFolder, write_json
+from swag_engine.formats.select import Choice, box_between, label_ids
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.gaussians.splats import Splats
-from swag_engine.gaussians.transform import rotation_matrices, sh_basis
-from swag_engine.rasterize.render import render
+from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.run_folder import RunFolder, write_json
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.splats.splats import Splats
+from swag_engine.splats.transform import rotation_matrices, sh_basis
 from swag_engine.water.medium import Medium, through_water
 from swag_engine.water.network import WaterNetwork
 

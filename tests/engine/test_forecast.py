@@ -5,14 +5,14 @@ from dataclasses import fields, replace
 
 import pytest
 
-from swag_engine.evaluation import forecast as forecasts
-from swag_engine.evaluation.forecast import describe, expectation, forecast_scene, history, record, time_text
+from swag_engine.experiments import forecast as forecasts
+from swag_engine.experiments.forecast import describe, expectation, forecast_scene, history, record, time_text
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import cache_root
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
-from swag_engine.training.presets import PRESETS
-from swag_engine.training.speed import Speed, measure_speed
+from swag_engine.settings.presets import PRESETS
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.pacing.speed import Speed, measure_speed
+from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=40, width=48, max_gaussians=320, sh_degree=1)
 

@@ -10,11 +10,11 @@ import numpy as np
 import plyfile
 import pytest
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
 from swag_engine.formats.gltf import read_glb, write_glb
 from swag_engine.formats.ply import read_ply, write_ply
-from swag_engine.gaussians.splats import Splats
-from swag_engine.gaussians.transform import covariances, transformed
+from swag_engine.splats.splats import Splats
+from swag_engine.splats.transform import covariances, transformed
 
 READERS = {"ply": read_ply, "glb": read_glb}
 WRITERS = {"ply": write_ply, "glb": write_glb}

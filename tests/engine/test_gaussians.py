@@ -5,9 +5,9 @@ import pytest
 import torch
 from clouds import make_cloud
 
-from swag_engine.effects.simulated import Simulated
+from swag_engine.effects.scene_effects import Simulated
 from swag_engine.gaussians.init import gaussians_from_points
-from swag_engine.rasterize.render import render
+from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import Points
 from swag_engine.training.optimizer import Optimizer

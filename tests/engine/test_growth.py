@@ -6,7 +6,7 @@ import torch
 from clouds import make_cloud
 
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.gaussians.grow import (
+from swag_engine.gaussians.densify import (
     PER_GAUSSIAN,
     Growth,
     GrowthStatistics,
@@ -16,7 +16,7 @@ from swag_engine.gaussians.grow import (
     share_opacity,
     split_along_longest_axis,
 )
-from swag_engine.rasterize.render import render
+from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 
 

@@ -19,14 +19,8 @@ import torch
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from swag_engine.errors import InputError
-from swag_engine.priors.interpolate import (
-    Interpolator,
-    admission,
-    consistent_flow,
-    interpolated_pose,
-    neighbour_pairs,
-)
+from swag_engine.base.errors import InputError
+from swag_engine.priors.interpolate import Interpolator, admission, consistent_flow, interpolated_pose, neighbour_pairs
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import TrainingImage, load_images, read_picture

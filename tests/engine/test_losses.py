@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from swag_engine.rasterize import cpu
+from swag_engine.evaluation.ssim import ssim
+from swag_engine.kernels import cpu
 from swag_engine.training import losses
-from swag_engine.training.losses import attenuation_order, grey_world, photometric, smoothness, ssim
+from swag_engine.training.losses import attenuation_order, grey_world, photometric, smoothness
 
 SIZES = [(1, 1), (4, 7), (11, 11), (23, 41), (9, 330)]  # the last one is wider than a block of the kernel
 

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from swag_engine.effects import plan as planning
-from swag_engine.effects.names import EFFECTS, parse_effects
-from swag_engine.effects.plan import Plan, describe, plan_scene, read_plan
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
+from swag_engine.planning import plan as planning
+from swag_engine.planning.plan import Plan, describe, plan_scene, read_plan
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
+from swag_engine.settings.effect_names import EFFECTS, parse_effects
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
+from swag_engine.settings.jerlov import JERLOV, water_of_type
 from swag_engine.water.medium import Medium
-from swag_engine.water.presets import JERLOV, water_of_type
 
 
 @pytest.mark.parametrize("name", JERLOV)

@@ -8,10 +8,10 @@ import warnings
 import pytest
 import torch
 
-from swag_engine.errors import InputError
-from swag_engine.rasterize import cpu_library, projection
+from swag_engine.base.errors import InputError
+from swag_engine.kernels import build, cpu_library
+from swag_engine.rasterize import projection
 from swag_engine.rasterize.api import contributions, rasterize
-from swag_engine.rasterize.kernels import build
 from swag_engine.rasterize.projection import project
 
 GRADIENTS = ("means", "quats", "scales", "opacities", "channels", "background")

@@ -7,13 +7,14 @@ import pytest
 import torch
 from clouds import make_cloud
 
-from swag_engine.effects.simulated import Simulated
-from swag_engine.gaussians import reallocate as module
+from swag_engine.effects.scene_effects import Simulated
+from swag_engine.gaussians import relocate as module
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.gaussians.grow import PER_GAUSSIAN, share_opacity
+from swag_engine.gaussians.densify import PER_GAUSSIAN, share_opacity
 from swag_engine.gaussians.init import gaussians_from_points
-from swag_engine.gaussians.reallocate import divided, reallocate, scores
-from swag_engine.rasterize.render import render
+from swag_engine.gaussians.relocate import divided, reallocate
+from swag_engine.rendering.importance import scores
+from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images

@@ -12,21 +12,22 @@ import pytest
 import torch
 from tiny import make_tiny_scene
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.priors.interpolate import Admission
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
-from swag_engine.training import losses, prepare, recipes
+from swag_engine.settings import recipes
+from swag_engine.settings.recipes import RECIPES, SWITCHES, Photometric, Recipe, recipe_of
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import losses, prepare
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.iteration import GEOMETRY
-from swag_engine.training.loop import Trainer, train
 from swag_engine.training.objective import Objective
 from swag_engine.training.prepare import find_depth, find_frames
-from swag_engine.training.recipes import RECIPES, SWITCHES, Photometric, Recipe, recipe_of
-from swag_engine.training.run_folder import RunFolder
+from swag_engine.training.step import GEOMETRY
 from swag_engine.training.targets import Target
+from swag_engine.training.trainer import Trainer, train
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
 SETTINGS = TrainSettings(iterations=60, width=64, max_gaussians=400, sh_degree=1)

@@ -10,14 +10,14 @@ from io import StringIO
 import pytest
 import tyro
 
-from swag_engine.__main__ import Train, main
-from swag_engine.errors import InputError
-from swag_engine.evaluation import report as module
-from swag_engine.evaluation.report import command_line, evidence_text, write_report
-from swag_engine.evaluation.run import evaluate_run
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
-from swag_engine.worker import Worker
+from swag_engine.app.cli import Train, main
+from swag_engine.app.worker import Worker
+from swag_engine.base.errors import InputError
+from swag_engine.experiments import report as module
+from swag_engine.experiments.evaluate_run import evaluate_run
+from swag_engine.experiments.report import command_line, evidence_text, write_report
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=20, width=64, max_gaussians=400, sh_degree=0)
 HOSTILE = '<script>alert(1)</script> $x^2$ & "'

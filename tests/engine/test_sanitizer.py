@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from swag_engine.rasterize.kernels import build
+from swag_engine.kernels import build
 
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = ("test_rasterize.py", "test_losses.py", "test_optimizer.py", "test_sh.py", "test_water.py")

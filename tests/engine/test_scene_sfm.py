@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
 from swag_engine.scene import sfm
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.sfm import reconstruct

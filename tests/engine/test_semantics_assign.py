@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.rasterize.render import render
+from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.semantics import assign as assign_module
 from swag_engine.semantics.assign import (

@@ -14,7 +14,7 @@ import platformdirs
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
 from swag_engine.scene.images import TrainingImage
 from swag_engine.semantics.captions import Blip, phrases
 from swag_engine.semantics.embed import CLIP_MEAN, CLIP_STD, Clip, Descriptor, Projection, colour_name, cropped

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import Scene, load_scene
 from swag_engine.scene.images import TrainingImage, load_images

@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 import torch
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
+from swag_engine.experiments import label_run as semantics_run
+from swag_engine.experiments.label_run import extract_run, label_run, search_run
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply, write_ply
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
-from swag_engine.semantics import run as semantics_run
 from swag_engine.semantics.assign import rendered_labels
 from swag_engine.semantics.masks import MaskFolder
-from swag_engine.semantics.run import extract_run, label_run, search_run
+from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint, save_checkpoint
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import cloud_from_tensors
-from swag_engine.training.run_folder import RunFolder
+from swag_engine.training.trainer import cloud_from_tensors
 
 REEF = Path(__file__).resolve().parents[1] / "scenes" / "reef_wreck"
 MASKS = REEF / "labels"
@@ -271,7 +271,7 @@ def test_the_worker_labels_and_searches(run: Path, tmp_path: Path) -> None:
         search | {"words": "submarine"},
     ]
     done = subprocess.run(
-        [sys.executable, "-m", "swag_engine.worker"],
+        [sys.executable, "-m", "swag_engine.app.worker"],
         input="".join(json.dumps(request) + "\n" for request in requests),
         capture_output=True,
         text=True,

@@ -12,21 +12,21 @@ import torch
 from clouds import make_cloud
 from tiny import make_tiny_scene
 
+from swag_engine.experiments.label_run import search_run
 from swag_engine.formats.ply import read_ply
-from swag_engine.rasterize.render import render
+from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import TrainingImage, load_images
-from swag_engine.semantics import guidance as guidance_module
-from swag_engine.semantics.guidance import Guidance, find_guidance, is_pruned, open_water_loss, salience
 from swag_engine.semantics.regions import Found, common_labels
-from swag_engine.semantics.run import search_run
+from swag_engine.settings.recipes import recipe_of
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import guidance as guidance_module
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import cloud_from_tensors, train
+from swag_engine.training.guidance import Guidance, find_guidance, is_pruned, open_water_loss, salience
 from swag_engine.training.objective import Objective
-from swag_engine.training.recipes import recipe_of
 from swag_engine.training.targets import Target
+from swag_engine.training.trainer import cloud_from_tensors, train
 
 SETTINGS = TrainSettings(iterations=100, width=64, max_gaussians=400, sh_degree=1)
 ALL_ON = "salient-growth=on,salient-pixels=on,open-water=on,class-pruning=on,reallocation=on"

@@ -5,16 +5,16 @@ from dataclasses import replace
 
 import pytest
 
-from swag_engine import timing
-from swag_engine.errors import InputError
-from swag_engine.progress import BARS, sparkline
-from swag_engine.training import clock as clock_module
-from swag_engine.training import loop
-from swag_engine.training.clock import REPLANNED, Clock, is_flat, next_minute
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
-from swag_engine.training.presets import LADDER, PRESETS, seconds_of, size_at
-from swag_engine.training.speed import Extent, Speed, predicted_seconds
+from swag_engine.app.progress import BARS, sparkline
+from swag_engine.base import timing
+from swag_engine.base.errors import InputError
+from swag_engine.settings.presets import LADDER, PRESETS, seconds_of, size_at
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import trainer as loop
+from swag_engine.training.pacing import clock as clock_module
+from swag_engine.training.pacing.clock import REPLANNED, Clock, is_flat, next_minute
+from swag_engine.training.pacing.speed import Extent, Speed, predicted_seconds
+from swag_engine.training.trainer import train
 
 SHORT = TrainSettings(iterations=60, width=64, max_gaussians=300, sh_degree=1)
 
@@ -73,7 +73,9 @@ def test_a_budget_is_kept_by_a_machine_that_is_not_as_predicted_and_changes_its_
 
 
 def test_a_faster_machine_or_a_longer_budget_gives_a_larger_run(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("swag_engine.training.budget.CLOSING", 0.1)  # these need no report; a busy machine needs time
+    monkeypatch.setattr(
+        "swag_engine.training.pacing.budget.CLOSING", 0.1
+    )  # these need no report; a busy machine needs time
     small = train(tiny_scene, tmp_path / "small", TrainSettings(time_budget="6s", sh_degree=1, width=48))["metrics"]
     config = loop.RunFolder(tmp_path / "small").read_config()[1]
     assert config.width == 48 and 0 < config.max_gaussians < LADDER[-1].max_gaussians
@@ -83,14 +85,14 @@ def test_a_faster_machine_or_a_longer_budget_gives_a_larger_run(tiny_scene, tmp_
 
 
 def test_too_little_time_is_said_with_how_much_it_takes(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("swag_engine.training.budget.CLOSING", 100.0)
+    monkeypatch.setattr("swag_engine.training.pacing.budget.CLOSING", 100.0)
     with pytest.raises(InputError, match=r"2s is too short for this scene on this machine: it needs 10\ds at least"):
         train(tiny_scene, tmp_path / "run", TrainSettings(time_budget="2s"))
     assert not (tmp_path / "run").exists()
 
 
 def test_a_finished_run_goes_on_for_longer(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("swag_engine.training.budget.CLOSING", 0.1)
+    monkeypatch.setattr("swag_engine.training.pacing.budget.CLOSING", 0.1)
     run = tmp_path / "run"
     train(tiny_scene, run, SHORT)
     with pytest.raises(InputError, match="finished already.*More --iterations than 60"):

@@ -10,17 +10,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swag_engine.errors import InputError
-from swag_engine.evaluation import ablate
-from swag_engine.evaluation import tradeoff as module
-from swag_engine.evaluation.grid import Grid
+from swag_engine.base.errors import InputError
 from swag_engine.evaluation.metrics import mean_score, score_views
-from swag_engine.evaluation.run import newest
-from swag_engine.evaluation.tradeoff import compare, describe, dominators, tradeoff
+from swag_engine.experiments import ablate
+from swag_engine.experiments import tradeoff as module
+from swag_engine.experiments.evaluate_run import newest
+from swag_engine.experiments.grid import Grid
+from swag_engine.experiments.tradeoff import compare, describe, dominators, tradeoff
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.presets import PRESETS
+from swag_engine.settings.presets import PRESETS
+from swag_engine.settings.settings import TrainSettings
 
 GRID = Grid(presets=("draft",), iterations=(4, 24), widths=(32, 64), max_gaussians=(320,), effects=("water=off",))
 

@@ -8,11 +8,11 @@ import pytest
 import torch
 from tiny import make_tiny_scene
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
 from swag_engine.formats.ply import read_ply
+from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import checkpoints, load_checkpoint
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
+from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=150, width=64, max_gaussians=500, sh_degree=1)
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from swag_engine.errors import InputError
-from swag_engine.evaluation.run import evaluate_run, render_run
+from swag_engine.base.errors import InputError
+from swag_engine.experiments.evaluate_run import evaluate_run, render_run
 from swag_engine.formats.ply import read_ply
+from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
+from swag_engine.training.trainer import train
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
 SETTINGS = TrainSettings(iterations=120, width=160, max_gaussians=6000, sh_degree=1)

@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-from swag_engine.gaussians.splats import Splats, concatenate
-from swag_engine.gaussians.transform import (
-    covariances,
-    quaternions,
-    rotation_matrices,
-    sh_basis,
-    sh_rotation,
-    transformed,
-)
+from swag_engine.splats.splats import Splats, concatenate
+from swag_engine.splats.transform import covariances, quaternions, rotation_matrices, sh_basis, sh_rotation, transformed
 
 rng = np.random.default_rng(7)
 

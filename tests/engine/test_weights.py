@@ -12,7 +12,7 @@ import onnx.parser
 import pytest
 import torch
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
 from swag_engine.weights.onnx import Graph, Network
 from swag_engine.weights.registry import NETWORKS, Weights, cache_folder, fetch, find, find_or_fetch
 

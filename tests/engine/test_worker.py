@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from swag_engine.errors import InputError
-from swag_engine.protocol import TrainRequest, parse_request
-from swag_engine.strict_json import to_json
+from swag_engine.app.protocol import TrainRequest, parse_request
+from swag_engine.base.errors import InputError
+from swag_engine.base.strict_json import to_json
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -23,7 +23,7 @@ class Worker:
 
     def __init__(self):
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "swag_engine.worker"],
+            [sys.executable, "-m", "swag_engine.app.worker"],
             cwd=ROOT,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -105,8 +105,8 @@ def test_a_killed_worker_leaves_a_run_that_resumes(worker, tiny_scene, tmp_path)
 
 
 def test_a_paused_run_stands_still_and_ends_as_if_it_had_not(tiny_scene, tmp_path):
-    from swag_engine.training.config import TrainSettings
-    from swag_engine.training.loop import train
+    from swag_engine.settings.settings import TrainSettings
+    from swag_engine.training.trainer import train
 
     settings = {"iterations": 300, "width": 64, "max_gaussians": 400, "sh_degree": 0}
     train(tiny_scene, tmp_path / "whole", TrainSettings(**settings))

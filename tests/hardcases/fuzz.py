@@ -23,12 +23,11 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 
-import swag_engine.threads  # noqa: E402, F401, I001
-import cv2  # noqa: E402
-import numpy as np  # noqa: E402
+import cv2
+import numpy as np
 
-from swag_engine.errors import InputError  # noqa: E402
-from tests.hardcases.test_damaged_files import THINGS, bytes_changed, values_changed  # noqa: E402
+from swag_engine.base.errors import InputError
+from tests.hardcases.test_damaged_files import THINGS, bytes_changed, values_changed
 
 MEMORY = 6 << 30
 Door = Callable[[Path], object]
@@ -87,14 +86,14 @@ def run_folder(folder: Path) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:
     """Every file of a run that is read again, by everything that reads runs."""
     from tiny import make_tiny_scene
 
-    from swag_engine.effects.plan import plan_scene, read_plan
-    from swag_engine.evaluation.run import render_run
+    from swag_engine.experiments.evaluate_run import render_run
+    from swag_engine.experiments.label_run import label_run, search_run
     from swag_engine.formats.export import ExportOptions, export_run
-    from swag_engine.semantics.run import label_run, search_run
+    from swag_engine.formats.run_folder import RunFolder
+    from swag_engine.planning.plan import plan_scene, read_plan
+    from swag_engine.settings.settings import TrainSettings
     from swag_engine.training.checkpoint import checkpoints
-    from swag_engine.training.config import TrainSettings
-    from swag_engine.training.loop import train
-    from swag_engine.training.run_folder import RunFolder
+    from swag_engine.training.trainer import train
 
     scene, run = make_tiny_scene(folder / "scene", views=4, width=24, height=18, points=40), folder / "run"
     settings = TrainSettings(
@@ -132,7 +131,7 @@ def run_folder(folder: Path) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:
 
 
 def requests(folder: Path) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:
-    from swag_engine.protocol import parse_request
+    from swag_engine.app.protocol import parse_request
 
     request = {"request": "train", "scene": "a", "out": "b", "settings": {"width": 99, "seed": 3}, "resume": True}
     path = folder / "request.json"

@@ -27,19 +27,19 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 
-import swag_engine.threads  # noqa: E402, F401, I001
-import torch  # noqa: E402
-from safetensors import safe_open  # noqa: E402
-from tiny import make_tiny_scene  # noqa: E402
+import torch
+from safetensors import safe_open
+from tiny import make_tiny_scene
 
-from swag_engine.errors import InputError  # noqa: E402
-from swag_engine.files import HALF, LOCK  # noqa: E402
-from swag_engine.formats.gltf import read_glb  # noqa: E402
-from swag_engine.formats.ply import read_ply  # noqa: E402
-from swag_engine.training import loop  # noqa: E402
-from swag_engine.training.checkpoint import checkpoints, load_checkpoint  # noqa: E402
-from swag_engine.training.config import Schedule, TrainSettings  # noqa: E402
-from swag_engine.training.run_folder import RunFolder  # noqa: E402
+from swag_engine.base.errors import InputError
+from swag_engine.base.files import HALF, LOCK
+from swag_engine.formats.gltf import read_glb
+from swag_engine.formats.ply import read_ply
+from swag_engine.formats.run_folder import RunFolder
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import trainer as loop
+from swag_engine.training.checkpoint import checkpoints, load_checkpoint
+from swag_engine.training.schedule import Schedule
 
 SETTINGS = TrainSettings(iterations=40, width=48, max_gaussians=400, sh_degree=1)
 CALLS = ("fsync", "replace", "unlink")

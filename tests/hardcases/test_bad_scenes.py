@@ -15,7 +15,7 @@ import pycolmap
 import pytest
 from dots import make_dot_scene
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
 from swag_engine.scene import sfm
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images

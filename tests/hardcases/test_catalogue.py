@@ -16,15 +16,15 @@ import pytest
 import torch
 from hard import CLOUDS, SCENES, SIZES, WATER, make_hard_scene
 
-from swag_engine.effects import plan
-from swag_engine.evaluation import run as evaluation
+from swag_engine.experiments import evaluate_run as evaluation
 from swag_engine.formats.export import export_run
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
-from swag_engine.rasterize import cuda
-from swag_engine.training import loop
+from swag_engine.kernels import cuda
+from swag_engine.planning import plan
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import trainer as loop
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.config import TrainSettings
 
 SETTINGS = TrainSettings(iterations=200, width=32, max_gaussians=150, backend="cpu")
 FEW = {"torch": 6, "cuda": 3}

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from swag_engine import files
-from swag_engine.errors import InputError
-from swag_engine.files import atomic_path, claimed
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
+from swag_engine.base import files
+from swag_engine.base.errors import InputError
+from swag_engine.base.files import atomic_path, claimed
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.trainer import train
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = TrainSettings(iterations=20, width=48, max_gaussians=300, sh_degree=0)
@@ -63,7 +63,7 @@ def test_a_full_disk_keeps_the_old_file(tmp_path, monkeypatch, step):
 
 def holder(folder: Path) -> subprocess.Popen:
     """Another process that holds `folder`."""
-    code = f"from pathlib import Path; from swag_engine.files import claimed\nwith claimed(Path({str(folder)!r})):"
+    code = f"from pathlib import Path; from swag_engine.base.files import claimed\nwith claimed(Path({str(folder)!r})):"
     code += "\n    print('held', flush=True); input()"
     process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdout.readline() == b"held\n"
@@ -117,7 +117,7 @@ def test_a_killed_blender_leaves_a_whole_run_and_no_worker(tiny_scene, tmp_path)
     request["settings"] = {"iterations": 100_000, "width": 48, "max_gaussians": 300, "sh_degree": 0}
     code = f"""
 import subprocess, sys, time
-worker = subprocess.Popen([sys.executable, "-m", "swag_engine.worker"], stdin=-1, stdout=-1, stderr=-3, text=True)
+worker = subprocess.Popen([sys.executable, "-m", "swag_engine.app.worker"], stdin=-1, stdout=-1, stderr=-3, text=True)
 worker.stdin.write({json.dumps(request)!r} + chr(10)); worker.stdin.flush()
 for line in worker.stdout:
     if '"train"' in line:

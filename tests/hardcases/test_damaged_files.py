@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
 from swag_engine.formats.gltf import read_glb, write_glb
 from swag_engine.formats.ply import read_ply, write_ply
-from swag_engine.gaussians.splats import Splats
 from swag_engine.scene.cameras import Camera
+from swag_engine.splats.splats import Splats
 
 # Changed files a kind of file; five kinds.
 INPUTS = 1000

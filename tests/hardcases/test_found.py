@@ -10,15 +10,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tiny import make_tiny_scene
 
-from swag_engine.errors import InputError
+from swag_engine.app.protocol import parse_request
+from swag_engine.base.errors import InputError
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.protocol import parse_request
-from swag_engine.rasterize.render import render
+from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.inspect import describe, inspect_scene
 from swag_engine.training.losses import photometric
-from swag_engine.training.run_folder import RunFolder
 from swag_engine.water.medium import Medium
 from swag_engine.weights.onnx import Network
 

@@ -10,13 +10,15 @@ import pytest
 import torch
 from clouds import make_cloud
 
-from swag_engine.effects.simulated import Simulated
+from swag_engine.effects.scene_effects import Simulated
 from swag_engine.formats.ply import read_ply
-from swag_engine.training import iteration, loop
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import step as iteration
+from swag_engine.training import trainer as loop
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.config import LearningRates, TrainSettings
 from swag_engine.training.guard import SKIPS, Guard
 from swag_engine.training.optimizer import Optimizer
+from swag_engine.training.schedule import LearningRates
 from swag_engine.training.targets import Target
 
 SETTINGS = TrainSettings(iterations=100, width=64, max_gaussians=500, sh_degree=1)

@@ -17,23 +17,23 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from swag_engine.effects.names import EFFECTS
-from swag_engine.effects.plan import read_plan
-from swag_engine.errors import InputError
+from swag_engine.app.protocol import parse_request
+from swag_engine.base.errors import InputError
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.formats.water import baked
 from swag_engine.gaussians.init import gaussians_from_points
-from swag_engine.protocol import parse_request
+from swag_engine.planning.plan import read_plan
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import read_picture
 from swag_engine.scene.inspect import describe, inspect_scene
+from swag_engine.settings.effect_names import EFFECTS
+from swag_engine.settings.recipes import RECIPES, SWITCHES
+from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
-from swag_engine.training.recipes import RECIPES, SWITCHES
-from swag_engine.training.run_folder import RunFolder
+from swag_engine.training.trainer import train
 from tests.hardcases.test_damaged_files import some_splats
 
 EXAMPLES = int(os.environ.get("SWAG_EXAMPLES", 0))

@@ -11,16 +11,18 @@ import torch
 from tiny import make_tiny_scene
 from torch.overrides import TorchFunctionMode
 
-from swag_engine.__main__ import main
-from swag_engine.errors import InputError
+from swag_engine.app.cli import main
+from swag_engine.base.errors import InputError
 from swag_engine.formats.ply import read_ply
-from swag_engine.rasterize import cuda, cuda_driver, projection
+from swag_engine.kernels import cuda, cuda_driver
+from swag_engine.rasterize import projection
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
-from swag_engine.training import iteration, loop
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.memory import FEWEST, NARROWEST, SHARE, fit_memory, free_memory, is_shortage, needed
-from swag_engine.training.speed import Extent
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import step as iteration
+from swag_engine.training import trainer as loop
+from swag_engine.training.pacing.memory import FEWEST, NARROWEST, SHARE, fit_memory, free_memory, is_shortage, needed
+from swag_engine.training.pacing.speed import Extent
 from swag_engine.training.targets import Target
 
 SETTINGS = TrainSettings(iterations=60, width=64, max_gaussians=500, sh_degree=1)

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from tiny import make_tiny_scene
 
-from swag_engine.errors import InputError
-from swag_engine.evaluation.run import evaluate_run, render_run
+from swag_engine.base.errors import InputError
+from swag_engine.experiments.evaluate_run import evaluate_run, render_run
 from swag_engine.scene.colmap import load_scene
-from swag_engine.training.config import TrainSettings
-from swag_engine.training.loop import train
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.trainer import train
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = [
@@ -55,7 +55,7 @@ def test_no_source_runs_unpacks_or_listens(path):
 def test_the_worker_reads_its_parents_pipe_alone(tmp_path):
     """No socket, no file of requests: with its pipe closed at once the worker ends without having done anything."""
     done = subprocess.run(
-        [sys.executable, "-m", "swag_engine.worker"],
+        [sys.executable, "-m", "swag_engine.app.worker"],
         cwd=ROOT,
         stdin=subprocess.DEVNULL,
         capture_output=True,

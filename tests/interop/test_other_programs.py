@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from swag_engine.errors import InputError
+from swag_engine.base.errors import InputError
 from swag_engine.formats.gltf import read_glb, write_glb
 from swag_engine.formats.ply import read_ply, write_ply
-from swag_engine.gaussians.splats import Splats
-from swag_engine.gaussians.transform import covariances, rotation_matrices, sh_basis, transformed
 from swag_engine.scene.cameras import Camera
+from swag_engine.splats.splats import Splats
+from swag_engine.splats.transform import covariances, rotation_matrices, sh_basis, transformed
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ import torch
 from swag_engine.formats.cameras import moved
 from swag_engine.formats.gltf import write_glb
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.gaussians.splats import Splats
-from swag_engine.gaussians.transform import transformed
-from swag_engine.rasterize.render import render
+from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
+from swag_engine.splats.splats import Splats
+from swag_engine.splats.transform import transformed
 
 WIDTH, HEIGHT = 320, 200
 

@@ -13,10 +13,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from swag_engine.files import atomic_path  # noqa: E402
-from tests.scenes.boxes import ground, passes_of, room, street  # noqa: E402
-from tests.scenes.make_scene import Rendered, Settings, focal_length  # noqa: E402
-from tests.scenes.reef_model import Model, Passes, Renderer, camera_path  # noqa: E402
+from swag_engine.base.files import atomic_path
+from tests.scenes.boxes import ground, passes_of, room, street
+from tests.scenes.make_scene import Rendered, Settings, focal_length
+from tests.scenes.reef_model import Model, Passes, Renderer, camera_path
 
 PATTERNS = ("orbit", "oblique", "nadir")
 """Of the cameras over the reef and the wreck."""

@@ -31,7 +31,7 @@ import tyro
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.scenes.reef_model import LABELS, SUN, Model, Passes, Renderer, camera_path  # noqa: E402
+from tests.scenes.reef_model import LABELS, SUN, Model, Passes, Renderer, camera_path
 
 RGB = tuple[float, float, float]
 

@@ -1,0 +1,81 @@
+"""evaluation.html: the figures of an evaluation, and every held-out view in pictures."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..evaluation.lpips import BACKBONES
+from .page import NONE, Compared, number, paragraph_html, table_html, views_html, write_page
+
+
+def write_evaluation_page(path: Path, evaluation: dict[str, Any], pictures: Sequence[Compared]) -> None:
+    """Write what evaluate_run() found as one HTML file, whole or not at all. Raises InputError when it cannot be."""
+    parts = [
+        paragraph_html(
+            f"{evaluation['gaussians']:,} Gaussians after {evaluation['iteration']:,} iterations, compared with "
+            f"{len(pictures)} photographs of {evaluation['scene']} that training never saw."
+        ),
+        table_html(figure_rows(evaluation), styles=("", "number", "meaning")),
+        *(paragraph_html(note, "note") for note in evaluation["notes"]),
+        "<h2>View by view</h2>",
+        view_table(evaluation["views"]),
+        *views_html(pictures),
+    ]
+    write_page(path, f"Evaluation of {Path(evaluation['run']).name}", parts)
+
+
+def figure_rows(evaluation: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Label, figure and what it means, of each figure of the whole run."""
+    control, restored = evaluation["control_psnr"], evaluation["restored"]
+    rows = [
+        ("PSNR, mean of views", number(evaluation["test_psnr"], 2, " dB"), "higher is better"),
+        ("PSNR, joint", number(evaluation["test_psnr_joint"], 2, " dB"),
+         "of the mean square error of all views together: a view that fails weighs more"),
+        ("PSNR of the median photograph", number(control, 2, " dB"),
+         "what the pixel-wise median of the training photographs would reach"),
+        ("SSIM", number(evaluation["test_ssim"], 3), "1 is equal"),
+    ]  # fmt: skip
+    for name, backbone in BACKBONES.items():
+        value = number(evaluation["test_lpips"][name], 3)
+        rows.append((f"LPIPS, {backbone.title}", value, "difference as people see it; 0 is equal"))
+    if number(restored["psnr"], 0) != NONE:
+        rows += [
+            ("Without water, PSNR", number(restored["psnr"], 2, " dB"), "against the true picture without water"),
+            ("Without water, colour error", number(restored["delta_e"], 1),
+             "CIE ΔE 2000; about 1 is the least that an eye sees"),
+        ]  # fmt: skip
+    files = ", ".join(f"{name} {size:.1f} MB" for name, size in evaluation["megabytes"].items())
+    return [
+        *rows,
+        ("Floater mass", number(100 * evaluation["floater_mass"], 1, " %"),
+         "share of what is drawn that hangs more than 5 % of the median range in front of what is seen"),
+        ("Registered photographs", f"{evaluation['registered']} of {evaluation['images']}", ""),
+        ("Gaussians", f"{evaluation['gaussians']:,}", files),
+        ("Training time", number(evaluation["seconds"], 0, " s"), ""),
+        ("Evaluated on", evaluation["machine"]["device"], machine_line(evaluation["machine"])),
+    ]  # fmt: skip
+
+
+def machine_line(machine: dict[str, Any]) -> str:
+    """System, backend and versions in one line."""
+    versions = (f"{name} {version}" for name, version in machine["packages"].items() if version)
+    engine = f"engine {machine['engine']}, backend {machine['backend']}"
+    return ", ".join([engine, machine["system"], f"Python {machine['python']}", *versions])
+
+
+def view_table(views: dict[str, Any]) -> str:
+    """HTML table of the figures that some view has, one row a view."""
+    columns: list[tuple[str, tuple[str, ...], int]] = [("PSNR, dB", ("psnr",), 2), ("SSIM", ("ssim",), 3)]
+    columns += [(f"LPIPS, {backbone.title}", ("lpips", name), 3) for name, backbone in BACKBONES.items()]
+    columns += [("Without water: PSNR, dB", ("restored", "psnr"), 2), ("ΔE 2000", ("restored", "delta_e"), 1)]
+    columns = [column for column in columns if any(_at(view, column[1]) is not None for view in views.values())]
+    rows = ([name, *(number(_at(view, keys), digits) for _, keys, digits in columns)] for name, view in views.items())
+    heads = ["Photograph", *(label for label, _, _ in columns)]
+    return table_html(rows, heads, ["", *["number"] * len(columns)])
+
+
+def _at(view: dict[str, Any], keys: tuple[str, ...]) -> float | None:
+    found: Any = view
+    for key in keys:
+        found = (found or {}).get(key)
+    return found

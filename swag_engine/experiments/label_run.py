@@ -1,0 +1,112 @@
+"""Labels of a finished run: make them, search them, take one out."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from ..formats.export import ExportOptions, export_run
+from ..formats.ply import read_ply
+from ..formats.run_folder import RunFolder
+from ..kernels.backends import device_for
+from ..scene.colmap import load_scene
+from ..scene.images import cache_folder, load_images
+from ..scene.split import split_views
+from ..semantics.assign import assign
+from ..semantics.embed import Clip, Descriptor, Embedder
+from ..semantics.labels import read_semantics, read_table, write_semantics
+from ..semantics.providers import Progress, Provider, choose, region_embedder, region_provider
+from ..semantics.regions import checked_words, find_regions
+from ..semantics.search import similarity
+from ..training.checkpoint import load_checkpoint
+from ..training.trainer import cloud_from_tensors
+
+
+def label_run(
+    folder: Path,
+    words: Sequence[str] = (),
+    masks: Path | None = None,
+    provider: Provider | None = None,
+    weights_dir: Path | None = None,
+    download: bool = False,
+    with_features: bool = False,
+    progress: Progress = lambda stage, fraction: None,
+) -> dict[str, Any]:
+    """Label the Gaussians of a run from its training photographs; returns what labels.json then holds.
+
+    provider: whose regions; without it as in providers.choose. Region embeddings are CLIP's where its files are there
+    or `download` allows to fetch them, else of colour and texture. Writes labels into result.ply and result.glb
+    (with_features: the features too), labels.json and semantics.safetensors. progress gets (stage, fraction 0..1).
+    Raises InputError for whatever cannot be used; the run is as before then.
+    """
+    run = RunFolder(folder)
+    scene_folder, settings, up = run.read_config()
+    words = checked_words(words)
+    loaded = load_checkpoint(folder)
+    if loaded is None or not run.ply.exists():
+        raise InputError(f"The run {folder} has no result yet; continue it with train --resume.")
+    splats = read_ply(run.ply)
+    cloud = cloud_from_tensors(loaded[0]).to(device_for("auto"))
+    if len(cloud) != len(splats):
+        raise InputError(
+            f"{run.ply} holds {len(splats)} splats and the run's checkpoint {len(cloud)}: continue the run with train "
+            "--resume, which writes it again."
+        )
+    scene = load_scene(scene_folder)
+    chosen, masks = choose(scene, words, masks, provider)
+    finder, captioner = region_provider(chosen, scene, masks, bool(words), weights_dir, download, progress)
+    embedder = region_embedder(weights_dir, download, progress)
+    names = set(split_views([view.camera.name for view in scene.views]).train)
+    images = load_images(scene, [view for view in scene.views if view.camera.name in names], settings.width)
+    regions = find_regions(
+        images, finder, embedder, words, captioner, cache_folder(scene, "semantics"),
+        lambda done, count: progress("Regions", done / count),
+    )  # fmt: skip
+    assignment = assign(cloud, regions, {image.camera.name: image.camera for image in images})
+    about = {"regions": chosen, "embedder": embedder.name, "words": list(words), "photographs": len(images)}
+    return write_semantics(folder, splats, up, regions, assignment, about, with_features)
+
+
+def search_run(
+    folder: Path, words: str, weights_dir: Path | None = None, download: bool = False
+) -> tuple[np.ndarray, list[str]]:
+    """How near each splat of a labelled run is to `words`: (N,) float32 in -1..1, in the order of result.ply, and the
+    labels that are called so. Raises InputError when the run has no labels, or nothing knows the words."""
+    wanted = checked_words([words])[0]
+    semantics, table = read_semantics(folder), read_table(folder)
+    count = len(read_ply(RunFolder(folder).ply))
+    if count != len(semantics.features):
+        raise InputError(
+            f"The labels in {folder} are of {len(semantics.features)} splats and not of {count}: label again."
+        )
+    embedder: Embedder = Descriptor()
+    if semantics.embedder == Clip.name and not any(entry["name"].casefold() == wanted.casefold() for entry in table):
+        embedder = region_embedder(weights_dir, download)
+    return similarity(semantics, table, wanted, embedder)
+
+
+def write_similarity(out: Path, similarity: np.ndarray) -> None:
+    """Write numbers (N,) to `out` as a .npy array. Raises InputError when that cannot be done."""
+    with atomic_path(out) as temporary, open(temporary, "wb") as file:
+        np.save(file, similarity)
+
+
+def describe(document: dict[str, Any]) -> str:
+    """The lines that `label RUN` prints: names, counts, share of pixels."""
+    lines = [f"{entry['name']}: {entry['count']} Gaussians, {entry['share']:.1%} of the pixels"
+             for entry in document["labels"]]  # fmt: skip
+    return "\n".join(lines)
+
+
+def extract_run(folder: Path, label: str, out: Path) -> int:
+    """Write the splats of one label (its name or number) to `out`, a .ply or .glb; returns how many there are.
+
+    Raises InputError for another suffix, and as export_run does for a choice by labels.
+    """
+    format = out.suffix.lower().removeprefix(".")
+    if format not in ("ply", "glb"):
+        raise InputError(f"{out.name} cannot be written: give the file a name that ends in .ply or .glb.")
+    return int(export_run(folder, format, out, ExportOptions(labels=(label,)))["splats"])

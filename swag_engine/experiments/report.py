@@ -1,0 +1,293 @@
+"""report.html: what a run reached, in what time, by what means, and how to repeat it."""
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import fields
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from ..base.strict_json import from_json
+from ..evaluation.metrics import picture
+from ..formats.run_folder import RunFolder, read_json
+from ..planning.plan import STATES
+from ..scene.colmap import load_scene
+from ..scene.images import load_images
+from ..scene.split import split_views
+from ..settings.settings import TrainSettings
+from .evaluate_run import compared, machine, newest
+from .evaluation_page import figure_rows, machine_line, view_table
+from .page import (
+    BLUE,
+    INK,
+    Compared,
+    bars_html,
+    new_plots,
+    number,
+    paragraph_html,
+    plot_html,
+    table_html,
+    views_html,
+    write_page,
+)
+
+PAGE = "report.html"
+SHOWN = 6
+"""Held-out views that are shown as pictures, from the worst to the best: the report takes seconds in any scene."""
+
+
+def write_report(folder: Path) -> Path:
+    """Write report.html to a run's folder from what lies there and pictures of its newest checkpoint; returns its path.
+
+    A part whose file or figure the run does not have is left out. Raises InputError where there is no run or no
+    checkpoint, or a file is damaged.
+    """
+    run = RunFolder(folder)
+    scene_folder, settings, _ = run.read_config()
+    cloud, simulated, state = newest(folder)
+    metrics, forecast = _optional(run.metrics), _optional(folder / "forecast.json")
+    evaluation = _optional(folder / "evaluation.json")
+    if evaluation.get("iteration") != state["iteration"]:
+        evaluation = {}
+    views = evaluation.get("views") or metrics.get("views", {})
+    log = [entry for entry in _log(run.metrics_log) if isinstance(entry.get("psnr"), float)]
+
+    scene = load_scene(scene_folder)
+    chosen = _from_worst_to_best(views) or split_views([view.name for view in scene.views]).test[:SHOWN]
+    by_name = {view.name: view for view in scene.views if view.name in chosen}
+    pictures: list[Compared] = []
+    for image in load_images(scene, [by_name[name] for name in chosen if name in by_name], settings.width):
+        shown = [
+            picture(cloud, image.camera, settings.sh_degree, simulated=simulated, amount=amount) for amount in (1, 0)
+        ]
+        pictures.append(compared(image, shown[0], shown[1] if simulated.owners() else None))
+
+    where = machine(cloud.means.device)
+    parts = [
+        *_summary(scene_folder, metrics, state, len(cloud)),
+        *_curves(log, _ranges(forecast)),
+        *_forecast(forecast),
+        *_held_out(evaluation, views, pictures),
+        *_ledger(metrics.get("ledger", {})),
+        *_effects(_optional(folder / "plan.json").get("effects", {})),
+        *_water(_optional(run.water)),
+        "<h2>Settings</h2>",
+        table_html([(name.replace("_", " "), _shown(value)) for name, value in settings.to_json().items()]),
+        "<h2>To repeat it</h2>",
+        f"<pre>{escape(command_line(scene_folder, folder, settings))}</pre>",
+        paragraph_html(
+            "The same settings and seed on the same machine give the same result to the bit, unless a time budget "
+            "decides how far the run goes."
+        ),
+        paragraph_html(f"This page was written on {where['device']}: {machine_line(where)}."),
+    ]
+    write_page(folder / PAGE, f"Report of {folder.resolve().name}", parts)
+    return folder / PAGE
+
+
+def report_of(folder: Path) -> tuple[Path | None, str]:
+    """Write the report of a run that has just ended, and return its path; or none, and a sentence that says why.
+
+    Whatever goes wrong here must not spoil the run.
+    """
+    try:
+        return write_report(folder), ""
+    except Exception as error:
+        return None, f"The run is whole, but its report could not be written: {error}"
+
+
+def command_line(scene: Path, out: Path, settings: TrainSettings) -> str:
+    """The command that makes such a run: every setting that is not its default."""
+    words = ["python", "-m", "swag_engine", "train", str(scene), "--out", str(out.resolve())]
+    for field in fields(TrainSettings):
+        value = getattr(settings, field.name)
+        if value != field.default:
+            option = f"--{field.name.replace('_', '-')}"
+            words += [option] if value is True else [option, str(value)]
+    return shlex.join(words)
+
+
+# Its parts ------------------------------------------------------------------------------------------------------------
+
+
+def _summary(scene: Path, metrics: dict[str, Any], state: dict[str, Any], gaussians: int) -> list[str]:
+    reached = f"{gaussians:,} Gaussians after {state['iteration']:,} iterations and {_time(state['seconds'])}"
+    lines = [f"{reached}, from the photographs of {scene}."]
+    if metrics.get("views"):
+        lines.append(
+            f"On {len(metrics['views'])} photographs that training never saw: PSNR "
+            f"{number(metrics['test_psnr'], 2)} dB, SSIM {number(metrics['test_ssim'], 3)}. The per-pixel median of "
+            f"the training photographs, which knows nothing of the place, reaches {number(metrics['control_psnr'], 2)} "
+            "dB."
+        )
+    elif metrics:
+        lines.append("There were too few photographs to hold any out for a figure.")
+    notes = [metrics.get("water") or "The water is left in the colours.", *metrics.get("notes", [])] if metrics else []
+    if metrics.get("interrupted", True):
+        notes.append("The run was interrupted before its end; train --resume goes on with it.")
+    return [*map(paragraph_html, lines), *(paragraph_html(note, "note") for note in notes)]
+
+
+def _curves(log: Sequence[dict[str, Any]], forecast: dict[str, list[float]]) -> list[str]:
+    """Quality and size against seconds, as the validation views saw them during the run."""
+    if not log:
+        return []
+    seconds = [entry["seconds"] for entry in log]
+    plots = []
+    for key, axis, caption in (
+        ("psnr", "validation PSNR, dB", "Validation PSNR against training time"),
+        ("ssim", "validation SSIM", "Validation SSIM against training time"),
+        ("gaussians", "Gaussians", "Number of Gaussians against training time"),
+    ):
+        figure, (axes,) = new_plots("seconds", axis)
+        axes.plot(seconds, [entry[key] for entry in log], "o-", color=BLUE, markersize=4)
+        if key == "psnr" and {"seconds", "psnr"} <= set(forecast):
+            (early, _, late), (low, _, high) = forecast["seconds"], forecast["psnr"]
+            axes.fill_between([early, late], low, high, alpha=0.2, color=INK, linewidth=0)
+            caption += "; grey: where the forecast saw its end"
+        if key == "gaussians":
+            axes.set_ylim(bottom=0)
+        axes.set_xlim(left=0)
+        plots.append(plot_html(figure, caption))
+    lines = ["<h2>Quality against time</h2>", f'<div class="plots">{"".join(plots)}</div>']
+    if len(log) > 1 and (passed := seconds[-1] - seconds[-2]) > 0:
+        gain = (log[-1]["psnr"] - log[-2]["psnr"]) / passed * 60
+        text = f"At its end the curve changed by {gain:+.2f} dB a minute."
+        lines.append(paragraph_html(f"{text} Validation views are held back for a run's own decisions."))
+    return lines
+
+
+def _ranges(forecast: dict[str, Any]) -> dict[str, list[float]]:
+    """Those figures of the forecast that have a low, a likely and a high value."""
+    return {
+        name: value
+        for name, value in forecast.get("expected", {}).items()
+        if isinstance(value, list) and len(value) == 3
+    }
+
+
+def _forecast(forecast: dict[str, Any]) -> list[str]:
+    titles = {"seconds": ("Time, s", 0), "psnr": ("Validation PSNR, dB", 2), "memory_mb": ("Memory, MB", 0)}
+    ranges, rows = _ranges(forecast), []
+    for name, (title, digits) in titles.items():
+        likely, outcome = forecast.get("expected", {}).get(name), forecast.get("outcome", {}).get(name)
+        if name in ranges:
+            low, likely, high = ranges[name]
+            span = f"{number(low, digits)} to {number(high, digits)}"
+            inside = "" if outcome is None else "yes" if low <= outcome <= high else "no"
+        elif isinstance(likely, int | float):
+            span, inside = "", ""
+        else:
+            continue
+        rows.append((title, number(likely, digits), span, number(outcome, digits), inside))
+    if not rows:
+        return []
+    heads = ("", "forecast", "range", "outcome", "within the range")
+    return ["<h2>Forecast and outcome</h2>", table_html(rows, heads, ("", *["number"] * 3))]
+
+
+def _held_out(evaluation: dict[str, Any], views: dict[str, Any], pictures: Sequence[Compared]) -> list[str]:
+    if not pictures:
+        return []
+    lines = ["<h2>Held-out views</h2>"]
+    if evaluation:
+        lines.append(table_html(figure_rows(evaluation), styles=("", "number", "meaning")))
+    if views:
+        lines.append(view_table(views))
+    if not evaluation:
+        lines.append(paragraph_html("evaluate RUN, then report RUN, adds LPIPS, floaters and colour errors to this."))
+    if len(views) > len(pictures):
+        lines.append(paragraph_html(f"{len(pictures)} of the {len(views)} views, from the worst to the best:"))
+    captions = [f"{number(views[view.name]['psnr'], 2)} dB" if view.name in views else "" for view in pictures]
+    return lines + views_html(pictures, captions)
+
+
+def _ledger(ledger: dict[str, float]) -> list[str]:
+    return ["<h2>Where the time goes</h2>", bars_html(ledger, "part", "ms per iteration")] if ledger else []
+
+
+def _effects(effects: dict[str, Any]) -> list[str]:
+    """What the plan says of each effect: its state, why, the figures behind it beside their thresholds, its cost."""
+    rows = [
+        (
+            name.replace("_", " "),
+            STATES[effect["state"]],
+            effect.get("reason", ""),
+            evidence_text(effect.get("evidence") or {}),
+            number(effect.get("cost_ms"), 2),
+        )
+        for name, effect in effects.items()
+    ]
+    heads = ("effect", "", "why", "evidence", "ms per iteration")
+    styles = ("", "", "text", "meaning", "number")
+    shown = (
+        table_html(rows, heads, styles) if rows else paragraph_html("plan SCENE --out RUN, then report RUN, adds them.")
+    )
+    return ["<h2>Effects and their evidence</h2>", shown]
+
+
+def evidence_text(evidence: dict[str, Any]) -> str:
+    """Figures in words, each with the threshold that is stored beside it as NAME_least or NAME_most."""
+    words = []
+    for name, value in evidence.items():
+        if name.endswith(("_least", "_most")):
+            continue
+        text = f"{name.replace('_', ' ')} {_shown(value)}"
+        for suffix, title in (("_least", "at least"), ("_most", "at most")):
+            if name + suffix in evidence:
+                text += f" ({title} {_shown(evidence[name + suffix])})"
+        words.append(text)
+    return "; ".join(words)
+
+
+def _water(water: dict[str, Any]) -> list[str]:
+    """The learned coefficients, where water.json has some for each channel."""
+    titles = {"beta_D": "attenuation", "beta_B": "backscatter", "B_inf": "colour of open water"}
+    per = water.get("per", "unit")
+    rows = []
+    for name, title in titles.items():
+        values = water.get(name)
+        if isinstance(values, list) and len(values) == 3:
+            unit = "" if name == "B_inf" else f" per {per}"
+            rows.append((title + unit, *(number(value, 4) for value in values)))
+    heads = ("", "red", "green", "blue")
+    return ["<h2>The water</h2>", table_html(rows, heads, ("", *["number"] * 3))] if rows else []
+
+
+def _from_worst_to_best(views: dict[str, Any]) -> list[str]:
+    """Names of at most SHOWN views, evenly over their order by PSNR."""
+    order = sorted((name for name in views if views[name]["psnr"] is not None), key=lambda name: views[name]["psnr"])
+    count = min(SHOWN, len(order))
+    return [order[round(i * (len(order) - 1) / max(1, count - 1))] for i in range(count)]
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} minutes"
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return ", ".join(map(_shown, value))
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_shown(entry)}" for name, entry in value.items())
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "not known" if value is None else str(value)
+
+
+def _optional(path: Path) -> dict[str, Any]:
+    """The object in a JSON file, empty where there is no file."""
+    return read_json(path, "") if path.exists() else {}
+
+
+def _log(path: Path) -> list[dict[str, Any]]:
+    """The lines of metrics.jsonl that can be read: its last may be cut short."""
+    entries = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        try:
+            entries.append(from_json(line))
+        except ValueError:
+            continue
+    return [entry for entry in entries if isinstance(entry, dict)]

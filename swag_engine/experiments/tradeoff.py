@@ -1,0 +1,245 @@
+"""What accuracy costs in time on a scene: many sizes of run, scored alike, and which of them no other beats."""
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from ..evaluation.lpips import BACKBONES, Lpips, load_lpips
+from ..evaluation.metrics import ViewScore, comparable, mean, mean_score, median_control, picture, score_picture
+from ..formats.run_folder import RunFolder, write_json
+from ..kernels.backends import device_for
+from ..scene.colmap import load_scene
+from ..scene.images import TrainingImage, load_images
+from ..scene.split import split_views
+from .ablate import metrics_of_run
+from .evaluate_run import machine, newest
+from .grid import Grid
+from .page import BLUE, INK, new_plots, number, paragraph_html, plot_html, table_html, write_page
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class Quality:
+    """A figure that is set against time; sign: 1 where more is better, -1 where less is."""
+
+    title: str
+    sign: int
+    digits: int
+
+
+QUALITIES = {"psnr": Quality("PSNR, dB", 1, 2), "ssim": Quality("SSIM", 1, 3)} | {
+    f"lpips_{name}": Quality(f"LPIPS, {backbone.title}", -1, 3) for name, backbone in BACKBONES.items()
+}
+
+
+def tradeoff(
+    scene_folder: Path,
+    out: Path,
+    grid: Grid,
+    score_width: int = 0,
+    weights_dir: Path | None = None,
+    on_run: Callable[[str, dict[str, Any]], None] = lambda name, figures: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> dict[str, Any]:
+    """Train every run of the grid and score all on the held-out views at one width, so that sizes compare.
+
+    score_width: in pixels, 0 for the widest that is trained at. Writes tradeoff.json, .csv, .png and .html to `out`
+    after each run; a run that is there already is not made again, and one that was stopped goes on. Returns the
+    document in tradeoff.json: `rows` with name, settings, seconds of training, Gaussians, each of QUALITIES (None
+    where it is not known), `gain` (psnr above control_psnr, as a share of the best row's) and `dominated` (by quality,
+    the name of a run that is as fast and as good and better in one; None on the front); `control_psnr`, what the
+    median photograph reaches; `machine`; `interrupted`; `notes`. Raises InputError as train does, where the scene
+    holds no view out, and where `out` has runs of another scene or size.
+    """
+    runs = grid.runs()
+    width = score_width or max(run.settings.width for run in runs)
+    scene = load_scene(scene_folder)
+    split = split_views([view.name for view in scene.views])
+    if not split.test:
+        raise InputError(f"{scene_folder} has too few photographs to hold any out, so that nothing can be compared.")
+    images = load_images(scene, [view for view in scene.views if view.name not in split.validation], width)
+    test = [image for image in images if image.camera.name in split.test]
+    control = median_control([image for image in images if image.camera.name in split.train], test)
+    lpips, notes = load_lpips(weights_dir)
+    document: dict[str, Any] = {"scene": str(scene_folder), "score_width": max(image.camera.width for image in test)}
+    document |= {
+        "machine": machine(device_for("auto")),
+        "control_psnr": control,
+        "notes": notes,
+        "rows": [],
+        "interrupted": False,
+    }
+    for run in runs:
+        metrics = metrics_of_run(scene_folder, out / run.folder, run.settings, weights_dir, should_stop)
+        if metrics is None:
+            document["interrupted"] = True
+            break
+        row: dict[str, Any] = {"name": run.name, "folder": run.folder, "settings": run.settings.to_json()}
+        row |= {"seconds": metrics["seconds"], "gaussians": metrics["gaussians"]}
+        row |= held_out_scores(out / run.folder, test, lpips)
+        document["rows"].append(row)
+        compare(document["rows"], control)
+        write_tradeoff(out, document)
+        on_run(run.name, row)
+    return document
+
+
+def held_out_scores(folder: Path, images: Sequence[TrainingImage], lpips: dict[str, Lpips]) -> dict[str, float | None]:
+    """Mean of each of QUALITIES over the views, rendered from a run's newest checkpoint at the size of the images."""
+    cloud, simulated, _ = newest(folder)
+    _, settings, _ = RunFolder(folder).read_config()
+    scores: list[ViewScore] = []
+    distances: dict[str, list[float]] = {name: [] for name in lpips}
+    for image in images:
+        color = picture(cloud, image.camera, settings.sh_degree, simulated=simulated)
+        scores.append(score_picture(image, color))
+        shown, target, _ = comparable(image, color)
+        for name, network in lpips.items():
+            distances[name].append(network(shown, target))
+    psnr, ssim = mean_score(scores)
+    known = {f"lpips_{name}": mean(distances[name]) if name in lpips else None for name in BACKBONES}
+    return {"psnr": psnr, "ssim": ssim} | known
+
+
+def compare(rows: Sequence[dict[str, Any]], control: float) -> None:
+    """Fill in `gain` and `dominated` of every row."""
+    best = max(row["psnr"] for row in rows) - control
+    for row in rows:
+        row["gain"] = (row["psnr"] - control) / best if best > 0 else None
+        row["dominated"] = {}
+    for name, quality in QUALITIES.items():
+        points = [(row["seconds"], quality.sign * row[name] if _known(row[name]) else -np.inf) for row in rows]
+        for row, by in zip(rows, dominators(points), strict=True):
+            row["dominated"][name] = None if by is None else rows[by]["name"]
+
+
+def dominators(points: Sequence[tuple[float, float]]) -> list[int | None]:
+    """For each (seconds, quality) the index of the best of those that are as fast, as good, and better in one of both;
+    None for a point of the Pareto front."""
+    found: list[int | None] = []
+    for seconds, quality in points:
+        better = [
+            (other[1], -other[0], index)
+            for index, other in enumerate(points)
+            if other[0] <= seconds and other[1] >= quality and other != (seconds, quality)
+        ]
+        found.append(max(better)[2] if better else None)
+    return found
+
+
+def _known(value: float | None) -> bool:
+    return value is not None and bool(np.isfinite(value))
+
+
+# Its files ------------------------------------------------------------------------------------------------------------
+
+
+def write_tradeoff(out: Path, document: dict[str, Any]) -> None:
+    """tradeoff.json, .csv, .png and .html."""
+    rows = document["rows"]
+    shown = [name for name in QUALITIES if any(_known(row[name]) for row in rows)]
+    write_json(out / "tradeoff.json", document)
+    with atomic_path(out / "tradeoff.csv") as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        sizes = ("preset", "effects", "iterations", "width", "max_gaussians")
+        writer = csv.writer(file)
+        writer.writerow(
+            ["name", *sizes, "seconds", "gaussians", *QUALITIES, "gain", *(f"{n}_dominated" for n in shown)]
+        )
+        for row in rows:
+            own = [row["settings"][size] for size in sizes]
+            figures = [row[name] for name in ("seconds", "gaussians", *QUALITIES, "gain")]
+            writer.writerow([row["name"], *own, *figures, *(row["dominated"][name] or "" for name in shown)])
+    figure, plots = new_plots("seconds of training", *(QUALITIES[name].title for name in shown))
+    for axes, name in zip(plots, shown, strict=True):
+        draw_front(axes, rows, name)
+    key = "\n".join("  ".join([str(index + 1), row["name"], _by(row, shown)]) for index, row in enumerate(rows))
+    figure.set_size_inches(figure.get_figwidth(), figure.get_figheight() + 0.16 * len(rows))
+    figure.supxlabel(key, x=0.01, ha="left", fontsize=8, color=INK)
+    with atomic_path(out / "tradeoff.png") as temporary:
+        figure.savefig(temporary, format="png", dpi=130, facecolor="white")
+    _write_html(out / "tradeoff.html", document, shown)
+
+
+def draw_front(axes: "Axes", rows: Sequence[dict[str, Any]], name: str) -> None:
+    """Every run as a numbered point, and a line through those that no other dominates."""
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+
+    known = [(index, row) for index, row in enumerate(rows) if _known(row[name])]
+    front = sorted((row["seconds"], row[name]) for _, row in known if row["dominated"][name] is None)
+    axes.step(*zip(*front, strict=True), where="post", color=BLUE, linewidth=1.2)
+    for index, row in known:
+        color = BLUE if row["dominated"][name] is None else "#888888"
+        axes.plot(row["seconds"], row[name], "o", color=color, markersize=5)
+        axes.annotate(str(index + 1), (row["seconds"], row[name]), (4, 4), textcoords="offset points", fontsize=8,
+                      color=color)  # fmt: skip
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _by(row: dict[str, Any], shown: Sequence[str]) -> str:
+    """Which runs dominate this one, and in what."""
+    by: dict[str, list[str]] = {}
+    for name in shown:
+        if row["dominated"][name]:
+            by.setdefault(row["dominated"][name], []).append(QUALITIES[name].title.partition(",")[0])
+    texts = (f"{other} in {' and '.join(dict.fromkeys(titles))}" for other, titles in by.items())
+    return f"dominated by {'; '.join(texts)}" if by else ""
+
+
+def _write_html(path: Path, document: dict[str, Any], shown: Sequence[str]) -> None:
+    rows, where = document["rows"], document["machine"]
+    plots = []
+    for name in shown:
+        figure, (axes,) = new_plots("seconds of training", QUALITIES[name].title)
+        draw_front(axes, rows, name)
+        better = "higher" if QUALITIES[name].sign > 0 else "lower"
+        plots.append(plot_html(figure, f"{QUALITIES[name].title} against time; {better} is better; grey: dominated"))
+    heads = ["", "run", "seconds", "Gaussians", *(QUALITIES[name].title for name in shown), "gain", "dominated"]
+    lines = [
+        [str(index + 1), row["name"], number(row["seconds"], 1), number(row["gaussians"], 0)]
+        + [number(row[name], QUALITIES[name].digits) for name in shown]
+        + [number(row["gain"] and 100 * row["gain"], 0, " %"), _by(row, shown) or "no"]
+        for index, row in enumerate(rows)
+    ]
+    styles = ("number", "", *["number"] * (3 + len(shown)), "meaning")
+    parts = [
+        paragraph_html(
+            f"Runs of different sizes on {document['scene']}, all scored on the held-out photographs at "
+            f"{document['score_width']} pixels width. A run is dominated where another is as fast and as good, and "
+            "better in one of both; the line joins those that are not."
+        ),
+        f'<div class="plots">{"".join(plots)}</div>',
+        "<h2>Runs</h2>",
+        table_html(lines, heads, styles),
+        paragraph_html(
+            f"Gain: how far PSNR lies above what the median of the training photographs reaches "
+            f"({number(document['control_psnr'], 2)} dB), as a share of the best run's."
+        ),
+        *(paragraph_html(note, "note") for note in document["notes"]),
+        paragraph_html(f"{where['device']}, {where['system']}, engine {where['engine']}, backend {where['backend']}."),
+    ]
+    write_page(path, f"Accuracy against time: {Path(document['scene']).resolve().name}", parts)
+
+
+def describe(document: dict[str, Any]) -> str:
+    """The rows as a Markdown table, the fastest first."""
+    shown = [name for name in QUALITIES if any(_known(row[name]) for row in document["rows"])]
+    heads = ["run", "seconds", "Gaussians", *(QUALITIES[name].title for name in shown), "gain"]
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for row in sorted(document["rows"], key=lambda row: row["seconds"]):
+        marks = ["" if row["dominated"][name] else " *" for name in shown]
+        figures = [number(row[name], QUALITIES[name].digits) + mark for name, mark in zip(shown, marks, strict=True)]
+        gain = number(row["gain"] and 100 * row["gain"], 0, " %")
+        cells = [row["name"], number(row["seconds"], 1), number(row["gaussians"], 0), *figures, gain]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join([*lines, "* no other run is as fast and better", *document["notes"]])

@@ -1,0 +1,86 @@
+"""Importance and error of each Gaussian over all training views, which relocation sorts by."""
+
+from collections.abc import Callable, Iterable
+
+import torch
+from torch import Tensor
+
+from ..effects.lamp import Lamp, lit
+from ..gaussians.cloud import GaussianCloud
+from ..rasterize.api import contributions
+from ..scene.cameras import Camera
+from ..water.medium import MAX_DEGREE, Medium, through_water
+from ..water.network import WaterNetwork
+from .render import render
+
+ENDLESS = 1e6
+"""Ranges longer than this many times are through nothing but water."""
+
+
+def scores(
+    cloud: GaussianCloud,
+    views: Iterable[tuple[Camera, Callable[[Tensor], Tensor]]],
+    sh_degree: int = 3,
+    medium: Medium | WaterNetwork | None = None,
+    water_degree: int = MAX_DEGREE,
+    backend: str = "auto",
+    lamp: Lamp | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Importance S (N,) and error E (N,) of the Gaussians over all `views`, as sums of rasterize.api.Contributions.
+
+    views: cameras, each with the loss (a scalar) of a picture (H, W, 3) seen through it. The other arguments are
+    those of rasterize.render. With a medium each view's figures are divided by visibility() squared.
+    """
+    S, E = torch.zeros_like(cloud.opacity_logits), torch.zeros_like(cloud.opacity_logits)
+    for camera, loss in views:
+        with torch.no_grad():
+            color = render(cloud, camera, sh_degree, medium, water_degree, backend=backend, lamp=lamp).color
+        gradient = torch.autograd.grad(loss(color.requires_grad_()), color)[0]
+        with torch.no_grad():
+            centre, viewmat, K = (
+                torch.from_numpy(array).to(cloud.means) for array in (camera.centre, camera.world_to_camera, camera.K)
+            )
+            offsets = cloud.means - centre
+            colors, background = cloud.colors(centre, sh_degree, backend), cloud.background.sigmoid()
+            if lamp is not None:
+                colors = lit(colors, offsets.norm(dim=1), lamp)
+            if isinstance(medium, Medium) and medium.veil is None:
+                colors = through_water(colors, offsets, medium, water_degree, 1.0, backend)
+            elif isinstance(medium, Medium):
+                # Open water has no constant colour, but over one Gaussian it nearly has: taken off both sides of
+                # the formula, the colours are differences from it and nothing is behind.
+                water = through_water(torch.zeros_like(colors), ENDLESS * offsets, medium, water_degree, 1.0, backend)
+                colors = through_water(colors, offsets, medium, water_degree, 1.0, backend) - water
+                background = torch.zeros_like(background)
+            elif medium is not None:
+                colors = medium.through(colors, offsets)
+            seen = contributions(
+                cloud.means,
+                cloud.quats,
+                cloud.scales,
+                cloud.opacities,
+                colors,
+                viewmat,
+                K,
+                camera.width,
+                camera.height,
+                background,
+                image_gradient=gradient,
+                backend=backend,
+            )
+            dimmed = visibility(medium, offsets).square() if medium is not None else 1.0
+            S += seen.importance / dimmed
+            E += seen.error / dimmed
+    return S, E
+
+
+def visibility(medium: Medium | WaterNetwork, offsets: Tensor) -> Tensor:
+    """(N,) part of the light that comes through the water, at least .1, at offsets (N, 3) from the camera.
+
+    What far structure adds to a picture is so much less than the same structure nearby.
+    """
+    if isinstance(medium, Medium):
+        transmission = torch.exp(-medium.beta_D * offsets.norm(dim=1, keepdim=True))
+    else:
+        transmission = medium.transmission(offsets)
+    return transmission.mean(dim=1).clamp(0.1, 1.0)

@@ -1,0 +1,114 @@
+"""A picture of a cloud of Gaussians through a camera."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..effects.lamp import Lamp, lit
+from ..gaussians.cloud import GaussianCloud
+from ..rasterize.api import Rendering, rasterize
+from ..scene.cameras import Camera
+from ..water.medium import MAX_DEGREE, Medium, open_water, through_water
+from ..water.network import WaterNetwork
+
+DAZZLING = 1e4  # display value
+FARTHEST = 1e15  # scene units; the square of what is farther overflows
+
+
+@dataclass
+class Picture:
+    """color (H, W, 3) display values; alpha (H, W) in 0..1; range (H, W) Euclidean distance to the camera in scene
+    units, alpha-weighted and normalised, 0 where alpha is 0; restored (H, W, 3): the same without water and lamp, black
+    where nothing is (both None unless asked for); offsets (N, 3): from the camera to the Gaussians, scene units,
+    without a gradient; rendering: what made it."""
+
+    color: Tensor
+    alpha: Tensor
+    range: Tensor | None
+    restored: Tensor | None
+    offsets: Tensor
+    rendering: Rendering
+
+
+def render(
+    cloud: GaussianCloud,
+    camera: Camera,
+    sh_degree: int = 3,
+    medium: Medium | WaterNetwork | None = None,
+    water_degree: int = MAX_DEGREE,
+    amount: float = 1.0,
+    with_range: bool = False,
+    with_restored: bool = False,
+    backend: str = "auto",
+    lamp: Lamp | None = None,
+    kept: Tensor | None = None,
+) -> Picture:
+    """Rasterise `cloud` as `camera` sees it, in the cloud's dtype; differentiable.
+
+    medium: the water in front of the cloud, and behind it in place of the cloud's background (a network has none of its
+    own); water_degree and amount as in water.medium.through_water. lamp: one at the camera, by the same amount. kept
+    (N,): factors of the opacities, which stay at most 1. No gradient flows from colour to position through the range:
+    it would push Gaussians along rays to correct their colours.
+    """
+    centre, viewmat, intrinsics = (
+        torch.from_numpy(array).to(cloud.means) for array in (camera.centre, camera.world_to_camera, camera.K)
+    )
+    offsets = (cloud.means.detach() - centre).clamp(-FARTHEST, FARTHEST)
+    colors = channels = cloud.colors(centre, sh_degree, backend)
+    background = cloud.background.sigmoid()
+    veiled = isinstance(medium, Medium) and medium.veil is not None
+    if lamp is not None:
+        channels = lit(channels, offsets.norm(dim=1), lamp, amount)
+    if medium is not None:
+        if isinstance(medium, Medium):
+            # Light is display to the power of 2.4: without a limit a Gaussian that nobody sees makes it overflow.
+            channels = through_water(channels.clamp(max=DAZZLING), offsets, medium, water_degree, amount, backend)
+            background = torch.zeros_like(background) if veiled else background
+        else:
+            channels = medium.through(channels, offsets, amount)
+            background = amount * background
+    if with_restored:
+        channels = torch.cat([channels, colors], dim=-1)
+        background = torch.cat([background, background.new_zeros(3)])
+    if with_range:
+        channels = torch.cat([channels, (cloud.means - centre).norm(dim=-1, keepdim=True)], dim=-1)
+        background = torch.cat([background, background.new_zeros(1)])
+    opacities = cloud.opacities if kept is None else (cloud.opacities * kept).clamp(max=1.0)
+    rendering = rasterize(
+        cloud.means,
+        cloud.quats,
+        cloud.scales,
+        opacities,
+        channels,
+        viewmat,
+        intrinsics,
+        camera.width,
+        camera.height,
+        background,
+        backend,
+    )
+    color, seen = rendering.channels[..., :3], None
+    restored = rendering.channels[..., 3:6] if with_restored else None
+    if isinstance(medium, Medium) and veiled and amount > 0:
+        behind = open_water(medium, viewmat, intrinsics, camera.width, camera.height, water_degree, amount, backend)
+        color = color + (1 - rendering.alpha[..., None]) * behind
+    if with_range:
+        # The denominator is chosen before dividing: 0/0 behind a mask is NaN in the backward pass.
+        covered = torch.where(rendering.alpha > 0, rendering.alpha, torch.ones_like(rendering.alpha))
+        seen = rendering.channels[..., -1] / covered
+    return Picture(color, rendering.alpha, seen, restored, offsets, rendering)
+
+
+def tail(
+    cloud: GaussianCloud,
+    camera: Camera,
+    medium: Medium | WaterNetwork | None,
+    water_degree: int = MAX_DEGREE,
+    backend: str = "auto",
+) -> Tensor:
+    """Display colour behind all Gaussians, (H, W, 3) or (3,), as render() shows it; differentiable."""
+    if not isinstance(medium, Medium) or medium.veil is None:
+        return cloud.background.sigmoid()
+    viewmat, K = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
+    return open_water(medium, viewmat, K, camera.width, camera.height, water_degree, backend=backend)

@@ -1,0 +1,127 @@
+"""Splats as they leave the optimiser: what files hold, what Blender shows. numpy only, Blender's Python imports it."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import isqrt
+from pathlib import Path
+
+import numpy as np
+
+from ..base.errors import InputError
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(eq=False)
+class Splats:
+    """N anisotropic Gaussians with view-dependent colour, every value after its activation.
+
+    positions  (N, 3) float32, world units
+    rotations  (N, 4) float32, unit quaternions wxyz, from the Gaussian's axes to the world
+    scales     (N, 3) float32, standard deviation along each axis, world units (not their logarithm)
+    opacities  (N,)   float32, 0..1 (not their logit)
+    sh         (N, K, 3) float32, raw spherical-harmonic coefficients of R, G, B, constant term first;
+               K = 1, 4, 9 or 16 for degree 0 to 3; colour = .5 + sum of coefficient x basis (see transform.sh_basis)
+    extras     name -> (N,) numbers of any real, integer or bool dtype, such as label or similarity
+
+    Raises ValueError when a shape or a dtype is another.
+    """
+
+    positions: np.ndarray
+    rotations: np.ndarray
+    scales: np.ndarray
+    opacities: np.ndarray
+    sh: np.ndarray
+    extras: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        count = len(self.positions)
+        coefficients = self.sh.shape[1] if self.sh.ndim == 3 else 0
+        if coefficients not in (1, 4, 9, 16):
+            raise ValueError(f"sh must have shape (N, 1|4|9|16, 3), got {self.sh.shape}")
+        shapes = {
+            "positions": (count, 3),
+            "rotations": (count, 4),
+            "scales": (count, 3),
+            "opacities": (count,),
+            "sh": (count, coefficients, 3),
+        }
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            if array.shape != shape or array.dtype != np.float32:
+                raise ValueError(f"{name} must be float32 of shape {shape}, got {array.dtype} of shape {array.shape}")
+        for name, array in self.extras.items():
+            if array.shape != (count,) or array.dtype.kind not in "biuf":
+                raise ValueError(f"extra '{name}' must be {count} numbers, got {array.dtype} of shape {array.shape}")
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 3."""
+        return isqrt(self.sh.shape[1]) - 1
+
+    def subset(self, chosen: np.ndarray) -> "Splats":
+        """The splats that `chosen`, a mask (N,) bool or indices (M,), picks."""
+        return Splats(
+            self.positions[chosen],
+            self.rotations[chosen],
+            self.scales[chosen],
+            self.opacities[chosen],
+            self.sh[chosen],
+            {name: array[chosen] for name, array in self.extras.items()},
+        )
+
+
+def concatenate(parts: Sequence[Splats]) -> Splats:
+    """All `parts` (at least one) as one; harmonics and extras that a part lacks are zero for its splats."""
+    if len(parts) == 1:
+        return parts[0]
+    ends = np.cumsum([len(part) for part in parts])
+    places = [slice(end - len(part), end) for end, part in zip(ends, parts, strict=True)]
+    sh = np.zeros((ends[-1], max(part.sh.shape[1] for part in parts), 3), np.float32)
+    kinds: dict[str, np.dtype] = {}
+    for place, part in zip(places, parts, strict=True):
+        sh[place, : part.sh.shape[1]] = part.sh
+        for name, values in part.extras.items():
+            kinds[name] = np.promote_types(kinds.get(name, values.dtype), values.dtype)
+    extras = {name: np.zeros(ends[-1], kind) for name, kind in kinds.items()}
+    for place, part in zip(places, parts, strict=True):
+        for name, values in part.extras.items():
+            extras[name][place] = values
+    return Splats(
+        np.concatenate([part.positions for part in parts]),
+        np.concatenate([part.rotations for part in parts]),
+        np.concatenate([part.scales for part in parts]),
+        np.concatenate([part.opacities for part in parts]),
+        sh,
+        extras,
+    )
+
+
+def cleaned(splats: Splats, path: Path) -> Splats:
+    """What was read from the file `path`, fit to be shown: unit quaternions, no splat with a NaN or an infinity.
+
+    Quaternions are brought to length 1 (zero ones to no rotation, as the field's renderers take them). Splats with a
+    value that is not finite are left out and their number is logged. Raises InputError when none is left.
+    """
+    lengths = np.linalg.norm(splats.rotations.astype(np.float64), axis=1)
+    rotations = splats.rotations.copy()
+    off = (np.abs(lengths - 1) > 1e-6) & (lengths > 0) & np.isfinite(lengths)  # the others stay bit-equal
+    rotations[off] = rotations[off] / lengths[off, None]
+    rotations[lengths == 0] = (1, 0, 0, 0)
+    splats = Splats(splats.positions, rotations, splats.scales, splats.opacities, splats.sh, splats.extras)
+
+    finite = np.isfinite(splats.opacities)
+    for array in (splats.positions, rotations, splats.scales, splats.sh.reshape(len(splats), splats.sh.shape[1] * 3)):
+        finite &= np.isfinite(array).all(axis=1)
+    if not finite.any():
+        raise InputError(
+            f"{path} holds no splat with finite numbers; write the file again from the program it is from."
+        )
+    if finite.all():
+        return splats
+    log.warning("%s: %d of %d splats hold a NaN or an infinity and were left out", path, (~finite).sum(), len(splats))
+    return splats.subset(finite)

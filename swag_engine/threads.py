@@ -1,9 +1,0 @@
-"""How threads share the cores with other work, Blender's own above all. Import it before numpy and torch, which read
-the environment once."""
-
-import os
-
-# Waiting threads sleep instead of spin: spinning halves the speed of training where cores are shared.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-# The matrices of numpy and scipy are small here: where cores are shared, threads spend ten times as long on waiting.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,0 +1,155 @@
+"""How fast this machine trains this scene, from a few iterations, and what a run of some size will take."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
+
+import torch
+
+from ...effects.scene_effects import Simulated
+from ...gaussians.cloud import GaussianCloud
+from ...gaussians.densify import PER_GAUSSIAN
+from ...gaussians.init import gaussians_from_points
+from ...kernels.backends import device_for
+from ...rendering.render import render
+from ...scene.colmap import Scene
+from ...scene.images import TrainingImage, load_images
+from ...scene.split import split_views
+from ...settings.presets import Size
+from ...settings.settings import TrainSettings
+from ...water.medium import Medium
+from ..losses import photometric
+from ..optimizer import Optimizer
+from ..schedule import Schedule
+
+TIMED_GAUSSIANS, TIMED_WIDTH, TIMINGS = 20_000, 480, 5
+LOADED = 4
+"""Photographs that loading is timed with."""
+STEPS = 20
+"""Parts that a run is cut into to add up what it takes."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """What an iteration takes: milliseconds, and so many more for each Gaussian and for each pixel.
+
+    load: seconds to prepare one photograph at TIMED_WIDTH.
+    """
+
+    fixed: float
+    per_gaussian: float
+    per_pixel: float
+    load: float
+
+    def milliseconds(self, gaussians: float, pixels: float) -> float:
+        """One iteration."""
+        return self.fixed + gaussians * self.per_gaussian + pixels * self.per_pixel
+
+    def times(self, factor: float) -> "Speed":
+        """Where everything takes `factor` as long."""
+        return Speed(*(factor * value for value in astuple(self)))
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What of a scene decides how long it takes: numbers of photographs and of points; width and height of the largest
+    photograph in pixels."""
+
+    training: int
+    held_out: int
+    points: int
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, scene: Scene) -> "Extent":
+        split = split_views([view.camera.name for view in scene.views])
+        camera = max((view.camera for view in scene.views), key=lambda camera: camera.width)
+        held_out = len(split.validation) + len(split.test)
+        return cls(len(split.train), held_out, len(scene.points.positions), camera.width, camera.height)
+
+    def pixels(self, width: int) -> float:
+        """Pixels of a photograph reduced to `width`."""
+        width = min(width, self.width)
+        return width * width * self.height / self.width
+
+
+def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
+    """Train a few iterations on one photograph; takes about a second. Raises InputError as load_images does."""
+    image = load_images(scene, scene.views[:1], TIMED_WIDTH)[0]
+    others = scene.views[1 : 1 + LOADED]  # the first alone would count what is only done once
+    started = time.perf_counter()
+    load_images(scene, others, TIMED_WIDTH)
+    load = (time.perf_counter() - started) / max(1, len(others))
+    points = gaussians_from_points(scene.points, TIMED_GAUSSIANS, settings.sh_degree, 0, torch.zeros(3).numpy())
+    cloud, half = _grown(points, TIMED_GAUSSIANS), _grown(points, TIMED_GAUSSIANS // 2)
+    pixels = image.camera.width * image.camera.height
+    work = [
+        _iteration(cloud, image, 1, settings),
+        _iteration(cloud, image, 2, settings),
+        _iteration(half, image, 1, settings),
+    ]
+    # In turns: what else the machine does then falls on all of them, and their differences stay small.
+    rounds = [[once() for once in work] for _ in range(TIMINGS)]
+    whole, smaller, fewer = (min(times) for times in zip(*rounds, strict=True))
+    per_pixel = max(0.0, (whole - smaller) / (0.75 * pixels))
+    per_gaussian = max(0.0, (whole - fewer) / (len(cloud) - len(half)))
+    return Speed(max(0.0, whole - per_pixel * pixels - per_gaussian * len(cloud)), per_gaussian, per_pixel, load)
+
+
+def _grown(points: GaussianCloud, count: int) -> GaussianCloud:
+    """The cloud as growth leaves it: so many Gaussians about those of the points, covering as much of the picture."""
+    of_point = torch.arange(count) % len(points)
+    parts = {name: getattr(points, name)[of_point] for name in PER_GAUSSIAN}
+    cloud = GaussianCloud(**parts, background=points.background.clone())
+    cloud.means += cloud.log_scales.exp() * torch.randn(cloud.means.shape, generator=torch.Generator().manual_seed(0))
+    cloud.log_scales += 0.5 * math.log(len(points) / count)
+    return cloud
+
+
+def _iteration(cloud: GaussianCloud, image: TrainingImage, factor: int, settings: TrainSettings) -> Callable[[], float]:
+    """An iteration at 1/factor of the photograph's size, which says how many milliseconds it took."""
+    from ..targets import Target
+
+    device = device_for(settings.backend)
+    target = Target.shrunk(image, factor, device)
+    optimizer = Optimizer(cloud.to(device), Simulated(Medium.starting(1.0)).to(device), settings.backend)
+    rates = dict.fromkeys(optimizer.parameters(), 0.0)
+
+    def once() -> float:
+        started = time.perf_counter()
+        picture = render(
+            optimizer.cloud, target.camera, settings.sh_degree, optimizer.simulated.medium, backend=settings.backend
+        )
+        loss = photometric(picture.color, target.color, target.valid, 0.8, 0.2, 0.0, False, settings.backend)
+        loss.backward()
+        optimizer.step(rates)
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        return 1000 * (time.perf_counter() - started)
+
+    return once
+
+
+def predicted_milliseconds(speed: Speed, extent: Extent, size: Size, fraction: float, grow_until: float) -> float:
+    """An iteration `fraction` (0..1) of the way through a run of that size: photographs are smaller and Gaussians fewer
+    at first."""
+    schedule = Schedule()
+    factor = next((factor for until, factor in schedule.coarse if fraction < until), 1)
+    grown = min(1.0, 1.25 * max(0.0, fraction - schedule.grow_from) / max(1e-9, grow_until - schedule.grow_from))
+    start = min(extent.points, size.max_gaussians)
+    gaussians = start + (size.max_gaussians - start) * grown
+    return speed.milliseconds(gaussians, extent.pixels(size.width) / factor**2)
+
+
+def predicted_seconds(speed: Speed, extent: Extent, size: Size, grow_until: float) -> float:
+    """A whole run of that size: photographs, iterations, validation, and the figures at the end."""
+    middles = [(step + 0.5) / STEPS for step in range(STEPS)]
+    mean = sum(predicted_milliseconds(speed, extent, size, middle, grow_until) for middle in middles) / STEPS
+    larger = extent.pixels(size.width) / extent.pixels(TIMED_WIDTH)
+    loading = speed.load * (extent.training + extent.held_out) * larger
+    # A picture without its gradient takes a third of an iteration; each held-out one is drawn at every tenth or so.
+    last = speed.milliseconds(size.max_gaussians, extent.pixels(size.width))
+    drawing = 0.3 * last * extent.held_out * 6
+    return loading + (mean * size.iterations + drawing) / 1000
