@@ -7,7 +7,7 @@ from swag_engine.evidence.observations import FAR_WINDOW, observe
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import Points
 from swag_engine.scene.images import TrainingImage
-from swag_engine.water.light import light_of_bytes
+from swag_engine.base.transfer import linear_of_bytes
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 60.0
 
@@ -39,7 +39,7 @@ def test_all_views_average_the_same_part_of_the_world_to_a_fraction_of_a_pixel(s
     observations = observe(images, [np.arange(3)] * 2, points)
     assert len(observations) == 6
     for number, image in enumerate(images):
-        light = light_of_bytes()[image.pixels].astype(np.float64)
+        light = linear_of_bytes()[image.pixels].astype(np.float64)
         for k in range(3):
             place = points.positions[k] + image.camera.world_to_camera[:3, 3]
             x, y = FOCAL * place[:2] / place[2] + (WIDTH / 2, HEIGHT / 2)
