@@ -25,6 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.train_scenes import processor
+from swag_engine.rendering.model import cloud_from_checkpoint
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
@@ -37,7 +38,6 @@ from swag_engine.semantics.regions import RegionProvider, SceneRegions, find_reg
 from swag_engine.semantics.saliency import Saliency
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.losses import photometric
-from swag_engine.training.trainer import cloud_from_tensors
 
 REEF = ROOT / "tests" / "scenes" / "reef_wreck"
 SUIM = ROOT.parent / "shared" / "data" / "suim"
@@ -72,7 +72,7 @@ def demo(run: Path) -> dict[str, Any]:
     masks = MaskFolder(REEF / "labels", scene)
     loaded = load_checkpoint(run)
     assert loaded is not None
-    cloud = cloud_from_tensors(loaded[0])
+    cloud = cloud_from_checkpoint(loaded[0])
 
     start = time.process_time()
     regions = find_regions(training, masks, Descriptor())

@@ -27,13 +27,13 @@ from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud
 from ..kernels.backends import device_for
 from ..kernels.machine import examine
+from ..rendering.model import SceneModel
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images, read_picture
 from ..scene.inspect import inspect_scene
 from ..scene.split import split_views
 from ..training.checkpoint import load_checkpoint
-from ..training.prepare import median_range
-from ..training.trainer import cloud_from_tensors
+from ..training.inputs import median_range
 from .evaluation_page import write_evaluation_page
 from .page import Compared
 
@@ -209,4 +209,5 @@ def newest(folder: Path) -> tuple[GaussianCloud, Simulated, dict[str, Any]]:
         raise InputError(f"The run {folder} has no checkpoint yet; continue it with train --resume.")
     tensors, state = loaded
     device = device_for("auto")
-    return cloud_from_tensors(tensors).to(device), Simulated.from_checkpoint(tensors, state).to(device), state
+    model = SceneModel.from_checkpoint(tensors, state).to(device)
+    return model.cloud, model.effects, state

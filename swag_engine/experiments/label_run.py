@@ -12,6 +12,7 @@ from ..formats.export import ExportOptions, export_run
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder
 from ..kernels.backends import device_for
+from ..rendering.model import cloud_from_checkpoint
 from ..scene.colmap import load_scene
 from ..scene.images import cache_folder, load_images
 from ..scene.split import split_views
@@ -22,7 +23,6 @@ from ..semantics.providers import Progress, Provider, choose, region_embedder, r
 from ..semantics.regions import checked_words, find_regions
 from ..semantics.search import similarity
 from ..training.checkpoint import load_checkpoint
-from ..training.trainer import cloud_from_tensors
 
 
 def label_run(
@@ -49,7 +49,7 @@ def label_run(
     if loaded is None or not run.ply.exists():
         raise InputError(f"The run {folder} has no result yet; continue it with train --resume.")
     splats = read_ply(run.ply)
-    cloud = cloud_from_tensors(loaded[0]).to(device_for("auto"))
+    cloud = cloud_from_checkpoint(loaded[0]).to(device_for("auto"))
     if len(cloud) != len(splats):
         raise InputError(
             f"{run.ply} holds {len(splats)} splats and the run's checkpoint {len(cloud)}: continue the run with train "

@@ -14,7 +14,7 @@ GAP_DB = 3.0
 """As much better they may be: in dense scenes they are by 2 to 3 dB."""
 FULL_GAP_DB = 5.0
 """From here on the full rate."""
-LOOKED_AT = 5
+SCORED_IMAGES = 5
 """Training photographs that are scored."""
 
 
@@ -34,6 +34,6 @@ def dropout_note(rate: float, training_psnr: float | None, validation_psnr: floa
     )
 
 
-def kept(count: int, rate: float, random: torch.Generator, device: torch.device) -> Tensor:
+def opacity_factors(count: int, rate: float, random: torch.Generator, device: torch.device) -> Tensor:
     """(count,) factors of opacity: 0 for a share `rate` of them, drawn at random, 1 / (1 - rate) for the others."""
     return (torch.rand(count, generator=random) >= rate).float().to(device) / (1 - rate)

@@ -1,13 +1,14 @@
-"""What keeps a run alive when a number stops being one: steps are skipped, states taken back, learning rates eased.
+"""Detection of numbers that are not finite and of diverging losses, and the rollback to the last good parameters.
 
-Every iteration the loss and the sums of the gradients are looked at before the optimiser moves, and a step with one
-that is not finite is left out. Every so often all parameters and moments are looked at, and whether the loss has run
-away: what passes is kept as the last good state, what does not is put back to it.
+Each iteration the loss and the sums of all gradients are checked before the optimiser moves; a step with a value that
+is not finite is skipped. At intervals all parameters and optimiser moments are checked, and whether the loss has
+diverged: parameters that pass become the last good ones, others are rolled back and the learning rates are reduced.
 """
 
 import math
 import re
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import torch
@@ -19,30 +20,50 @@ from .optimizer import Optimizer
 
 CHECKS = 50
 """Full checks in a run; each costs about a third of an iteration."""
-LEAST_APART, MOST_APART = 5, 100
-"""Iterations between two full checks."""
-SKIPS = 10
-"""So many skipped steps one after the other are the state's fault, not the photographs'."""
-EASING, LEAST_EASE = 0.25, 1e-4
-"""Factor on the learning rates each time the state is put back; at less than LEAST_EASE nothing is learned: stop."""
-RISE, SLACK = 1.5, 0.03
-"""A loss over RISE times the best so far, plus SLACK, has run away."""
-MIDDLING = 0.15
-"""A first loss below this was an easy photograph's, or one that was known already: others may well cost this much."""
+LEAST_INTERVAL = 5
+"""Iterations between two full checks, at least."""
+MOST_INTERVAL = 100
+"""Iterations between two full checks, at most."""
+MOST_SKIPPED = 10
+"""Skipped steps in a row after which the parameters are rolled back: then they are at fault, not single images."""
+RATE_REDUCTION = 0.25
+"""Factor on the learning rates at each rollback."""
+LEAST_RATE_FACTOR = 1e-4
+"""Factor on the learning rates below which nothing is learned any more and training stops."""
+DIVERGED_FACTOR = 1.5
+"""A loss has diverged when it is above this factor times the best so far, plus DIVERGED_OFFSET."""
+DIVERGED_OFFSET = 0.03
+"""Loss added to the limit of divergence."""
+LEAST_FIRST_LOSS = 0.15
+"""The first loss counts as at least this much: an easy first image says nothing about the others."""
 NAMED = 5
 """Gaussians that a finding names."""
 
+STORED = {"rollbacks": "put_back", "rate_factor": "ease"}
+"""Names that checkpoints have for fields of GuardRecord, where they differ."""
+
 
 @dataclass
-class Watch:
-    """What a guard has seen. ease: factor on the learning rates. finding: what was wrong last, without a full stop.
-    first: the run's first loss that is compared; best: mean loss of the best window of this phase; losses, count: of
-    this window."""
+class GuardRecord:
+    """What the guard has seen in a run.
+
+    Attributes:
+        skipped: Steps that were skipped.
+        in_a_row: Steps skipped since the last accepted one.
+        rollbacks: How often the parameters were rolled back.
+        rate_factor: Factor on the learning rates.
+        finding: What was wrong last, without a full stop.
+        phase: What the losses of this phase are made of; only losses of one phase are compared.
+        first: First loss that was compared.
+        best: Mean loss of the best window of this phase.
+        losses: Sum of the losses of this window.
+        count: Losses in this window.
+    """
 
     skipped: int = 0
     in_a_row: int = 0
-    put_back: int = 0
-    ease: float = 1.0
+    rollbacks: int = 0
+    rate_factor: float = 1.0
     finding: str = ""
     phase: str = ""
     first: float | None = None
@@ -50,120 +71,141 @@ class Watch:
     losses: float = 0.0
     count: int = 0
 
+    def to_json(self) -> dict[str, Any]:
+        """Return a plain dict for a checkpoint."""
+        return {STORED.get(entry.name, entry.name): getattr(self, entry.name) for entry in fields(self)}
 
-class Guard:
-    """Watches over the state of one run. optimizer: holds the state at the start. iterations: of the whole run."""
+    @classmethod
+    def from_json(cls, stored: Mapping[str, Any]) -> "GuardRecord":
+        """Read what `to_json` returned."""
+        return cls(**{entry.name: stored[STORED.get(entry.name, entry.name)] for entry in fields(cls)})
 
-    def __init__(self, optimizer: Optimizer, iterations: int) -> None:
-        self.every = min(max(iterations // CHECKS, LEAST_APART), MOST_APART)
-        self.watch = Watch()
-        self.good = copies(optimizer)
+
+@dataclass
+class GuardedState:
+    """The guard's part of a run's state: its record, and copies of the last good parameters by name."""
+
+    record: GuardRecord = field(default_factory=GuardRecord)
+    last_good: dict[str, Tensor] = field(default_factory=dict)
 
     @property
-    def ease(self) -> float:
-        """What the learning rates are to be multiplied with."""
-        return self.watch.ease
-
-    @property
-    def gives_up(self) -> bool:
-        """Whether going on is of no use."""
-        return self.watch.ease < LEAST_EASE
-
-    def admits(self, loss: Tensor, optimizer: Optimizer, view: str, phase: str) -> bool:
-        """Whether a step may be made with `loss` (a scalar) and the gradients at hand.
-
-        view: name of the photograph. phase: what the loss is made of; only losses of one phase are compared,
-        and those of none ("") not at all.
-        """
-        watch = self.watch
-        parameters = optimizer.parameters()
-        gradients = {f"the gradient of {name}": p.grad for name, p in parameters.items() if p.grad is not None}
-        # A finite sum has finite terms, and is far quicker than asking each. shN's gradient is sh0's times the basis.
-        sums = [gradient.sum() for name, gradient in gradients.items() if not name.endswith(" shN")]
-        value, total = torch.stack([loss.detach(), *sums]).cumsum(0)[[0, -1]].tolist()
-        if not math.isfinite(total) and (finding := not_finite({"the loss": loss.detach()} | gradients)):
-            watch.finding = f"{finding} at the photograph {view}"
-            watch.skipped += 1
-            watch.in_a_row += 1
-            return False
-        watch.in_a_row = 0
-        if not phase:
-            return True
-        if watch.first is None:
-            watch.first = max(value, MIDDLING)
-        if phase != watch.phase:
-            watch.phase, watch.best, watch.losses, watch.count = phase, watch.first, 0.0, 0
-        watch.losses += value
-        watch.count += 1
-        return True
-
-    def puts_back(self, optimizer: Optimizer, iteration: int) -> bool:
-        """To be called after each iteration. Whether the state was put back to the last good one."""
-        watch = self.watch
-        stuck = watch.in_a_row >= SKIPS
-        if not stuck and iteration % self.every:
-            return False
-        mean = watch.losses / max(watch.count, 1)
-        finding = not_finite(optimizer.parameters() | optimizer.state_tensors())
-        if not finding and mean > RISE * watch.best + SLACK:
-            finding = f"the loss rose from {watch.best:.3g} to {mean:.3g}"
-        if bad := stuck or bool(finding):
-            watch.finding = f"{finding} by iteration {iteration}" if finding else watch.finding
-            watch.in_a_row = 0
-            watch.put_back += 1
-            watch.ease *= EASING
-            optimizer.restart(self.good)
-        elif watch.count:
-            watch.best = min(watch.best, mean)
-            self.keep(optimizer)
-        watch.losses, watch.count = 0.0, 0
-        return bad
+    def training_failed(self) -> bool:
+        """Whether the learning rates have become too small for training to go on."""
+        return self.record.rate_factor < LEAST_RATE_FACTOR
 
     def keep(self, optimizer: Optimizer) -> None:
-        """Take the state as the last good one."""
-        self.good = copies(optimizer)
+        """Take the optimiser's parameters as the last good ones."""
+        self.last_good = copies(optimizer)
 
-    def settle(self, optimizer: Optimizer) -> None:
-        """Before the state becomes a result: one that is not finite is put back to the last good one."""
+
+class Guard:
+    """Decides which steps are accepted and when parameters are rolled back.
+
+    Args:
+        iterations: Planned iterations of the run.
+    """
+
+    def __init__(self, iterations: int) -> None:
+        self.interval = min(max(iterations // CHECKS, LEAST_INTERVAL), MOST_INTERVAL)
+
+    def record_step(self, guarded: GuardedState, loss: float, problem: str, image: str, phase: str) -> None:
+        """Record the outcome of one step.
+
+        Args:
+            guarded: The guard's part of the run's state.
+            loss: Loss of the step.
+            problem: What was not finite, empty where the step was accepted.
+            image: Name of the training image.
+            phase: What the loss is made of; only losses of one phase are compared, and those of phase "" not at all.
+        """
+        record = guarded.record
+        if problem:
+            record.finding = f"{problem} at the image {image}"
+            record.skipped += 1
+            record.in_a_row += 1
+            return
+        record.in_a_row = 0
+        if not phase:
+            return
+        if record.first is None:
+            record.first = max(loss, LEAST_FIRST_LOSS)
+        if phase != record.phase:
+            record.phase, record.best, record.losses, record.count = phase, record.first, 0.0, 0
+        record.losses += loss
+        record.count += 1
+
+    def roll_back_if_bad(self, guarded: GuardedState, optimizer: Optimizer, iteration: int) -> bool:
+        """Check the parameters when a check is due, and roll them back to the last good ones if it fails.
+
+        Args:
+            guarded: The guard's part of the run's state.
+            optimizer: Holds the parameters and moments to check.
+            iteration: Iterations done.
+
+        Returns:
+            Whether the parameters were rolled back.
+        """
+        record = guarded.record
+        stuck = record.in_a_row >= MOST_SKIPPED
+        if not stuck and iteration % self.interval:
+            return False
+        mean = record.losses / max(record.count, 1)
+        finding = not_finite(optimizer.parameters() | optimizer.state_tensors())
+        if not finding and mean > DIVERGED_FACTOR * record.best + DIVERGED_OFFSET:
+            finding = f"the loss rose from {record.best:.3g} to {mean:.3g}"
+        if bad := stuck or bool(finding):
+            record.finding = f"{finding} by iteration {iteration}" if finding else record.finding
+            record.in_a_row = 0
+            record.rollbacks += 1
+            record.rate_factor *= RATE_REDUCTION
+            optimizer.restart(guarded.last_good)
+        elif record.count:
+            record.best = min(record.best, mean)
+            guarded.keep(optimizer)
+        record.losses, record.count = 0.0, 0
+        return bad
+
+    def check_result(self, guarded: GuardedState, optimizer: Optimizer) -> None:
+        """Roll back parameters that are not finite before they become the result of a run."""
         if finding := not_finite(optimizer.parameters()):
-            self.watch.finding = finding
-            self.watch.put_back += 1
-            optimizer.restart(self.good)
+            guarded.record.finding = finding
+            guarded.record.rollbacks += 1
+            optimizer.restart(guarded.last_good)
 
-    def note(self, iteration: int) -> str:
-        """A sentence for the user, empty where nothing happened."""
-        watch = self.watch
-        if not watch.finding:
+    @staticmethod
+    def note(guarded: GuardedState, iteration: int) -> str:
+        """Return a sentence for the user on what happened up to `iteration`, empty where nothing did."""
+        record = guarded.record
+        if not record.finding:
             return ""
         end = (
-            f"Training stopped at iteration {iteration} with the last good state"
-            if self.gives_up
-            else "Training went on"
+            f"Training stopped at iteration {iteration} with the last good parameters"
+            if guarded.training_failed
+            else "Training continued"
         )
-        done = f"{watch.skipped} steps were skipped and the state was put back {watch.put_back} times"
-        return f"{end}: {done}, last because {watch.finding}."
+        done = f"{record.skipped} steps were skipped and the parameters were rolled back {record.rollbacks} times"
+        return f"{end}: {done}, last because {record.finding}."
 
-    def state(self) -> dict[str, Any]:
-        """What `load` takes, for JSON."""
-        return asdict(self.watch)
 
-    def tensors(self) -> dict[str, Tensor]:
-        """The last good state, named for a checkpoint."""
-        return {f"guard.{name}": tensor for name, tensor in self.good.items()}
+def step_problem(loss: Tensor, parameters: Mapping[str, Tensor]) -> tuple[float, str]:
+    """Check that a loss and the gradients at hand are finite.
 
-    def load(self, state: dict[str, Any], tensors: dict[str, Tensor], optimizer: Optimizer) -> None:
-        """Go on from a checkpoint's state and tensors."""
-        self.watch = Watch(**state)
-        device = optimizer.cloud.means.device
-        self.good = {
-            name.removeprefix("guard."): tensor.to(device, copy=True)
-            for name, tensor in tensors.items()
-            if name.startswith("guard.")
-        }
+    Args:
+        loss: The loss, a scalar.
+        parameters: Parameters by name, with their gradients.
+
+    Returns:
+        The loss as a number, and what is not finite; an empty text where all is.
+    """
+    gradients = {f"the gradient of {name}": p.grad for name, p in parameters.items() if p.grad is not None}
+    # A finite sum has finite terms, and is far quicker than asking each. shN's gradient is sh0's times the basis.
+    sums = [gradient.sum() for name, gradient in gradients.items() if not name.endswith(" shN")]
+    value, total = torch.stack([loss.detach(), *sums]).cumsum(0)[[0, -1]].tolist()
+    return value, "" if math.isfinite(total) else not_finite({"the loss": loss.detach()} | gradients)
 
 
 def finite_part(cloud: GaussianCloud) -> GaussianCloud:
-    """The cloud without Gaussians that have a parameter that is not finite."""
+    """Drop the Gaussians of a cloud that have a parameter that is not finite."""
     values = {name: getattr(cloud, name) for name in PER_GAUSSIAN}
     finite = torch.stack([torch.isfinite(value.reshape(len(cloud), -1)).all(1) for value in values.values()]).all(0)
     if finite.all():
@@ -172,12 +214,12 @@ def finite_part(cloud: GaussianCloud) -> GaussianCloud:
 
 
 def copies(optimizer: Optimizer) -> dict[str, Tensor]:
-    """The parameters as they are."""
+    """Copy the parameters of an optimiser, by name."""
     return {name: parameter.detach().clone() for name, parameter in optimizer.parameters().items()}
 
 
-def not_finite(tensors: dict[str, Tensor]) -> str:
-    """Which of the tensors is not finite, and in which Gaussians; empty where all are."""
+def not_finite(tensors: Mapping[str, Tensor]) -> str:
+    """Name the first tensor with values that are not finite, and the Gaussians they belong to; empty where none is."""
     for name, tensor in ((name, tensor.detach()) for name, tensor in tensors.items()):
         if math.isfinite(float(tensor.sum())) or not (bad := ~torch.isfinite(tensor)).any():
             continue

@@ -1,15 +1,14 @@
-"""The optimisation: from a COLMAP scene to a run folder."""
+"""Training: from a COLMAP scene to a run folder."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from ..base.errors import InputError
 from ..base.files import claimed
@@ -18,34 +17,38 @@ from ..evaluation.metrics import ViewScore, mean_score, median_control, score_vi
 from ..formats.gltf import write_glb
 from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, write_json
-from ..gaussians.cloud import GaussianCloud
-from ..gaussians.densify import Growth, GrowthStatistics, McmcGrowth
 from ..gaussians.init import gaussians_from_points
 from ..kernels.backends import device_for
+from ..planning.plan import write_plan
+from ..rendering.model import SceneModel
 from ..scene.colmap import Scene, load_scene
-from ..scene.images import TrainingImage, load_images
-from ..scene.split import split_views
+from ..scene.images import TrainingImage
 from ..semantics.embed import DIMENSIONS
 from ..settings.settings import TrainSettings
-from ..water.medium import Medium
+from ..water.medium import MAX_DEGREE, Medium
 from .checkpoint import load_checkpoint, save_checkpoint
-from .dropout import LOOKED_AT, dropout_note, dropout_rate
+from .densification import Densification
+from .dropout import SCORED_IMAGES, dropout_note, dropout_rate
+from .effect_selection import EffectSelection
 from .guard import Guard, finite_part
 from .guidance import Guidance, find_guidance
-from .optimizer import Optimizer
+from .inputs import Event, load_inputs
+from .motion import MotionMasks, find_motion
+from .network_priors import depth_of_images, interpolated_frames
 from .pacing.budget import Budget, fit_budget
-from .pacing.clock import FLAT_DB, FLAT_SHARE, REPLANNED, Clock, Point, is_flat, next_minute
-from .pacing.memory import TOO_LITTLE, Relief, fit_memory, free_memory, within_memory
+from .pacing.clock import FLAT_DB, FLAT_FRACTION, Clock, is_flat, next_minute
+from .pacing.memory import TOO_LITTLE, fit_memory, free_memory, reduced, within_memory
+from .pacing.pacer import Pacer
 from .pacing.speed import Extent
-from .prepare import find_depth, find_frames, median_range
 from .run_plan import plan_of_run
-from .schedule import Schedule
-from .step import Iteration
-from .targets import Target
-from .trials import trials_due, try_effects
+from .schedule import SETTLED_BY, LearningRates
+from .state import CPU, RunState
+from .step import GEOMETRY, AutogradStep, Step, StepConfig
+from .target_cache import Targets
+from .trials import run_trials, trials_due
 
-Event = dict[str, Any]
-CPU = torch.device("cpu")
+PROGRESS_SECONDS = 0.2
+"""Seconds between two `progress` events."""
 
 
 def train(
@@ -59,23 +62,35 @@ def train(
     weights_dir: Path | None = None,
     started: float | None = None,
 ) -> Event:
-    """Train a scene to a run folder and return the `result` event.
+    """Train a scene to a run folder.
 
-    on_event gets `progress`, `preview` and `checkpoint` events as they happen. should_stop() is asked between two
-    iterations: it may wait, which pauses the run; when it turns true the run ends, with everything written and
-    "interrupted" true in the result. With `resume` the run goes on from its newest checkpoint with the settings it was
-    started with, bit-equal to a run that never stopped (same machine, same backend), unless time limits it. Resumed
-    with more iterations or a time budget, a finished run goes on for so long. weights_dir: where networks are looked
-    for before the user's cache. started: time.monotonic() that a time budget counts from, now without it. Raises
-    InputError for anything wrong with the scene, the folder or the disk.
+    Args:
+        scene_folder: Folder of the scene: images and a COLMAP model.
+        out: Folder of the run.
+        settings: What the user chose.
+        resume: Continue the run in `out` from its newest checkpoint with the settings it was started with, bit-equal
+            to a run that never stopped (same machine, same backend) unless time limits it. With more iterations or a
+            time budget, a finished run continues for so long.
+        on_event: Gets `progress`, `preview` and `checkpoint` events as they happen.
+        should_stop: Asked between two iterations. It may wait, which pauses the run; when it returns true the run
+            ends, with everything written and "interrupted" true in the result.
+        preview: Write splats for a live preview every few seconds.
+        weights_dir: Folder where networks are looked for before the user's cache.
+        started: time.monotonic() that a time budget counts from, now without it.
+
+    Returns:
+        The `result` event.
+
+    Raises:
+        InputError: For anything wrong with the scene, the folder or the disk.
     """
     started = time.monotonic() if started is None else started
     with claimed(out):
-        trainer = trainer_of(RunFolder(out), scene_folder, settings, resume, on_event, weights_dir, started)
+        trainer = make_trainer(RunFolder(out), scene_folder, settings, resume, on_event, weights_dir, started)
         return trainer.run_to_end(should_stop, preview)
 
 
-def trainer_of(
+def make_trainer(
     run: RunFolder,
     scene_folder: Path,
     settings: TrainSettings,
@@ -84,7 +99,7 @@ def trainer_of(
     weights_dir: Path | None,
     started: float,
 ) -> "Trainer":
-    """The trainer of a new run, or of one as far as it came; arguments as of `train`."""
+    """Make the trainer of a new run, or of one as far as it came; see `train` for arguments and errors."""
     longer = False
     if resume:
         settings, longer = run.resumed_settings(scene_folder, settings)
@@ -112,8 +127,29 @@ def trainer_of(
     return trainer
 
 
-class Trainer(Iteration):
-    """One run: the scene's photographs, the cloud, its optimiser, and what was measured so far."""
+class Trainer:
+    """Trains one run.
+
+    Args:
+        scene: The scene.
+        run: The run's folder; its config.json is written.
+        settings: Settings with all sizes filled in.
+        on_event: Gets events as they happen.
+        weights_dir: Folder where networks are looked for first.
+        budget: The time budget, if there is one.
+        resume: Whether the run continues; then `resume` is called next.
+
+    Attributes:
+        inputs: What never changes during the run.
+        state: All that changes.
+        step: Makes one optimisation step.
+        densification: Adds, drops and relocates Gaussians.
+        guard: Accepts steps and rolls back.
+        pacer: Measures time.
+        selection: Effects of the run.
+        targets: Images at the size that is trained at.
+        notes: Sentences for the user.
+    """
 
     def __init__(
         self,
@@ -125,235 +161,321 @@ class Trainer(Iteration):
         budget: Budget | None = None,
         resume: bool = False,
     ) -> None:
-        self.run, self.settings, self.on_event, self.scene = run, settings, on_event, scene
-        self.schedule = Schedule()
-        self.device = device_for(settings.backend)
-        self.iteration, self.seconds_before = 0, 0.0
-        self.budget = budget
-        self.clock = Clock(settings.iterations or (budget.iterations if budget else 1))
-        self.ledger = Ledger(torch.cuda.synchronize if self.device.type == "cuda" else None)
-        self.psnr: float | None = None
-        self.ssim: float | None = None
+        self.run, self.on_event = run, on_event
+        self.notes: list[str] = []
         self.training_psnr: float | None = None
-        self.dropout = 0.0
-        self.images = self.load_photographs()
-        split = split_views([view.camera.name for view in scene.views])
-        self.training = [self.images[name] for name in split.train]
-        self.validation = [self.images[name] for name in split.validation]
-        self.test = [self.images[name] for name in split.test]
-        self.levels: dict[int, list[Target]] = {}
-        self.relief = Relief()
-        self.median_range = median_range(scene, self.training)
-        background = (
-            np.median(np.stack([np.median(image.pixels, axis=(0, 1)) for image in self.training]), axis=0) / 255
-        )
+        self.pacer = Pacer(budget)
+        inputs = self.inputs = load_inputs(scene, settings, on_event)
+        self.ledger = Ledger(torch.cuda.synchronize if inputs.device.type == "cuda" else None)
         cloud = gaussians_from_points(
-            scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, background
+            scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, inputs.median_color()
         )
-        self.start_count = len(cloud)
-        plan = plan_of_run(scene, self.training + self.validation, settings, run.plan, weights_dir, resume)
+        start_count = len(cloud)
+        plan = plan_of_run(inputs, run.plan, weights_dir, resume)
         if plan:
             on_event({"event": "plan", "plan": plan.to_json()})
-        simulated, recipe = self.begin_effects(plan, cloud), self.recipe
-        self.growth = McmcGrowth() if recipe.growth == "mcmc" else Growth()
+            write_plan(run.plan, plan)
+        self.selection = EffectSelection(inputs, plan)
+        choices = self.selection.initial_choices()
+        recipe = self.selection.recipe(choices)
+        effects = self.selection.initial_effects(recipe, cloud)
         cloud = finite_part(cloud)
-        self.notes: list[str] = []
-        self.curve: list[Point] = []
-        self.depth: dict[str, np.ndarray] = {}
-        self.frames: list[TrainingImage] = []
+        depth: dict[str, np.ndarray] = {}
+        frames: list[TrainingImage] = []
         if recipe.depth:
-            note, self.depth = find_depth(scene, self.training, weights_dir)
+            note, depth = depth_of_images(scene, inputs.training, weights_dir)
             self.notes.append(note)
         if recipe.interpolation:
-            note, self.frames = find_frames(scene, self.training, weights_dir)
+            note, frames = interpolated_frames(scene, inputs.training, weights_dir)
             self.notes.append(note)
-        self.guidance: Guidance | None = None
+        guidance: Guidance | None = None
         if recipe.uses_regions:
-            note, self.guidance = find_guidance(scene, self.training, recipe, settings, weights_dir)
+            note, guidance = find_guidance(scene, inputs.training, recipe, settings, weights_dir)
             self.notes.append(note)
-            cloud.features = cloud.means.new_zeros(len(cloud), DIMENSIONS if self.guidance else 0)
-        self.optimizer = Optimizer(cloud.to(self.device), simulated, settings.backend)
-        self.statistics = GrowthStatistics.zeros(len(cloud), self.device)
-        self.guard = Guard(self.optimizer, self.clock.iterations)
+            cloud.features = cloud.means.new_zeros(len(cloud), DIMENSIONS if guidance else 0)
+        iterations = settings.iterations or (budget.iterations if budget else 1)
+        model = SceneModel(cloud.to(inputs.device), effects)
+        self.state = RunState.initial(model, recipe, choices, iterations, start_count, settings.backend)
+        self.guard = Guard(iterations)
+        self.targets = Targets(inputs, depth, frames, guidance)
+        self._act_on(guidance)
 
-    def load_photographs(self) -> dict[str, TrainingImage]:
-        def progress(done: int, total: int) -> None:
-            self.on_event({"event": "progress", "stage": "load", "iteration": done, "iterations": total})
-
-        images = load_images(self.scene, self.scene.views, self.settings.width, progress)
-        return {image.camera.name: image for image in images}
+    def _act_on(self, guidance: Guidance | None) -> None:
+        self.guidance = guidance
+        self.step: Step = AutogradStep(self.inputs, self.selection, guidance)
+        self.densification = Densification(self.inputs, self.selection, self.targets, guidance)
 
     # -- the run ------------------------------------------------------------------------------------------------------
 
     def run_to_end(self, should_stop: Callable[[], bool], preview: bool) -> Event:
-        settings, schedule = self.settings, self.schedule
-        self.resumed_at = self.iteration
-        self.began = saved = shown = reported = planned = time.monotonic()
-        validations = self.validations_due
+        """Train until the end or a stop, write all files and return the `result` event; arguments as of `train`."""
+        schedule, pacer = self.inputs.schedule, self.pacer
+        pacer.start(self.state.iteration)
+        saved = shown = reported = time.monotonic()
+        validations = self._validations_due
         interrupted = False
-        loss = float("nan")
-        while not (self.clock.done or self.guard.gives_up):
-            asked = time.monotonic()
-            if should_stop():
-                interrupted = True
+        loss = math.nan
+        while not (self.state.clock.done or self.state.guarded.training_failed):
+            with pacer.pause():
+                interrupted = should_stop()
+            if interrupted:
                 break
-            paused = time.monotonic() - asked
-            if paused > 0.1:
-                self.began, planned = self.began + paused, planned + paused
-                if self.budget:
-                    self.budget.started += paused
-            if trials_due(self):
-                asked = time.monotonic()
-                if interrupted := not try_effects(self, should_stop):
+            if due := trials_due(self.state, self.selection.to_try):
+                with pacer.outside_plan():
+                    interrupted = not self._try_effects(due, should_stop)
+                if interrupted:
                     break
-                planned += time.monotonic() - asked
                 continue
             with self.ledger.iteration():
-                loss = self.step()
-            if self.validation and self.validations_due > validations and not self.clock.done:
-                validations = self.validations_due
-                self.validate(loss)
-                if settings.stop_when_flat:
-                    self.stop_when_flat()
+                loss = self.iterate()
+            state = self.state
+            if self.inputs.validation and self._validations_due > validations and not state.clock.done:
+                validations = self._validations_due
+                self._validate(loss)
+                if self.inputs.settings.stop_when_flat:
+                    self._finish_when_flat()
+            pacer.replan(state.clock, state.iteration)
             now = time.monotonic()
-            if self.budget and self.iteration % REPLANNED == 0:
-                self.clock.replan(self.iteration, now - planned, self.budget.left(), self.budget.predicted)
-                planned = now
-            if now - reported > 0.2 or self.clock.done:
+            if now - reported > PROGRESS_SECONDS or state.clock.done:
                 reported = now
-                self.on_event(self.progress(loss))
+                self.on_event(self._progress(loss))
             if preview and now - shown > schedule.preview_seconds:
-                write_ply(self.run.preview, self.cloud.to_splats(sh_degree=0))
-                water = self.medium.to_json() if self.medium else None  # per scene unit
-                path = str(self.run.preview)
-                self.on_event({"event": "preview", "path": path, "iteration": self.iteration, "water": water})
+                self._write_preview()
                 shown = time.monotonic()
             if now - saved > schedule.checkpoint_seconds:
                 self.save()
                 saved = time.monotonic()
-        self.guard.settle(self.optimizer)
+        self.guard.check_result(self.state.guarded, self.state.optimizer)
         self.save()
-        return self.finish(loss, interrupted)
+        return self._finish(loss, interrupted)
+
+    def iterate(self) -> float:
+        """Make one iteration and return its loss; one that runs out of memory is abandoned and the run reduced."""
+        if (loss := within_memory(self._iterate)) is not None:
+            return loss
+        state = self.state
+        state.optimizer.restart(state.guarded.last_good)
+        state.replace_cloud(*reduced(state.cloud))
+        state.guarded.keep(state.optimizer)
+        state.relief.relieve(len(state.cloud))
+        self.targets.clear()
+        return math.nan
+
+    def _iterate(self) -> float:
+        state = self.state
+        config = self.step_config()
+        target = self.targets.next(state, config.fraction)
+        result = self.step(state, target, config)
+        state.iteration += 1
+        state.clock.advance(state.iteration)
+        with_water = config.with_water and state.effects.medium is not None
+        phase = f"[{self.targets.factor}] {with_water} {config.stage_two} {state.dropout > 0}"
+        phase = "" if target.interpolated else phase
+        self.guard.record_step(state.guarded, result.loss, result.problem, target.camera.name, phase)
+        if not result.problem:
+            if result.means2d_gradient is not None and not target.interpolated:
+                state.statistics.add(result.means2d_gradient, result.radii, target.camera.width)
+            if not config.stage_two:
+                rate, fraction = config.learning_rates["means"], state.clock.fraction
+                self.densification.after_step(state, rate, self._sh_degree(fraction), self._water_degree(fraction))
+                if state.recipe.moving_objects and state.motion.search_due(fraction):
+                    self._mask_motion()
+        if self.guard.roll_back_if_bad(state.guarded, state.optimizer, state.iteration):
+            state.reset_statistics()
+        return result.loss
+
+    def step_config(self) -> StepConfig:
+        """Return what the schedule says about the next iteration."""
+        fraction, recipe = self.state.clock.fraction, self.state.recipe
+        return StepConfig(
+            fraction=fraction,
+            sh_degree=self._sh_degree(fraction),
+            water_degree=self._water_degree(fraction),
+            with_water=fraction >= recipe.water_from,
+            stage_two=fraction >= recipe.stage_two_from,
+            learning_rates=self._learning_rates(fraction),
+        )
+
+    def _sh_degree(self, fraction: float) -> int:
+        joined = sum(fraction >= start for start in self.inputs.schedule.sh_degrees)
+        return min(self.inputs.settings.sh_degree, joined)
+
+    def _water_degree(self, fraction: float) -> int:
+        return MAX_DEGREE if fraction >= self.state.recipe.veil_degrees_from else 0
+
+    def _learning_rates(self, fraction: float) -> dict[str, float]:
+        """Adam's step size by parameter name, `fraction` (0..1) of the way through the run."""
+        state = self.state
+        rates = asdict(LearningRates())
+        end = rates.pop("means_end")
+        rates["means"] *= (end / rates["means"]) ** fraction * self.inputs.median_range
+        # Otherwise long runs move the means to where they overfit single images.
+        rates["means"] *= min(1.0, math.sqrt(SETTLED_BY / max(1, state.clock.iterations)))
+        if fraction >= state.recipe.stage_two_from:
+            rates = {name: rate for name, rate in rates.items() if name not in GEOMETRY}
+        else:
+            falling = 0.5 * (1 + math.cos(math.pi * fraction))
+            rates |= {name: falling * rate for name, rate in self.selection.learning_rates(state).items()}
+        return {name: state.guarded.record.rate_factor * rate for name, rate in rates.items()}
+
+    def _mask_motion(self) -> None:
+        state, settings = self.state, self.inputs.settings
+        masks = find_motion(state.cloud, state.effects, self.inputs.training, settings.sh_degree, settings.backend)
+        state.motion = MotionMasks(masks, state.motion.searches + 1)
+
+    # -- trials -------------------------------------------------------------------------------------------------------
+
+    def _try_effects(self, due: Sequence[str], should_stop: Callable[[], bool]) -> bool:
+        """Try effects in forks of the run. False where that was stopped: the run is then as it was before."""
+        before = self.state
+
+        def score_after(fork: RunState, iterations: int) -> Sequence[ViewScore] | None:
+            self.state = fork
+            for _ in range(iterations):
+                if should_stop():
+                    return None
+                self.iterate()
+            return self._scores(self.inputs.validation)
+
+        best = run_trials(before, due, self._copied, self.selection.switch, score_after)
+        self.state = best or before
+        return best is not None
+
+    def _copied(self, state: RunState) -> RunState:
+        return self._restored(*state.to_checkpoint())
+
+    def _restored(self, tensors: dict[str, torch.Tensor], stored: Event) -> RunState:
+        inputs = self.inputs
+        return RunState.from_checkpoint(
+            tensors, stored, self.selection.recipe, inputs.training, inputs.device, inputs.settings.backend
+        )
+
+    # -- validation and progress --------------------------------------------------------------------------------------
 
     @property
-    def validations_due(self) -> int:
+    def _validations_due(self) -> int:
         """How many validations the run should have had by now."""
-        return int(self.clock.fraction / self.schedule.validate + 1e-6)
+        return int(self.state.clock.fraction / self.inputs.schedule.validate + 1e-6)
 
-    @property
-    def seconds(self) -> float:
-        """Time trained so far, earlier parts of a resumed run included."""
-        return self.seconds_before + time.monotonic() - self.began
+    def _finish_when_flat(self) -> None:
+        """Skip to the last stage once the curve is flat and the Gaussians have had time to settle."""
+        clock, recipe = self.state.clock, self.state.recipe
+        last = recipe.stage_two_from
+        if recipe.grow_until + FLAT_FRACTION <= clock.fraction < last and is_flat(self.state.curve):
+            self.notes.append(
+                f"Finished early: the last {FLAT_FRACTION:.0%} of the run gained less than {FLAT_DB} dB in validation."
+            )
+            self.pacer.finish_early(clock, self.state.iteration, last)
 
-    def stop_when_flat(self) -> None:
-        """Go to the last stage once the curve is flat and the Gaussians have had time to settle."""
-        fraction, last = self.clock.fraction, self.recipe.stage_two_from
-        if not (self.recipe.grow_until + FLAT_SHARE <= fraction < last and is_flat(self.curve)):
-            return
-        self.notes.append(f"Ended early: a fifth of the run gained less than {FLAT_DB} dB on the validation views.")
-        self.clock.skip_to(last, self.iteration)
-        if self.budget:
-            self.budget.shorten(self.seconds * (1 - last) / last)
-
-    def progress(self, loss: float) -> Event:
-        speed = (self.iteration - self.resumed_at) / max(time.monotonic() - self.began, 1e-9)
-        planned = self.clock.planned(self.iteration)
-        left = max(0.0, self.budget.left()) if self.budget else (planned - self.iteration) / max(speed, 1e-9)
+    def _progress(self, loss: float) -> Event:
+        state = self.state
         return {
             "event": "progress",
             "stage": "train",
-            "iteration": self.iteration,
-            "iterations": planned,
-            "seconds": round(self.seconds, 2),
-            "seconds_left": round(left, 1),
+            "iteration": state.iteration,
+            "iterations": state.clock.planned(state.iteration),
+            "seconds": round(self.pacer.seconds, 2),
+            "seconds_left": round(self.pacer.seconds_left(state.clock, state.iteration), 1),
             "loss": loss,
-            "psnr": self.psnr,
-            "ssim": self.ssim,
-            "curve": self.curve,
-            "next_minute_db": next_minute(self.curve),
-            "gaussians": len(self.cloud),
-            "iterations_per_second": round(speed, 2),
+            "psnr": state.psnr,
+            "ssim": state.ssim,
+            "curve": state.curve,
+            "next_minute_db": next_minute(state.curve),
+            "gaussians": len(state.cloud),
+            "iterations_per_second": round(self.pacer.iterations_per_second(state.iteration), 2),
         }
 
-    def scored(self, images: Sequence[TrainingImage]) -> list[ViewScore]:
-        """Scores of photographs in what the run has learned so far: on the CPU where the card has too little memory,
-        and no numbers where memory does not reach there either."""
-        degree, backend = self.settings.sh_degree, self.settings.backend
-        found = within_memory(lambda: score_views(self.cloud, images, degree, backend, self.simulated))
-        if found is None:
-            cloud, simulated = self.cloud.to(CPU), deepcopy(self.simulated).to(CPU)
-            found = within_memory(lambda: score_views(cloud, images, degree, "auto", simulated))
-        self.relief.unscored |= found is None
-        nothing = float("nan")
-        return found or [ViewScore(image.camera.name, nothing, nothing, nothing, 0) for image in images]
+    def _write_preview(self) -> None:
+        state = self.state
+        write_ply(self.run.preview, state.cloud.to_splats(sh_degree=0))
+        water = state.effects.medium.to_json() if state.effects.medium else None  # per scene unit
+        path = str(self.run.preview)
+        self.on_event({"event": "preview", "path": path, "iteration": state.iteration, "water": water})
 
-    def validate(self, loss: float) -> None:
-        """Score the validation views and log it. Test views are never looked at here."""
-        started, seconds = time.monotonic(), self.seconds
-        self.psnr, self.ssim = mean_score(self.scored(self.validation))
-        self.curve.append((round(self.clock.fraction, 4), round(seconds, 2), self.psnr))
-        if self.budget:
-            each = (time.monotonic() - started) / len(self.validation)
-            self.budget.held_out = each * (len(self.validation) + len(self.test))
-        if self.recipe.dropout:
-            looked_at = self.training[:: -(-len(self.training) // LOOKED_AT)]
-            self.training_psnr = mean_score(self.scored(looked_at))[0]
-            self.dropout = dropout_rate(self.training_psnr, self.psnr, self.recipe.dropout)
+    def _scores(self, images: Sequence[TrainingImage]) -> list[ViewScore]:
+        """Score images; on the CPU where the card has too little memory, with NaN where no memory suffices."""
+        state, settings = self.state, self.inputs.settings
+        degree, backend = settings.sh_degree, settings.backend
+        found = within_memory(lambda: score_views(state.cloud, images, degree, backend, state.effects))
+        if found is None:
+            cloud, effects = state.cloud.to(CPU), deepcopy(state.effects).to(CPU)
+            found = within_memory(lambda: score_views(cloud, images, degree, "auto", effects))
+        state.relief.unscored |= found is None
+        return found or [ViewScore(image.camera.name, math.nan, math.nan, math.nan, 0) for image in images]
+
+    def _validate(self, loss: float) -> None:
+        """Score the validation images and log the result. Test images are never scored here."""
+        state, inputs = self.state, self.inputs
+        started, seconds = time.monotonic(), self.pacer.seconds
+        state.psnr, state.ssim = mean_score(self._scores(inputs.validation))
+        state.curve.append((round(state.clock.fraction, 4), round(seconds, 2), state.psnr))
+        if budget := self.pacer.budget:
+            each = (time.monotonic() - started) / len(inputs.validation)
+            budget.held_out = each * (len(inputs.validation) + len(inputs.test))
+        if state.recipe.dropout:
+            scored = inputs.training[:: -(-len(inputs.training) // SCORED_IMAGES)]
+            self.training_psnr = mean_score(self._scores(scored))[0]
+            state.dropout = dropout_rate(self.training_psnr, state.psnr, state.recipe.dropout)
         self.run.log(
             {
-                "iteration": self.iteration,
+                "iteration": state.iteration,
                 "seconds": round(seconds, 3),
                 "loss": loss,
                 "training_psnr": self.training_psnr,
-                "psnr": self.psnr,
-                "ssim": self.ssim,
-                "gaussians": len(self.cloud),
-                "ms": round(1000 * seconds / max(1, self.iteration), 2),
+                "psnr": state.psnr,
+                "ssim": state.ssim,
+                "gaussians": len(state.cloud),
+                "ms": round(1000 * seconds / max(1, state.iteration), 2),
             }
         )
 
-    def finish(self, loss: float, interrupted: bool) -> Event:
-        """Write results and figures; returns the result event."""
-        seconds, left_out = self.seconds, self.dropout
-        if self.validation and self.iteration:
-            self.validate(loss)
-        splats = self.cloud.to_splats()
+    # -- results ------------------------------------------------------------------------------------------------------
+
+    def _finish(self, loss: float, interrupted: bool) -> Event:
+        """Write results and figures; return the `result` event."""
+        state, inputs = self.state, self.inputs
+        seconds, dropped = self.pacer.seconds, state.dropout
+        if inputs.validation and state.iteration:
+            self._validate(loss)
+        splats = state.cloud.to_splats()
         if self.guidance:
-            self.guidance.write(self.run.path, splats, self.scene.up.tolist(), self.cloud)
+            self.guidance.write(self.run.path, splats, inputs.scene.up.tolist(), state.cloud)
         else:
             write_ply(self.run.ply, splats)
-            write_glb(self.run.glb, splats, self.scene.up)
-        scores = self.scored(self.test)
+            write_glb(self.run.glb, splats, inputs.scene.up)
+        scores = self._scores(inputs.test)
         test_psnr, test_ssim = mean_score(scores)
-        learned = dropout_note(left_out, self.training_psnr, self.psnr)
-        self.notes += filter(None, [self.moving_note, learned, self.guard.note(self.iteration), self.relief.note])
+        overfitting = dropout_note(dropped, self.training_psnr, state.psnr)
+        guard_note = self.guard.note(state.guarded, state.iteration)
+        self.notes += filter(None, [state.motion.note, overfitting, guard_note, state.relief.note])
         metrics: Event = {
             "test_psnr": test_psnr,
             "test_ssim": test_ssim,
-            "control_psnr": median_control(self.training, self.test),
-            "psnr": self.psnr,
-            "ssim": self.ssim,
-            "iteration": self.iteration,
-            "iterations": self.clock.planned(self.iteration),
-            "gaussians": len(self.cloud),
+            "control_psnr": median_control(inputs.training, inputs.test),
+            "psnr": state.psnr,
+            "ssim": state.ssim,
+            "iteration": state.iteration,
+            "iterations": state.clock.planned(state.iteration),
+            "gaussians": len(state.cloud),
             "seconds": round(seconds, 2),
             "ledger": self.ledger.milliseconds(),
             "interrupted": interrupted,
-            "background": self.background(),
-            "water": self.water_note,
-            **self.effect_figures(),
+            "background": self._background(),
+            "water": self.selection.water.note,
+            "effects": self.selection.switched_on(state),
+            "trials": state.trials,
             "notes": self.notes,
             "views": {score.name: {"psnr": score.psnr, "ssim": score.ssim} for score in scores},
         }
         self.run.log(
             {
-                "iteration": self.iteration,
+                "iteration": state.iteration,
                 "seconds": round(seconds, 3),
                 **{k: metrics[k] for k in ("test_psnr", "test_ssim")},
             }
         )
-        if self.medium:
-            write_json(self.run.water, self.medium.to_json(self.settings.metres_per_unit))
+        if state.effects.medium:
+            write_json(self.run.water, state.effects.medium.to_json(inputs.settings.metres_per_unit))
         self.run.write_metrics(metrics)
         self.run.preview.unlink(missing_ok=True)
         return {
@@ -365,76 +487,44 @@ class Trainer(Iteration):
             "interrupted": interrupted,
         }
 
-    def background(self) -> list[float]:
-        """Display colour (3,) behind the Gaussians: black where the water that was there has been taken away."""
-        open_water = isinstance(self.medium, Medium) and self.medium.veil is not None
-        color = torch.zeros(3) if open_water else self.cloud.background.detach().sigmoid()
+    def _background(self) -> list[float]:
+        """Display color (3,) behind the Gaussians: black where the water that was there has been removed."""
+        medium = self.state.effects.medium
+        open_water = isinstance(medium, Medium) and medium.veil is not None
+        color = torch.zeros(3) if open_water else self.state.cloud.background.detach().sigmoid()
         return [round(value, 6) for value in color.tolist()]
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
     def save(self) -> None:
-        path = save_checkpoint(self.run.path, self.iteration, *self.state())
+        """Write a checkpoint of the run."""
+        state = self.state
+        state.seconds, state.budget_spent = self.pacer.seconds, self.pacer.budget_spent
+        path = save_checkpoint(self.run.path, state.iteration, *state.to_checkpoint())
         self.on_event({"event": "checkpoint", "path": str(path)})
 
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """All that `load` needs to go on from here, in the CPU's memory, not shared with what goes on."""
-        tensors = {f"cloud.{name}": tensor for name, tensor in self.cloud.parameters().items()}
-        tensors |= self.effect_tensors() | self.optimizer.state_tensors() | self.guard.tensors()
-        tensors |= {"growth.gradient": self.statistics.gradient, "growth.views": self.statistics.views}
-        state = self.effect_state() | {
-            "iteration": self.iteration,
-            "seconds": self.seconds,
-            "clock": asdict(self.clock),
-            "curve": list(self.curve),
-            "spent": time.monotonic() - self.budget.started if self.budget else 0.0,
-            "start_count": self.start_count,
-            "psnr": self.psnr,
-            "ssim": self.ssim,
-            "dropout": self.dropout,
-            "guard": self.guard.state(),
-            "relief": asdict(self.relief),
-        }
-        return {name: tensor.detach().to(CPU, copy=True) for name, tensor in tensors.items()}, state
-
-    def load(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
-        """Go on from what `state` gave."""
-        simulated = self.load_effects(tensors, state)
-        self.optimizer = Optimizer(cloud_from_tensors(tensors).to(self.device), simulated, self.settings.backend)
-        self.optimizer.load_state(tensors)
-        self.guard.load(state["guard"], tensors, self.optimizer)
-        self.relief = Relief(**state["relief"])
-        sums = (tensors[name].to(self.device, copy=True) for name in ("growth.gradient", "growth.views"))
-        self.statistics = GrowthStatistics(*sums)
-        self.iteration, self.clock = state["iteration"], Clock(**state["clock"])
-        self.curve = [tuple(point) for point in state["curve"]]
-        self.start_count, self.psnr, self.ssim = state["start_count"], state["psnr"], state["ssim"]
-        self.dropout = state["dropout"]
-
     def resume(self, longer: bool = False) -> None:
-        """Go on from the newest checkpoint; from the start when the run was stopped before its first.
+        """Continue from the newest checkpoint; from the start when the run was stopped before its first.
 
-        longer: the run goes on past the end that it was planned to have.
+        Args:
+            longer: Whether the run continues past the end that it was planned to have.
+
+        Raises:
+            InputError: If no checkpoint can be read.
         """
         loaded = load_checkpoint(self.run.path)
         if loaded is None:
             self.run.log_until(0)
             return
-        tensors, state = loaded
-        planned = self.clock
-        self.load(tensors, state)
-        if not self.cloud.features.shape[1]:  # the run began without regions
-            self.guidance = None
-        self.seconds_before = state["seconds"]
+        planned, budget = self.state.clock, self.pacer.budget
+        state = self.state = self._restored(*loaded)
+        if not state.cloud.features.shape[1]:  # the run began without regions
+            self.targets.emphasis = None
+            self._act_on(None)
+        self.pacer.seconds_before = state.seconds
         if longer:
-            self.clock = Clock(self.iteration + self.budget.iterations) if self.budget else planned
-        elif self.budget:
-            self.budget.started -= state["spent"]
-        self.clock.advance(self.iteration)
-        self.run.log_until(self.iteration)
-
-
-def cloud_from_tensors(tensors: dict[str, Tensor]) -> GaussianCloud:
-    """The cloud of a checkpoint's tensors."""
-    prefix = "cloud."
-    return GaussianCloud(**{name[len(prefix) :]: t.clone() for name, t in tensors.items() if name.startswith(prefix)})
+            state.clock = Clock(state.iteration + budget.iterations) if budget else planned
+        elif budget:
+            budget.started -= state.budget_spent
+        state.clock.advance(state.iteration)
+        self.run.log_until(state.iteration)

@@ -1,50 +1,56 @@
-"""Effects that the plan is not sure of, tried in short forks of the run and kept only where validation views gain.
+"""Trials of effects that the plan leaves undetermined: short forks of the run, judged on the validation images.
 
-At a stated share of the run its state is kept. It goes on for LENGTH of the run without the effect, and once more from
-the same state, with the same photographs in the same order, with it. The better one goes on. No test view is looked at.
+At a stated fraction of the run its state is copied. The run continues for LENGTH of all iterations without the effect,
+and once more from the copy, with the same images in the same order, with the effect. The better fork becomes the run.
 """
 
 import time
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from ..evaluation.metrics import ViewScore
 from ..planning.plan import Effect, Plan
-
-if TYPE_CHECKING:
-    from .trainer import Trainer
+from .state import RunState
 
 TRIED_AT = {"lamp": 0.1, "exposure": 0.1, "caustics": 0.1}
-"""Share of the run after which each is tried. Water is not: it is modelled to be taken away, and photographs can be
-shown as well without (japanese_gardens: .4 dB better in the fork)."""
+"""Fraction of the run at which each effect is tried. Water is not tried: it is modelled to be removed, and images can
+be reproduced as well without it (japanese_gardens: .4 dB better in the fork)."""
 NEED_RANGES = ("lamp",)
-"""Where the plan cannot tell these, photographs from such ranges cannot: that is left to the user."""
+"""Effects that images from such ranges cannot determine where the plan could not: left to the user."""
 PRECONDITIONS = ("range_ratio", "radius_correlation")
-"""Figures that say whether an effect can be told, not how strong it is."""
+"""Figures that say whether an effect can be determined, not how strong it is."""
 LENGTH = 0.05
+"""Length of a fork, as a fraction of all iterations."""
 LEAST_GAIN = 0.3
-"""dB of validation PSNR; also two standard errors over the views."""
+"""Validation PSNR that an effect must gain, dB; also two standard errors over the images."""
 NEAR = 1.5
-"""An effect is near its threshold where the figure that decides is within this factor of it."""
+"""An effect is tried when its deciding figure is within this factor of the threshold."""
 
 
-def doubtful(plan: Plan | None) -> list[str]:
-    """The effects that are to be tried: neither the plan nor the user is sure of them."""
+def undetermined_effects(plan: Plan | None) -> list[str]:
+    """Return the effects to try: those that neither the plan nor the user decides with certainty."""
     if plan is None:
         return []
-    return [name for name in TRIED_AT if not plan.effects[name].overruled and _doubtful(name, plan.effects[name])]
+    return [name for name in TRIED_AT if not plan.effects[name].overruled and _undetermined(name, plan.effects[name])]
 
 
-def _doubtful(name: str, effect: Effect) -> bool:
+def _undetermined(name: str, effect: Effect) -> bool:
     if effect.state == "unknown":
         return name not in NEED_RANGES
     return 1 / NEAR < margin(effect.evidence) < NEAR
 
 
-def margin(evidence: dict[str, Any]) -> float:
-    """The least of all figures over their thresholds (NAME_least, NAME_most): above 1 where all are passed."""
+def margin(evidence: Mapping[str, Any]) -> float:
+    """Return the least ratio of a figure to its threshold.
+
+    Args:
+        evidence: Figures with thresholds named NAME_least or NAME_most.
+
+    Returns:
+        Above 1 where all thresholds are passed; infinite without any.
+    """
     ratios = [np.inf]
     for key, threshold in evidence.items():
         name, _, kind = key.rpartition("_")
@@ -55,64 +61,72 @@ def margin(evidence: dict[str, Any]) -> float:
     return float(min(ratios))
 
 
-def trials_due(trainer: "Trainer") -> list[str]:
-    """The effects that are to be tried now."""
-    tried = {trial["effect"] for trial in trainer.trials}
-    return [name for name in trainer.doubtful if name not in tried and trainer.clock.fraction >= TRIED_AT[name]]
+def trials_due(state: RunState, to_try: Sequence[str]) -> list[str]:
+    """Return the effects of `to_try` that are to be tried now."""
+    tried = {trial["effect"] for trial in state.trials}
+    return [name for name in to_try if name not in tried and state.clock.fraction >= TRIED_AT[name]]
 
 
-def try_effects(trainer: "Trainer", should_stop: Callable[[], bool]) -> bool:
-    """Try what is due. False where it was stopped: the run is then as it was before."""
-    due = trials_due(trainer)
-    length = max(1, round(LENGTH * trainer.clock.iterations))
-    before = trainer.state()
-    scores = _forked(trainer, length, should_stop)
-    if scores is None:
-        trainer.load(*before)
-        return False
-    best, decided = (scores, trainer.state()), dict.fromkeys(due, False)
+def run_trials(
+    state: RunState,
+    due: Sequence[str],
+    copy: Callable[[RunState], RunState],
+    switch: Callable[[RunState, Mapping[str, bool]], None],
+    score_after: Callable[[RunState, int], Sequence[ViewScore] | None],
+) -> RunState | None:
+    """Try effects in forks of a run.
+
+    Args:
+        state: State of the run; not changed.
+        due: Effects to try.
+        copy: Copies a state.
+        switch: Switches effects of a state on.
+        score_after: Trains a state for so many iterations and scores the validation images; None when it was stopped.
+
+    Returns:
+        State of the best fork with the trials recorded, None when a fork was stopped.
+    """
+    length = max(1, round(LENGTH * state.clock.iterations))
+    best = copy(state)
+    best_scores = score_after(best, length)
+    if best_scores is None:
+        return None
+    decided = dict.fromkeys(due, False)
     trials: list[dict[str, Any]] = []
     for name in due:
         started = time.monotonic()
-        kept = {effect: True for effect, chosen in decided.items() if chosen}
-        trainer.load(*before)
-        trainer.switch(kept | {name: True})
-        scores = _forked(trainer, length, should_stop)
+        fork = copy(state)
+        switch(fork, {effect: True for effect, chosen in decided.items() if chosen} | {name: True})
+        scores = score_after(fork, length)
         if scores is None:
-            trainer.load(*before)
-            return False
-        gain, needed = compared(best[0], scores)
+            return None
+        gain, needed = gain_of_effect(best_scores, scores)
         if gain > needed:
             decided[name] = True
-            best = scores, trainer.state()
-        trials.append(
-            told(
-                {
-                    "effect": name,
-                    "iteration": before[1]["iteration"],
-                    "gain": round(gain, 3),
-                    "needed": round(needed, 3),
-                    "kept": decided[name],
-                    "seconds": round(time.monotonic() - started, 2),
-                }
-            )
-        )
-    trainer.load(*best[1])
-    trainer.trials += trials
-    return True
+            best, best_scores = fork, scores
+        trial = {
+            "effect": name,
+            "iteration": state.iteration,
+            "gain": round(gain, 3),
+            "needed": round(needed, 3),
+            "kept": decided[name],
+            "seconds": round(time.monotonic() - started, 2),
+        }
+        trials.append(trial | {"sentence": sentence(trial)})
+    best.trials += trials
+    return best
 
 
-def _forked(trainer: "Trainer", iterations: int, should_stop: Callable[[], bool]) -> Sequence[ViewScore] | None:
-    """Scores of the validation views so many iterations later, None where it was stopped."""
-    for _ in range(iterations):
-        if should_stop():
-            return None
-        trainer.step()
-    return trainer.scored(trainer.validation)
+def gain_of_effect(without: Sequence[ViewScore], having: Sequence[ViewScore]) -> tuple[float, float]:
+    """Compare the scores of the same images without and with an effect.
 
+    Args:
+        without: Scores without the effect.
+        having: Scores with it.
 
-def compared(without: Sequence[ViewScore], having: Sequence[ViewScore]) -> tuple[float, float]:
-    """Mean gain in dB over the views, and the gain that is needed."""
+    Returns:
+        Mean gain in PSNR over the images, and the gain that is needed, both dB.
+    """
     gains = np.array([b.psnr - a.psnr for a, b in zip(without, having, strict=True)])
     gains = gains[np.isfinite(gains)]
     if not len(gains):
@@ -121,11 +135,10 @@ def compared(without: Sequence[ViewScore], having: Sequence[ViewScore]) -> tuple
     return float(gains.mean()), max(LEAST_GAIN, 2 * error)
 
 
-def told(trial: dict[str, Any]) -> dict[str, Any]:
-    """A trial with itself in words."""
+def sentence(trial: Mapping[str, Any]) -> str:
+    """Describe a trial in a sentence for the user."""
     name = trial["effect"].replace("_", " ")
-    words = (
-        f"Tried {name} at iteration {trial['iteration']}: {trial['gain']:+.2f} dB on the validation photographs "
-        f"({trial['needed']:.2f} needed), {'kept' if trial['kept'] else 'left off'}; {trial['seconds']:.1f} s."
+    return (
+        f"Tried {name} at iteration {trial['iteration']}: {trial['gain']:+.2f} dB on the validation photos "
+        f"({trial['needed']:.2f} dB needed), {'kept' if trial['kept'] else 'left off'}; {trial['seconds']:.1f} s."
     )
-    return trial | {"sentence": words}

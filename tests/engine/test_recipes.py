@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from swag_engine.training.prepare import find_depth, find_frames
 from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
@@ -24,7 +25,6 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import losses, prepare
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.objective import Objective
-from swag_engine.training.prepare import find_depth, find_frames
 from swag_engine.training.step import GEOMETRY
 from swag_engine.training.targets import Target
 from swag_engine.training.trainer import Trainer, train

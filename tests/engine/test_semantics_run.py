@@ -18,13 +18,13 @@ from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply, write_ply
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.gaussians.init import gaussians_from_points
+from swag_engine.rendering.model import cloud_from_checkpoint
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.semantics.assign import rendered_labels
 from swag_engine.semantics.masks import MaskFolder
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint, save_checkpoint
-from swag_engine.training.trainer import cloud_from_tensors
 
 REEF = Path(__file__).resolve().parents[1] / "scenes" / "reef_wreck"
 MASKS = REEF / "labels"
@@ -218,7 +218,7 @@ def test_rendering_the_labels_of_a_run_is_right_where_it_is_covered(labelled: Pa
     scene = load_scene(REEF)
     loaded = load_checkpoint(labelled)
     assert loaded is not None
-    cloud = cloud_from_tensors(loaded[0])
+    cloud = cloud_from_checkpoint(loaded[0])
     table = json.loads((labelled / "labels.json").read_text())["labels"]
     image = load_images(scene, scene.views[:1], 160)[0]
     numbers = torch.from_numpy(read_ply(labelled / "result.ply").extras["label"].astype(np.int64))

@@ -14,6 +14,7 @@ from tiny import make_tiny_scene
 
 from swag_engine.experiments.label_run import search_run
 from swag_engine.formats.ply import read_ply
+from swag_engine.rendering.model import cloud_from_checkpoint
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
@@ -26,7 +27,7 @@ from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.guidance import Guidance, find_guidance, is_pruned, open_water_loss, salience
 from swag_engine.training.objective import Objective
 from swag_engine.training.targets import Target
-from swag_engine.training.trainer import cloud_from_tensors, train
+from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=100, width=64, max_gaussians=400, sh_degree=1)
 ALL_ON = "salient-growth=on,salient-pixels=on,open-water=on,class-pruning=on,reallocation=on"
@@ -214,7 +215,7 @@ def test_open_water_is_cleared_and_gives_the_tail_its_colour() -> None:
 def test_the_open_water_switch_empties_open_water(scene: Path, plain: Path, tmp_path: Path) -> None:
     train(scene, tmp_path / "run", replace(SETTINGS, effects="open-water=on"))
     camera = load_images(load_scene(scene), load_scene(scene).views[1:2], 64)[0].camera
-    shown = [render(cloud_from_tensors(tensors_of(run)), camera).alpha.detach() for run in (plain, tmp_path / "run")]
+    shown = [render(cloud_from_checkpoint(tensors_of(run)), camera).alpha.detach() for run in (plain, tmp_path / "run")]
     cleared = [float((shown[1] - shown[0])[:, columns].mean()) for columns in (slice(0, 18), slice(24, 64))]
     assert cleared[0] < -0.05 and cleared[0] < 3 * cleared[1]
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from swag_engine.base.transfer import linear_of_bytes
 from swag_engine.evidence.observations import FAR_WINDOW, observe
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import Points
 from swag_engine.scene.images import TrainingImage
-from swag_engine.base.transfer import linear_of_bytes
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 60.0
 

@@ -4,9 +4,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-REPLANNED = 10
+REPLAN_EVERY = 10
 """Iterations after which the rest of the run is planned again."""
-FLAT_SHARE, FLAT_DB = 0.2, 0.05
+FLAT_FRACTION = 0.2
+"""Fraction of a run over which its curve is compared."""
+FLAT_DB = 0.05
 """A run is flat when that share of it has gained less than that on the validation views."""
 
 
@@ -46,10 +48,10 @@ class Clock:
     ) -> None:
         """Fit the rest of the run into the time that is left.
 
-        took: seconds that the last REPLANNED iterations needed. left: seconds until the run must have ended.
+        took: seconds that the last REPLAN_EVERY iterations needed. left: seconds until the run must have ended.
         predicted: seconds of an iteration at a fraction of the run.
         """
-        slowness = took / REPLANNED / predicted(self.fraction)
+        slowness = took / REPLAN_EVERY / predicted(self.fraction)
         self.slowness = 0.8 * self.slowness + 0.2 * slowness if self.slowness else slowness
         rest = [self.fraction + (1 - self.fraction) * (step + 0.5) / steps for step in range(steps)]
         each = self.slowness * sum(map(predicted, rest)) / steps
@@ -66,9 +68,9 @@ Point = tuple[float, float, float]
 
 
 def is_flat(curve: Sequence[Point]) -> bool:
-    """Whether the last FLAT_SHARE of a run brought nothing."""
+    """Whether the last FLAT_FRACTION of a run brought nothing."""
     last = curve[-1][0]
-    earlier = [psnr for fraction, _, psnr in curve if fraction <= last - FLAT_SHARE + 1e-6]
+    earlier = [psnr for fraction, _, psnr in curve if fraction <= last - FLAT_FRACTION + 1e-6]
     return bool(earlier) and max(psnr for *_, psnr in curve) - max(earlier) < FLAT_DB
 
 

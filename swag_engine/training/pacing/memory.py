@@ -80,7 +80,7 @@ def fit_memory(extent: Extent, settings: TrainSettings, free: int | None) -> tup
 
 
 @torch.no_grad()
-def fewer(cloud: GaussianCloud) -> tuple[GaussianCloud, Tensor]:
+def reduced(cloud: GaussianCloud) -> tuple[GaussianCloud, Tensor]:
     """The most opaque KEPT of a cloud, in their order, and their indices (N',)."""
     kept = torch.sort(cloud.opacity_logits, descending=True, stable=True).indices[: max(1, int(KEPT * len(cloud)))]
     kept = kept.sort().values

@@ -1,0 +1,98 @@
+"""When Gaussians are added, dropped and relocated during a run."""
+
+import torch
+from torch import Tensor
+
+from ..base.timing import part
+from ..gaussians.densify import Growth, McmcGrowth, random_of
+from ..gaussians.relocate import reallocate
+from ..rendering.importance import scores
+from ..settings.recipes import Recipe
+from .effect_selection import EffectSelection
+from .guidance import Guidance
+from .inputs import RunInputs
+from .state import RunState
+from .target_cache import Targets
+from .targets import Target
+
+FULL_AFTER = 0.8
+"""Fraction of densification after which the number of Gaussians is at its limit, so that late ones can settle."""
+
+
+def strategy_of(recipe: Recipe) -> Growth:
+    """Return the densification strategy of a recipe."""
+    return McmcGrowth() if recipe.growth == "mcmc" else Growth()
+
+
+class Densification:
+    """Adds, drops and relocates the Gaussians of a run.
+
+    Args:
+        inputs: Images and settings of the run.
+        selection: Gives the loss of the recipe that the state has.
+        targets: The targets, over which importance is summed.
+        guidance: Regions of the images that weigh the scores, if any.
+    """
+
+    def __init__(
+        self, inputs: RunInputs, selection: EffectSelection, targets: Targets, guidance: Guidance | None
+    ) -> None:
+        self.inputs, self.selection, self.targets, self.guidance = inputs, selection, targets, guidance
+
+    def after_step(self, state: RunState, means_rate: float, sh_degree: int, water_degree: int) -> None:
+        """Change the cloud where that is due after an iteration outside stage two.
+
+        Args:
+            state: State of the run; changed in place.
+            means_rate: Step size of the means in this iteration.
+            sh_degree: Degree of the Gaussians' colors, 0..3.
+            water_degree: Degree of the background light, 0..2.
+        """
+        random = random_of(self.inputs.settings.seed, state.iteration)
+        with part("densification"):
+            strategy_of(state.recipe).perturb(state.cloud, means_rate, self.inputs.median_range, random)
+            self._densify(state, random)
+            self._relocate(state, sh_degree, water_degree)
+
+    def _densify(self, state: RunState, random: torch.Generator) -> None:
+        schedule, fraction, until = self.inputs.schedule, state.clock.fraction, state.recipe.grow_until
+        if state.iteration % schedule.grow_every or not schedule.grow_from <= fraction <= until:
+            return
+        progress = (fraction - schedule.grow_from) / (until - schedule.grow_from)
+        most = state.relief.most or self.inputs.settings.max_gaussians
+        budget = state.start_count + int((most - state.start_count) * min(1.0, progress / FULL_AFTER))
+        weight = None
+        if self.guidance:
+            self.guidance.prune(state.cloud)
+            weight = self.guidance.growth_weights(state.cloud)
+        with torch.no_grad():
+            state.replace_cloud(
+                *strategy_of(state.recipe).event(
+                    state.cloud, state.statistics, budget, self.inputs.median_range, random, weight
+                )
+            )
+
+    def _relocate(self, state: RunState, sh_degree: int, water_degree: int) -> None:
+        """Move Gaussians to where the error is, a few times between densification and stage two."""
+        schedule, recipe, fraction = self.inputs.schedule, state.recipe, state.clock.fraction
+        every = max(1, round(schedule.reallocate_every * state.clock.iterations))
+        last = recipe.stage_two_from - schedule.reallocate_every
+        if recipe.reallocation == "off" or state.iteration % every or not recipe.grow_until <= fraction <= last:
+            return
+        objective = self.selection.objective(recipe)
+
+        def loss(color: Tensor, target: Target) -> Tensor:
+            shown = state.effects.developed(color, target.camera.name)
+            return objective.reconstruction(shown, target, fraction)
+
+        views = [
+            (target.camera, lambda color, target=target: loss(color, target))
+            for target in self.targets.at(state, fraction)
+            if not target.interpolated
+        ]
+        backend = self.inputs.settings.backend
+        effects = state.effects
+        S, E = scores(state.cloud, views, sh_degree, effects.medium, water_degree, backend, effects.lamp)
+        if self.guidance and (weight := self.guidance.growth_weights(state.cloud)) is not None:
+            E = E * weight
+        state.replace_cloud(*reallocate(state.cloud, S, E, identical=recipe.reallocation == "identical"))

@@ -1,0 +1,105 @@
+"""Inputs of a training run: what is read from the scene once and never changes while the run lasts."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..kernels.backends import device_for
+from ..scene.colmap import Scene
+from ..scene.images import TrainingImage, load_images
+from ..scene.split import split_views
+from ..settings.settings import TrainSettings
+from .schedule import Schedule
+
+Event = dict[str, Any]
+"""A message to whoever started the run: `progress`, `plan`, `preview`, `checkpoint` or `result`."""
+
+
+@dataclass(frozen=True)
+class RunInputs:
+    """Images and settings of one run.
+
+    Attributes:
+        scene: The scene, with cameras and sparse points.
+        settings: Settings with all sizes filled in.
+        training: Images that the loss is computed on.
+        validation: Images that decisions of the run are made on.
+        test: Images for the reported figures only.
+        median_range: Median distance from the training cameras to the sparse points, scene units.
+        device: Where the run keeps its tensors.
+        schedule: When things happen.
+    """
+
+    scene: Scene
+    settings: TrainSettings
+    training: Sequence[TrainingImage]
+    validation: Sequence[TrainingImage]
+    test: Sequence[TrainingImage]
+    median_range: float
+    device: torch.device
+    schedule: Schedule
+
+    @property
+    def known(self) -> list[TrainingImage]:
+        """All images that a run may look at: training and validation."""
+        return [*self.training, *self.validation]
+
+    def median_color(self) -> np.ndarray:
+        """Return the median display color (3,) of the training images, in 0..1."""
+        return np.median(np.stack([np.median(image.pixels, axis=(0, 1)) for image in self.training]), axis=0) / 255
+
+
+def load_inputs(scene: Scene, settings: TrainSettings, on_event: Callable[[Event], None]) -> RunInputs:
+    """Load the images of a scene at the training width and split them.
+
+    Args:
+        scene: The scene to train.
+        settings: Settings with width filled in.
+        on_event: Gets a `progress` event for each image.
+
+    Returns:
+        The inputs of a run.
+
+    Raises:
+        InputError: If an image cannot be read.
+    """
+
+    def report(done: int, total: int) -> None:
+        on_event({"event": "progress", "stage": "load", "iteration": done, "iterations": total})
+
+    images = {image.camera.name: image for image in load_images(scene, scene.views, settings.width, report)}
+    split = split_views([view.camera.name for view in scene.views])
+    training = [images[name] for name in split.train]
+    return RunInputs(
+        scene,
+        settings,
+        training,
+        [images[name] for name in split.validation],
+        [images[name] for name in split.test],
+        median_range(scene, training),
+        device_for(settings.backend),
+        Schedule(),
+    )
+
+
+def median_range(scene: Scene, images: Sequence[TrainingImage]) -> float:
+    """Compute the median Euclidean distance between cameras and the sparse points in front of them.
+
+    Args:
+        scene: The scene with its sparse points.
+        images: The images whose cameras count.
+
+    Returns:
+        Median distance in scene units; 1 where no point lies in front of any camera.
+    """
+    ranges = []
+    for image in images:
+        in_camera = (
+            scene.points.positions @ image.camera.world_to_camera[:3, :3].T + image.camera.world_to_camera[:3, 3]
+        )
+        ranges.append(np.linalg.norm(in_camera[in_camera[:, 2] > 0], axis=1))
+    together = np.concatenate(ranges)
+    return float(np.median(together)) if len(together) else 1.0

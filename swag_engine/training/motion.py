@@ -1,0 +1,95 @@
+"""Moving objects that a run masks out of its training images."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..effects.moving_objects import LEAST_IMAGES, moving_mask, residual, residuals_elsewhere, share_with_objects
+from ..effects.scene_effects import Simulated
+from ..evaluation.metrics import picture
+from ..gaussians.cloud import GaussianCloud
+from ..scene.images import TrainingImage
+
+SEARCHED_AT = (0.3, 0.6)
+"""Fractions of the run at which moving objects are searched for."""
+STORED = "moved."
+"""Prefix of the masks in a checkpoint."""
+
+
+@dataclass(frozen=True)
+class MotionMasks:
+    """Masks of moving objects.
+
+    Attributes:
+        masks: By image name, (H, W) bool: pixels that show a moving object.
+        searches: How often the run has searched.
+    """
+
+    masks: dict[str, np.ndarray] = field(default_factory=dict)
+    searches: int = 0
+
+    def search_due(self, fraction: float) -> bool:
+        """Return whether to search now, `fraction` (0..1) of the way through the run."""
+        return sum(fraction >= at for at in SEARCHED_AT) > self.searches
+
+    def static_pixels(self, image: TrainingImage) -> TrainingImage:
+        """Return a training image with the pixels of moving objects invalid."""
+        mask = self.masks.get(image.camera.name)
+        return image if mask is None else replace(image, valid=image.valid & ~mask)
+
+    @property
+    def note(self) -> str:
+        """A sentence for the user, empty where nothing moved."""
+        if not self.masks:
+            return ""
+        covered = 100 * np.mean([mask.mean() for mask in self.masks.values()])
+        return f"Moving objects on {covered:.1f} % of the pixels of {len(self.masks)} images are masked out."
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return the masks as packed bits for a checkpoint."""
+        return {STORED + name: torch.from_numpy(np.packbits(mask)) for name, mask in self.masks.items()}
+
+    @classmethod
+    def from_checkpoint(
+        cls, tensors: dict[str, Tensor], searches: int, images: Sequence[TrainingImage]
+    ) -> "MotionMasks":
+        """Read what `tensors` returned; `images` are those of the run, which give the masks' sizes."""
+        masks = {}
+        for image in images:
+            bits = tensors.get(STORED + image.camera.name)
+            if bits is not None:
+                flat = np.unpackbits(bits.cpu().numpy(), count=image.valid.size)
+                masks[image.camera.name] = flat.reshape(image.valid.shape).astype(bool)
+        return cls(masks, searches)
+
+
+def find_motion(
+    cloud: GaussianCloud, effects: Simulated, images: Sequence[TrainingImage], sh_degree: int, backend: str
+) -> dict[str, np.ndarray]:
+    """Find what the scene as it is learned now does not explain in single images.
+
+    Args:
+        cloud: The Gaussians.
+        effects: The scene's effects.
+        images: The training images.
+        sh_degree: Degree of the spherical harmonics to render with.
+        backend: What renders.
+
+    Returns:
+        By image name, masks (H, W) bool of moving objects; empty where too few images show any.
+    """
+    residuals = []
+    for image in images:
+        shown = picture(cloud, image.camera, sh_degree, backend, effects)
+        residuals.append(residual(image.pixels / np.float32(255), shown.numpy(), image.valid))
+    elsewhere = residuals_elsewhere(cloud, [image.camera for image in images], residuals, backend)
+    masks = {
+        image.camera.name: moving_mask(here, others, image.valid)
+        for image, here, others in zip(images, residuals, elsewhere, strict=True)
+    }
+    if share_with_objects(list(masks.values())) < LEAST_IMAGES:
+        return {}
+    return {name: mask for name, mask in masks.items() if mask.any()}
