@@ -28,6 +28,7 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import Trainer, train
 from tests.scenes.effect_scenes import rendered, settings_for
 from tests.scenes.make_scene import Water, make_scene
+from tests.scenes.runs import train_with
 
 ITERATIONS, ROUNDS, AIR_ITERATIONS = 300, 3, 1500
 OFF = "water=off,lamp=off,exposure=off,caustics=off,moving_objects=off"
@@ -49,21 +50,21 @@ AIR = {"planned": "", "all": ROWS["all"]}
 def measured(scene: Path, effects: str) -> dict[str, float]:
     """Least milliseconds of an iteration, mean of EVERY in turn (names are learned in one of them), and test PSNR."""
     times: list[float] = []
-    step = Trainer.step
 
-    def timed(trainer: Trainer) -> float:
-        started = time.perf_counter()
-        loss = step(trainer)
-        times.append(1000 * (time.perf_counter() - started))
-        return loss
+    def watch(trainer: Trainer) -> None:
+        iterate = trainer.iterate
+
+        def timed() -> float:
+            started = time.perf_counter()
+            loss = iterate()
+            times.append(1000 * (time.perf_counter() - started))
+            return loss
+
+        trainer.iterate = timed  # type: ignore[method-assign]
 
     settings = TrainSettings(iterations=ITERATIONS, width=320, max_gaussians=20_000, effects=effects)
-    Trainer.step = timed  # type: ignore[method-assign]
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            metrics = train(scene, Path(folder) / "run", settings)["metrics"]
-    finally:
-        Trainer.step = step  # type: ignore[method-assign]
+    with tempfile.TemporaryDirectory() as folder:
+        metrics = train_with(scene, Path(folder) / "run", settings, watch)["metrics"]
     last = np.array(times[-(len(times) // 3 // EVERY * EVERY) :])
     milliseconds = float(last.reshape(-1, EVERY).mean(1).min())
     return {"ms": round(milliseconds, 2), "test_psnr": round(metrics["test_psnr"], 2)}

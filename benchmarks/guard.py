@@ -19,7 +19,7 @@ from train_scenes import processor
 
 from swag_engine.effects.scene_effects import Simulated
 from swag_engine.rendering.render import render
-from swag_engine.training.guard import MOST_APART, Guard
+from swag_engine.training.guard import MOST_INTERVAL, Guard, GuardedState, step_problem
 from swag_engine.training.losses import photometric
 from swag_engine.training.optimizer import Optimizer
 from swag_engine.training.schedule import LearningRates
@@ -31,7 +31,8 @@ def main() -> None:
     n, width, height = MAIN
     cloud, camera = make_cloud(n, width, height)
     optimizer, rates, target = Optimizer(cloud, Simulated()), asdict(LearningRates()), torch.rand(height, width, 3)
-    guard = Guard(optimizer, 10_000)
+    guard, guarded = Guard(10_000), GuardedState()
+    guarded.keep(optimizer)
     loss = torch.zeros(())
 
     def whole() -> None:
@@ -40,8 +41,8 @@ def main() -> None:
         loss = photometric(render(cloud, camera, 3).color, target, None)
         loss.backward()
 
-    def admits() -> None:
-        guard.admits(loss, optimizer, "view", "phase")
+    def check() -> None:
+        guard.record_step(guarded, *step_problem(loss, optimizer.parameters()), "view", "phase")
 
     def adam() -> None:
         gradients = {name: parameter.grad for name, parameter in optimizer.parameters().items()}
@@ -50,9 +51,9 @@ def main() -> None:
             parameter.grad = gradients[name]
 
     def full() -> None:
-        guard.puts_back(optimizer, MOST_APART)
+        guard.roll_back_if_bad(guarded, optimizer, MOST_INTERVAL)
 
-    steps = {"picture and gradients": whole, "every iteration": admits, "Adam": adam, "full": full}
+    steps = {"picture and gradients": whole, "every iteration": check, "Adam": adam, "full": full}
     times = {name: math.inf for name in steps}
     for _ in range(ROUNDS):  # the best of many, so that other work on the machine counts little
         for name, step in steps.items():
@@ -60,14 +61,14 @@ def main() -> None:
             step()
             times[name] = min(times[name], 1000 * (time.perf_counter() - start))
     iteration = times["picture and gradients"] + times["Adam"]
-    guarded = times["every iteration"] + times["full"] / MOST_APART
+    checking = times["every iteration"] + times["full"] / MOST_INTERVAL
     document = {
         "machine": f"{processor()}, {torch.get_num_threads()} threads",
         "what": f"{n} Gaussians at {width}x{height}, ms",
         "iteration": round(iteration, 1),
         "guard, every iteration": round(times["every iteration"], 3),
-        f"guard, every {MOST_APART} iterations": round(times["full"], 1),
-        "guard, per cent of an iteration": round(100 * guarded / iteration, 2),
+        f"guard, every {MOST_INTERVAL} iterations": round(times["full"], 1),
+        "guard, per cent of an iteration": round(100 * checking / iteration, 2),
     }
     (RESULTS / "guard.json").write_text(json.dumps(document, indent=2) + "\n")
     print(json.dumps(document, indent=2))

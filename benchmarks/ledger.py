@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT))
 
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training.trainer import trainer_of
+from swag_engine.training.trainer import make_trainer
 
 BLOCK, BLOCKS, WARM_UP = 5, 160, 200
 
@@ -28,9 +28,9 @@ def main() -> None:
     scene = ROOT / "tests" / "scenes" / "reef_wreck"
     with tempfile.TemporaryDirectory() as folder:
         run = RunFolder(Path(folder) / "run")
-        trainer = trainer_of(run, scene, settings, False, lambda event: None, None, time.monotonic())
+        trainer = make_trainer(run, scene, settings, False, lambda event: None, None, time.monotonic())
         for _ in range(WARM_UP):
-            trainer.step()
+            trainer.iterate()
         ratios, plain_ms = [], []
         for block in range(BLOCKS):
             seconds = {}
@@ -38,7 +38,7 @@ def main() -> None:
                 started = time.perf_counter()
                 for _ in range(BLOCK):
                     with trainer.ledger.iteration() if measured else nullcontext():
-                        trainer.step()
+                        trainer.iterate()
                 seconds[measured] = time.perf_counter() - started
             ratios.append(seconds[True] / seconds[False])
             plain_ms.append(1000 * seconds[False] / BLOCK)

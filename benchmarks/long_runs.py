@@ -12,11 +12,13 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 
 import torch
 from raster import RESULTS
@@ -25,7 +27,8 @@ from train_scenes import SCENES, processor
 from swag_engine.rendering.render import render
 from swag_engine.settings.recipes import RECIPES
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training import trainer as loop
+from swag_engine.training.trainer import Trainer
+from tests.scenes.runs import train_with
 
 DEFAULT = TrainSettings().recipe
 LONG, SHORT = 20_000, 5_000
@@ -39,28 +42,28 @@ def resident() -> int:
     return 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")))
 
 
-def restored(trainer: loop.Trainer) -> list[torch.Tensor]:
+def restored(trainer: Trainer) -> list[torch.Tensor]:
     """The held-out views without water."""
     with torch.no_grad():
         return [
-            render(trainer.cloud, image.camera, medium=trainer.medium, amount=0.0).color.clamp(0, 1)
-            for image in trainer.test
+            render(trainer.state.cloud, image.camera, medium=trainer.state.effects.medium, amount=0.0).color.clamp(0, 1)
+            for image in trainer.inputs.test
         ]
 
 
 def one(scene: Path, recipe: str, iterations: int) -> dict[str, Any]:
     """Figures of one run, in this process."""
     memory, before, skipped = [], [], []
-    step = loop.Trainer.step
 
-    def watched(trainer: loop.Trainer) -> float:
-        if not before and trainer.objective.in_stage_two(trainer.clock.fraction):
+    def watched(trainer: Trainer, iterate: Callable[[], float]) -> float:
+        if not before and trainer.step_config().stage_two:
             before.extend(restored(trainer))
-        loss = step(trainer)
-        if trainer.iteration % (iterations // SAMPLES) == 0:
-            memory.append([trainer.iteration, len(trainer.cloud), round(resident() / 1e6, 1)])
-        if trainer.iteration == iterations:
-            skipped.append(trainer.guard.watch)
+        loss = iterate()
+        state = trainer.state
+        if state.iteration % (iterations // SAMPLES) == 0:
+            memory.append([state.iteration, len(state.cloud), round(resident() / 1e6, 1)])
+        if state.iteration == iterations:
+            skipped.append(state.guarded.record)
             if before:
                 after = restored(trainer)
                 change = torch.stack([(b - a).abs().mean() for a, b in zip(before, after, strict=True)])
@@ -71,17 +74,20 @@ def one(scene: Path, recipe: str, iterations: int) -> dict[str, Any]:
         return loss
 
     drift: dict[str, Any] = {}
-    loop.Trainer.step = watched
+
+    def watch(trainer: Trainer) -> None:
+        trainer.iterate = partial(watched, trainer, trainer.iterate)  # type: ignore[method-assign]
+
     with tempfile.TemporaryDirectory() as folder:
         settings = TrainSettings(recipe=recipe, iterations=iterations, width=320, max_gaussians=30_000)
-        metrics = loop.train(scene, Path(folder) / "run", settings)["metrics"]
+        metrics = train_with(scene, Path(folder) / "run", settings, watch)["metrics"]
     settled = [entry for entry in memory if entry[1] == memory[-1][1]]
     return {
         "seconds": metrics["seconds"],
         "test_psnr": metrics["test_psnr"],
         "gaussians": metrics["gaussians"],
         "skipped": skipped[0].skipped,
-        "put_back": skipped[0].put_back,
+        "put_back": skipped[0].rollbacks,
         "MB when the number of Gaussians was settled": settled[0][2],
         "MB at the end": memory[-1][2],
         "restored colours, change in stage two (display values)": drift,

@@ -56,9 +56,9 @@ class Densification:
 
     def _densify(self, state: RunState, random: torch.Generator) -> None:
         schedule, fraction, until = self.inputs.schedule, state.clock.fraction, state.recipe.grow_until
-        if state.iteration % schedule.grow_every or not schedule.grow_from <= fraction <= until:
+        if state.iteration % schedule.densify_every or not schedule.densify_from <= fraction <= until:
             return
-        progress = (fraction - schedule.grow_from) / (until - schedule.grow_from)
+        progress = (fraction - schedule.densify_from) / (until - schedule.densify_from)
         most = state.relief.most or self.inputs.settings.max_gaussians
         budget = state.start_count + int((most - state.start_count) * min(1.0, progress / FULL_AFTER))
         weight = None
@@ -75,8 +75,8 @@ class Densification:
     def _relocate(self, state: RunState, sh_degree: int, water_degree: int) -> None:
         """Move Gaussians to where the error is, a few times between densification and stage two."""
         schedule, recipe, fraction = self.inputs.schedule, state.recipe, state.clock.fraction
-        every = max(1, round(schedule.reallocate_every * state.clock.iterations))
-        last = recipe.stage_two_from - schedule.reallocate_every
+        every = max(1, round(schedule.relocate_every * state.clock.iterations))
+        last = recipe.stage_two_from - schedule.relocate_every
         if recipe.reallocation == "off" or state.iteration % every or not recipe.grow_until <= fraction <= last:
             return
         objective = self.selection.objective(recipe)

@@ -52,12 +52,15 @@ class RunInputs:
         return np.median(np.stack([np.median(image.pixels, axis=(0, 1)) for image in self.training]), axis=0) / 255
 
 
-def load_inputs(scene: Scene, settings: TrainSettings, on_event: Callable[[Event], None]) -> RunInputs:
+def load_inputs(
+    scene: Scene, settings: TrainSettings, schedule: Schedule, on_event: Callable[[Event], None]
+) -> RunInputs:
     """Load the images of a scene at the training width and split them.
 
     Args:
         scene: The scene to train.
         settings: Settings with width filled in.
+        schedule: When things happen, and the learning rates.
         on_event: Gets a `progress` event for each image.
 
     Returns:
@@ -81,7 +84,7 @@ def load_inputs(scene: Scene, settings: TrainSettings, on_event: Callable[[Event
         [images[name] for name in split.test],
         median_range(scene, training),
         device_for(settings.backend),
-        Schedule(),
+        schedule,
     )
 
 

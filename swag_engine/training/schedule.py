@@ -1,21 +1,23 @@
-"""Learning rates and the schedule of a run."""
+"""Learning rates of a run, and when things happen in it."""
 
 from dataclasses import dataclass
 
 SETTLED_BY = 2000
-"""Iterations up to which the step size of the means is not made smaller."""
+"""Iterations up to which the step size of the means is not reduced."""
 
 
 @dataclass(frozen=True)
 class LearningRates:
-    """Adam's step sizes per group of parameters; means in units of the median range.
+    """Adam's step sizes by parameter; those of the means in units of the median range.
 
-    Up to eight times those of 3DGS (arXiv 2308.04079), whose runs are ten times as long. What runs for longer than
-    SETTLED_BY iterations moves its means by steps that are smaller by the root of that.
+    Up to eight times those of 3DGS (arXiv 2308.04079), whose runs are ten times as long. In runs of more than
+    SETTLED_BY iterations the steps of the means are smaller by the square root of the ratio.
     """
 
     means: float = 1.28e-3
+    """At the start of the run; falls geometrically."""
     means_end: float = 1.28e-5
+    """At the end of the run."""
     quats: float = 4e-3
     log_scales: float = 2e-2
     opacity_logits: float = 5e-2
@@ -27,18 +29,27 @@ class LearningRates:
 
 @dataclass(frozen=True)
 class Schedule:
-    """When things happen, as fractions of all iterations unless said otherwise."""
+    """When things happen, as fractions of all iterations unless said otherwise, and the learning rates."""
 
     coarse: tuple[tuple[float, int], ...] = ((0.1, 4), (0.3, 2))
-    """(until, factor): images are shrunk by `factor` until that fraction."""
+    """(until, factor): images are reduced to 1/factor of their size until that fraction."""
     sh_degrees: tuple[float, ...] = (0.2, 0.35, 0.5)
-    """Where SH degree 1, 2 and 3 join."""
-    grow_from: float = 0.04
-    grow_every: int = 50
-    """Iterations between two growth events."""
-    reallocate_every: float = 0.1
-    """Share of the run between two reallocations; that long before stage two is the last."""
-    validate: float = 0.1
-    """Share of the run between two validations."""
+    """From where spherical harmonics of degree 1, 2 and 3 are used."""
+    densify_from: float = 0.04
+    """From where Gaussians are added."""
+    densify_every: int = 50
+    """Iterations between two densifications."""
+    relocate_every: float = 0.1
+    """Between two relocations; the last one is that long before stage two."""
+    validate_every: float = 0.1
+    """Between two validations."""
     checkpoint_seconds: float = 30.0
+    """Seconds between two checkpoints."""
     preview_seconds: float = 2.0
+    """Seconds between two previews."""
+    learning_rates: LearningRates = LearningRates()
+    """Step sizes of the Gaussians' parameters."""
+
+
+STANDARD = Schedule()
+"""The schedule of every run that users start."""

@@ -41,7 +41,7 @@ from .pacing.memory import TOO_LITTLE, fit_memory, free_memory, reduced, within_
 from .pacing.pacer import Pacer
 from .pacing.speed import Extent
 from .run_plan import plan_of_run
-from .schedule import SETTLED_BY, LearningRates
+from .schedule import SETTLED_BY, STANDARD, Schedule
 from .state import CPU, RunState
 from .step import GEOMETRY, AutogradStep, Step, StepConfig
 from .target_cache import Targets
@@ -98,8 +98,9 @@ def make_trainer(
     on_event: Callable[[Event], None],
     weights_dir: Path | None,
     started: float,
+    schedule: Schedule = STANDARD,
 ) -> "Trainer":
-    """Make the trainer of a new run, or of one as far as it came; see `train` for arguments and errors."""
+    """Make the trainer of a new run, or of one as far as it came; arguments and errors as of `train` and `Trainer`."""
     longer = False
     if resume:
         settings, longer = run.resumed_settings(scene_folder, settings)
@@ -114,7 +115,7 @@ def make_trainer(
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
     try:
-        trainer = within_memory(lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume))
+        trainer = within_memory(lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule))
         if not trainer:
             raise InputError(TOO_LITTLE)
         trainer.notes += filter(None, [note])
@@ -138,6 +139,7 @@ class Trainer:
         weights_dir: Folder where networks are looked for first.
         budget: The time budget, if there is one.
         resume: Whether the run continues; then `resume` is called next.
+        schedule: When things happen, and the learning rates.
 
     Attributes:
         inputs: What never changes during the run.
@@ -160,12 +162,13 @@ class Trainer:
         weights_dir: Path | None,
         budget: Budget | None = None,
         resume: bool = False,
+        schedule: Schedule = STANDARD,
     ) -> None:
         self.run, self.on_event = run, on_event
         self.notes: list[str] = []
         self.training_psnr: float | None = None
         self.pacer = Pacer(budget)
-        inputs = self.inputs = load_inputs(scene, settings, on_event)
+        inputs = self.inputs = load_inputs(scene, settings, schedule, on_event)
         self.ledger = Ledger(torch.cuda.synchronize if inputs.device.type == "cuda" else None)
         cloud = gaussians_from_points(
             scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, inputs.median_color()
@@ -306,7 +309,7 @@ class Trainer:
     def _learning_rates(self, fraction: float) -> dict[str, float]:
         """Adam's step size by parameter name, `fraction` (0..1) of the way through the run."""
         state = self.state
-        rates = asdict(LearningRates())
+        rates = asdict(self.inputs.schedule.learning_rates)
         end = rates.pop("means_end")
         rates["means"] *= (end / rates["means"]) ** fraction * self.inputs.median_range
         # Otherwise long runs move the means to where they overfit single images.
@@ -355,7 +358,7 @@ class Trainer:
     @property
     def _validations_due(self) -> int:
         """How many validations the run should have had by now."""
-        return int(self.state.clock.fraction / self.inputs.schedule.validate + 1e-6)
+        return int(self.state.clock.fraction / self.inputs.schedule.validate_every + 1e-6)
 
     def _finish_when_flat(self) -> None:
         """Skip to the last stage once the curve is flat and the Gaussians have had time to settle."""

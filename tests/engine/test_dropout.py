@@ -1,21 +1,22 @@
 """Where a run learns its photographs by heart, Gaussians are left out at random; elsewhere none are."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 import torch
 from clouds import make_cloud
+from runs import train_with
 from tiny import make_tiny_scene
 
 from swag_engine.gaussians.densify import random_of
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training import trainer as loop
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.dropout import FULL_GAP_DB, GAP_DB, dropout_rate, kept
+from swag_engine.training.dropout import FULL_GAP_DB, GAP_DB, dropout_rate, opacity_factors
 from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=600, width=64, max_gaussians=3000)
@@ -45,19 +46,29 @@ def test_what_is_learned_by_heart_is_found_and_held_back(contradictory, tmp_path
     assert "at random" not in " ".join(trained["dropout=off"]["metrics"]["notes"])
 
 
-def test_nothing_is_left_out_of_a_scene_that_agrees_with_itself(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("swag_engine.training.step.kept", lambda *_: pytest.fail("something was left out"))
-    metrics = train(tiny_scene, tmp_path / "run", TrainSettings(iterations=150, width=64, max_gaussians=500))["metrics"]
+def test_nothing_is_dropped_in_a_scene_that_does_not_overfit(tiny_scene, tmp_path):
+    rates = []
+
+    def watch(trainer):
+        step = trainer.step
+        trainer.step = lambda state, *rest: (rates.append(state.dropout), step(state, *rest))[1]
+
+    settings = TrainSettings(iterations=150, width=64, max_gaussians=500)
+    metrics = train_with(tiny_scene, tmp_path / "run", settings, watch)["metrics"]
+    assert len(rates) >= 150 and not any(rates)
     assert "at random" not in " ".join(metrics["notes"])
 
 
-def test_a_run_that_leaves_out_resumes_bit_equal(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(loop, "dropout_rate", lambda *_: 0.1)
+def test_a_run_with_dropout_resumes_bit_equal(tiny_scene, tmp_path):
+    def drop(trainer):
+        trainer.state.dropout = 0.1
+        trainer.inputs = replace(trainer.inputs, validation=[])  # which would set the rate anew
+
     short = TrainSettings(iterations=60, width=64, max_gaussians=500, effects="lamp=off,exposure=off,caustics=off")
-    train(tiny_scene, tmp_path / "whole", short)
+    train_with(tiny_scene, tmp_path / "whole", short, drop)
     asked = iter(range(10**9))
-    train(tiny_scene, tmp_path / "parts", short, should_stop=lambda: next(asked) >= 33)
-    train(tiny_scene, tmp_path / "parts", short, resume=True)
+    train_with(tiny_scene, tmp_path / "parts", short, drop, should_stop=lambda: next(asked) >= 33)
+    train_with(tiny_scene, tmp_path / "parts", short, drop, resume=True)
     expected, state = load_checkpoint(tmp_path / "whole")
     got, _ = load_checkpoint(tmp_path / "parts")
     assert state["dropout"] == 0.1
@@ -77,7 +88,7 @@ def test_a_picture_is_the_same_on_average():
     cloud.opacity_logits[:] = -3.0
     camera = Camera("front", 32, 32, 30.0, 30.0, 16.0, 16.0, np.eye(4))
     whole = render(cloud, camera).color
-    factors = [kept(len(cloud), 0.2, random_of(0, i), torch.device("cpu")) for i in range(300)]
+    factors = [opacity_factors(len(cloud), 0.2, random_of(0, i), torch.device("cpu")) for i in range(300)]
     assert {round(value, 6) for value in factors[0].tolist()} == {0.0, 1.25}
     mean = torch.stack([render(cloud, camera, kept=factor).color for factor in factors]).mean(0)
     assert (mean - whole).abs().max() < 0.02 < (render(cloud, camera, kept=factors[0]).color - whole).abs().max()

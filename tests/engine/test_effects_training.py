@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from runs import train_with
 from tiny import make_tiny_scene
 
 from swag_engine.effects import caustics, exposure, lamp
@@ -20,7 +21,7 @@ from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.split import split_views
 from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training import effects_of_run, trials
+from swag_engine.training import motion, trials
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
 from swag_engine.water.light import relit, to_display, to_light
@@ -34,7 +35,7 @@ CODE = {
     "lamp": (rendering, "lit"),
     "exposure": (exposure.Exposure, "of"),
     "caustics": (caustics.Illumination, "of"),
-    "moving_objects": (effects_of_run, "moving_mask"),
+    "moving_objects": (motion, "moving_mask"),
 }
 
 
@@ -135,13 +136,22 @@ def test_a_held_out_gain_is_what_neighbours_let_expect():
 # Trials ---------------------------------------------------------------------------------------------------------------
 
 
+def try_effect(name):
+    """Leave an effect to a trial, whatever the plan says."""
+
+    def change(trainer):
+        trainer.selection.to_try = [name]
+        trainer.selection.switch(trainer.state, {name: False})
+
+    return change
+
+
 def test_what_is_doubtful_is_tried_and_kept_where_it_gains(unevenly_exposed, tmp_path, monkeypatch):
     scene, _ = unevenly_exposed
-    monkeypatch.setattr(effects_of_run, "doubtful", lambda plan: ["exposure"])
     gains = iter([(0.1, 0.3), (0.9, 0.3)])
-    monkeypatch.setattr(trials, "compared", lambda without, having: next(gains))
+    monkeypatch.setattr(trials, "gain_of_effect", lambda without, having: next(gains))
     for kept in (False, True):
-        metrics = train(scene, tmp_path / str(kept), SETTINGS)["metrics"]
+        metrics = train_with(scene, tmp_path / str(kept), SETTINGS, try_effect("exposure"))["metrics"]
         (trial,) = metrics["trials"]
         assert trial["effect"] == "exposure" and trial["kept"] is kept and trial["seconds"] > 0
         assert trial["sentence"].startswith("Tried exposure at iteration 4: +0.")
@@ -152,9 +162,9 @@ def test_what_is_doubtful_is_tried_and_kept_where_it_gains(unevenly_exposed, tmp
 def test_a_run_whose_trial_gains_nothing_is_the_run_without(unevenly_exposed, tmp_path, monkeypatch):
     scene, _ = unevenly_exposed
     train(scene, tmp_path / "plain", replace(SETTINGS, effects=OFF))
-    monkeypatch.setattr(effects_of_run, "doubtful", lambda plan: ["caustics"])
-    monkeypatch.setattr(trials, "compared", lambda without, having: (0.0, 0.3))
-    train(scene, tmp_path / "tried", replace(SETTINGS, effects=OFF.replace("caustics=off,", "")))
+    monkeypatch.setattr(trials, "gain_of_effect", lambda without, having: (0.0, 0.3))
+    settings = replace(SETTINGS, effects=OFF.replace("caustics=off,", ""))
+    train_with(scene, tmp_path / "tried", settings, try_effect("caustics"))
     plain, tried = (load_checkpoint(tmp_path / name)[0] for name in ("plain", "tried"))
     assert plain.keys() == tried.keys() and all(torch.equal(plain[name], tried[name]) for name in plain)
 
@@ -181,7 +191,7 @@ def test_what_moves_is_found_without_being_asked_for_and_nothing_else(tiny_scene
         cv2.imwrite(str(swum / "images" / name), pixels)
     metrics = train(swum, tmp_path / "swum", plain)["metrics"]
     assert "moving_objects" in metrics["effects"]
-    assert any("2 photographs show what moves" in note for note in metrics["notes"]), metrics["notes"]
+    assert any("pixels of 2 images are masked out" in note for note in metrics["notes"]), metrics["notes"]
 
 
 # Light ----------------------------------------------------------------------------------------------------------------

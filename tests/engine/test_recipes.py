@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from swag_engine.training.prepare import find_depth, find_frames
 from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
@@ -22,8 +21,9 @@ from swag_engine.scene.split import split_views
 from swag_engine.settings import recipes
 from swag_engine.settings.recipes import RECIPES, SWITCHES, Photometric, Recipe, recipe_of
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training import losses, prepare
+from swag_engine.training import losses, network_priors
 from swag_engine.training.checkpoint import load_checkpoint
+from swag_engine.training.network_priors import depth_of_images, interpolated_frames
 from swag_engine.training.objective import Objective
 from swag_engine.training.step import GEOMETRY
 from swag_engine.training.targets import Target
@@ -80,17 +80,17 @@ def test_every_recipe_trains_and_resumes_bit_equal(recipe, tiny_scene, tmp_path)
 
 def test_stage_two_freezes_geometry_and_water_bit_by_bit(tiny_scene, tmp_path, monkeypatch):
     trainer = trainer_of(tiny_scene, tmp_path, monkeypatch, **recipes.WATER, stage_two_from=0.5)
-    while trainer.iteration < 30:
-        trainer.step()
-    kept = {name: tensor.detach().clone() for name, tensor in trainer.optimizer.parameters().items()}
-    moments = {name: trainer.optimizer.moments[name][0].clone() for name in GEOMETRY}
-    while trainer.iteration < 60:
-        trainer.step()
-    for name, tensor in trainer.optimizer.parameters().items():
+    while trainer.state.iteration < 30:
+        trainer.iterate()
+    kept = {name: tensor.detach().clone() for name, tensor in trainer.state.optimizer.parameters().items()}
+    moments = {name: trainer.state.optimizer.moments[name][0].clone() for name in GEOMETRY}
+    while trainer.state.iteration < 60:
+        trainer.iterate()
+    for name, tensor in trainer.state.optimizer.parameters().items():
         frozen = name in GEOMETRY or name.startswith("medium.")
         assert torch.equal(tensor.detach(), kept[name]) == frozen or name == "background", name
-    assert all(torch.equal(trainer.optimizer.moments[name][0], moments[name]) for name in GEOMETRY)
-    assert any(trainer.medium.parameters())
+    assert all(torch.equal(trainer.state.optimizer.moments[name][0], moments[name]) for name in GEOMETRY)
+    assert any(trainer.state.effects.medium.parameters())
 
 
 def test_stage_two_has_its_own_weights():
@@ -124,16 +124,15 @@ def test_weights_follow_the_paper_over_time():
 def test_a_reallocation_keeps_the_number_and_ends_before_stage_two(tiny_scene, tmp_path, monkeypatch):
     trainer = trainer_of(tiny_scene, tmp_path, monkeypatch, reallocation="balanced", grow_until=0.4, stage_two_from=0.8)
     moved = []
-    replace_cloud = trainer.optimizer.replace
+    replace_cloud = trainer.state.replace_cloud
 
     def watched(cloud, source):
-        moved.append((trainer.iteration, len(trainer.cloud), len(cloud)))
+        moved.append((trainer.state.iteration, len(trainer.state.cloud), len(cloud)))
         replace_cloud(cloud, source)
 
-    monkeypatch.setattr(trainer, "grow", lambda random: None)
-    monkeypatch.setattr(trainer.optimizer, "replace", watched)
-    while trainer.iteration < 60:
-        trainer.step()
+    trainer.state.replace_cloud = watched
+    while trainer.state.iteration < 60:
+        trainer.iterate()
     assert [iteration for iteration, _, _ in moved] == [24, 30, 36, 42]
     assert all(before == after for _, before, after in moved)
 
@@ -159,7 +158,7 @@ def test_stored_depth_becomes_the_prior_and_is_asked_for(tmp_path):
         np.save(scene_folder / "depth" / f"{path.stem}.npy", 3 * inverse + 0.2)
     scene = load_scene(scene_folder)
     images = load_images(scene, scene.views[::8], 160)
-    note, priors = find_depth(scene, images, None)
+    note, priors = depth_of_images(scene, images, None)
     assert note == "Depth prior on 3 of 3 photographs."
     for image in images:
         stored = cv2.imread(str(REEF / "range" / f"{image.camera.name[:-4]}.png"), cv2.IMREAD_UNCHANGED)
@@ -179,7 +178,7 @@ def test_damaged_depth_is_left_out_and_named(tmp_path):
     scene = load_scene(scene_folder)
     images = load_images(scene, scene.views[1:2], 80)
     (scene_folder / "depth" / "reef_001.npy").write_bytes(b"no array")
-    note, priors = find_depth(scene, images, None)
+    note, priors = depth_of_images(scene, images, None)
     assert note.startswith("No depth prior: ") and "reef_001.npy cannot be read" in note and not priors
 
 
@@ -234,14 +233,14 @@ def test_frames_are_made_between_training_photographs_only_and_teach_colours_onl
         made.append((a, b))
         return ((a.astype(np.float32) + b) / 2).astype(np.uint8)
 
-    monkeypatch.setattr(prepare, "find", lambda name, folder: tmp_path)
-    monkeypatch.setattr(prepare, "Interpolator", lambda path: blend)
+    monkeypatch.setattr(network_priors, "find", lambda name, folder: tmp_path)
+    monkeypatch.setattr(network_priors, "Interpolator", lambda path: blend)
     admitted = Admission(3, 30.0, 5.0, 1.0, True, "")
-    monkeypatch.setattr(prepare, "admission", lambda *arguments: admitted)
+    monkeypatch.setattr(network_priors, "admission", lambda *arguments: admitted)
     scene = load_scene(scene_folder)
     split = split_views(view.camera.name for view in scene.views)
     images = {image.camera.name: image for image in load_images(scene, scene.views, 64)}
-    note, frames = find_frames(scene, [images[name] for name in split.train], None)
+    note, frames = interpolated_frames(scene, [images[name] for name in split.train], None)
     assert note.startswith(f"{len(frames)} interpolated frames (30.0 dB") and frames
     held_out = [images[name].pixels for name in (*split.test, *split.validation)]
     assert not any(np.array_equal(used, pixels) for pair in made for used in pair for pixels in held_out)
@@ -252,13 +251,13 @@ def test_frames_are_made_between_training_photographs_only_and_teach_colours_onl
 
     trainer = trainer_of(scene_folder, tmp_path / "run", monkeypatch, interpolation=0.1)
     weights = []
-    add = trainer.statistics.add
-    monkeypatch.setattr(trainer.statistics, "add", lambda *a: (weights.append(target.weight), add(*a)))
+    add = trainer.state.statistics.add
+    monkeypatch.setattr(trainer.state.statistics, "add", lambda *a: (weights.append(target.weight), add(*a)))
     seen = set()
     for _ in range(len(split.train) + len(frames)):
-        target = trainer.next_target(0.0)
+        target = trainer.targets.next(trainer.state, 0.0)
         seen.add((target.camera.name, target.weight))
-        trainer.step()
+        trainer.iterate()
     assert {weight for name, weight in seen if "+" in name} == {0.1}
     assert {name for name, _ in seen if "+" not in name} == set(split.train)
     assert set(weights) == {1.0} and len(weights) == len(split.train)

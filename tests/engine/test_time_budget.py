@@ -12,7 +12,7 @@ from swag_engine.settings.presets import LADDER, PRESETS, seconds_of, size_at
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import trainer as loop
 from swag_engine.training.pacing import clock as clock_module
-from swag_engine.training.pacing.clock import REPLANNED, Clock, is_flat, next_minute
+from swag_engine.training.pacing.clock import REPLAN_EVERY, Clock, is_flat, next_minute
 from swag_engine.training.pacing.speed import Extent, Speed, predicted_seconds
 from swag_engine.training.trainer import train
 
@@ -62,7 +62,7 @@ def test_a_budget_is_kept_by_a_machine_that_is_not_as_predicted_and_changes_its_
         step = slowness * predicted(clock.fraction) * (2 if 20 < now < 30 else 1)  # something else wants the machine
         now, took, iteration = now + step, took + step, iteration + 1
         clock.advance(iteration)
-        if iteration % REPLANNED == 0:
+        if iteration % REPLAN_EVERY == 0:
             clock.replan(iteration, took, budget - now, predicted)
             took = 0.0
         fractions.append(clock.fraction)
@@ -79,7 +79,7 @@ def test_a_faster_machine_or_a_longer_budget_gives_a_larger_run(tiny_scene, tmp_
     small = train(tiny_scene, tmp_path / "small", TrainSettings(time_budget="6s", sh_degree=1, width=48))["metrics"]
     config = loop.RunFolder(tmp_path / "small").read_config()[1]
     assert config.width == 48 and 0 < config.max_gaussians < LADDER[-1].max_gaussians
-    assert not small["interrupted"] and small["iteration"] == small["iterations"] > REPLANNED
+    assert not small["interrupted"] and small["iteration"] == small["iterations"] > REPLAN_EVERY
     extent, slow, fast = Extent(10, 2, 1000, 640, 480), Speed(5, 2e-4, 4e-5, 0.1), Speed(1, 4e-5, 8e-6, 0.02)
     assert predicted_seconds(fast, extent, LADDER[1], 0.5) < predicted_seconds(slow, extent, LADDER[1], 0.5) / 4
 
@@ -126,7 +126,7 @@ def test_a_run_ends_early_when_its_curve_is_flat(tiny_scene, tmp_path, monkeypat
     metrics = train(tiny_scene, tmp_path / "run", settings)["metrics"]
     # Flat at 70 %, the earliest that is looked at; the frozen last tenth still follows.
     assert 78 <= metrics["iteration"] <= 82
-    assert not metrics["interrupted"] and "Ended early" in metrics["notes"][-1]
+    assert not metrics["interrupted"] and "Finished early" in metrics["notes"][-1]
     stopped = train(tiny_scene, tmp_path / "parts", settings, should_stop=iter([False] * 40 + [True]).__next__)[
         "metrics"
     ]

@@ -32,16 +32,17 @@ from safetensors import safe_open
 from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
-from swag_engine.base.files import HALF, LOCK
+from swag_engine.base.files import HALF, LOCK, claimed
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training import trainer as loop
 from swag_engine.training.checkpoint import checkpoints, load_checkpoint
 from swag_engine.training.schedule import Schedule
+from swag_engine.training.trainer import make_trainer
 
 SETTINGS = TrainSettings(iterations=40, width=48, max_gaussians=400, sh_degree=1)
+SCHEDULE = Schedule(checkpoint_seconds=0.01, preview_seconds=0.03)
 CALLS = ("fsync", "replace", "unlink")
 KINDS = ("moment", "call", "write", "full")
 REFUSED = 2
@@ -64,7 +65,12 @@ def in_a_process(work: Callable[[], Any]) -> int:
 
 
 def train(scene: Path, out: Path) -> None:
-    loop.train(scene, out, SETTINGS, resume=RunFolder(out).config.exists(), preview=True)
+    resume = RunFolder(out).config.exists()
+    with claimed(out):
+        trainer = make_trainer(
+            RunFolder(out), scene, SETTINGS, resume, lambda event: None, None, time.monotonic(), SCHEDULE
+        )
+        trainer.run_to_end(lambda: False, preview=True)
 
 
 def die() -> None:
@@ -141,7 +147,6 @@ def check_equal(out: Path, expected: Path) -> None:
 
 def killed_runs(folder: Path, kills: int, seed: int) -> dict[str, Any]:
     """Kill so many processes and return the counts. Raises AssertionError for anything lost."""
-    loop.Schedule = lambda: Schedule(checkpoint_seconds=0.01, preview_seconds=0.03)
     torch.set_num_threads(1)
     chance, seen = random.Random(seed), Counter()
     scene = make_tiny_scene(folder / "scene", width=48, height=36, points=200)

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from runs import train_with
 from tiny import make_tiny_scene
 from torch.overrides import TorchFunctionMode
 
@@ -19,7 +20,6 @@ from swag_engine.rasterize import projection
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training import step as iteration
 from swag_engine.training import trainer as loop
 from swag_engine.training.pacing.memory import FEWEST, NARROWEST, SHARE, fit_memory, free_memory, is_shortage, needed
 from swag_engine.training.pacing.speed import Extent
@@ -67,17 +67,19 @@ SHORTAGES = {
 
 
 @pytest.mark.parametrize("kind", SHORTAGES)
-def test_a_run_that_meets_the_end_of_memory_goes_on_smaller(tmp_path, monkeypatch, kind):
-    render = iteration.render
+def test_a_run_that_runs_out_of_memory_continues_smaller(tmp_path, kind):
+    def limit(trainer):
+        step = trainer.step
 
-    def limited(cloud, camera, *arguments, **named):
-        if camera.width > 100 if kind == "tiles" else len(cloud) > 400:
-            raise SHORTAGES[kind]
-        return render(cloud, camera, *arguments, **named)
+        def limited(state, target, config):
+            if target.camera.width > 100 if kind == "tiles" else len(state.cloud) > 400:
+                raise SHORTAGES[kind]
+            return step(state, target, config)
 
-    monkeypatch.setattr(iteration, "render", limited)
+        trainer.step = limited
+
     scene = make_tiny_scene(tmp_path / "scene", width=160, height=128)
-    metrics = loop.train(scene, tmp_path / "run", replace(SETTINGS, width=160, iterations=120))["metrics"]
+    metrics = train_with(scene, tmp_path / "run", replace(SETTINGS, width=160, iterations=120), limit)["metrics"]
     (note,) = [note for note in metrics["notes"] if note.startswith("Memory ran out")]
     assert metrics["iteration"] == 120 and metrics["test_psnr"] > metrics["control_psnr"] + 1
     assert metrics["gaussians"] <= 400 or kind == "tiles"
@@ -166,13 +168,15 @@ def test_memory_that_ends_anywhere_in_a_command_ends_it_well(tiny_scene, tmp_pat
     assert 4 < codes.count(0) < 12
 
 
-def test_a_run_that_never_fits_ends_with_a_sentence(tiny_scene, tmp_path, monkeypatch):
-    def never(*arguments, **named):
-        raise MemoryError
+def test_a_run_that_never_fits_ends_with_a_sentence(tiny_scene, tmp_path):
+    def never(trainer):
+        def step(state, target, config):
+            raise MemoryError
 
-    monkeypatch.setattr(iteration, "render", never)
+        trainer.step = step
+
     with pytest.raises(InputError, match="needs more memory than there is"):
-        loop.train(tiny_scene, tmp_path / "run", SETTINGS)
+        train_with(tiny_scene, tmp_path / "run", SETTINGS, never)
 
 
 def test_held_out_photographs_that_never_fit_are_left_unscored(tiny_scene, tmp_path, monkeypatch):
@@ -191,12 +195,14 @@ def test_photographs_are_never_larger_for_being_shrunk_more(factor, width):
     assert Target.shrunk(image, factor, torch.device("cpu")).camera.width == width
 
 
-def test_other_errors_are_no_shortage(tiny_scene, tmp_path, monkeypatch):
+def test_other_errors_are_no_shortage(tiny_scene, tmp_path):
     assert not is_shortage(RuntimeError("mat1 and mat2 shapes cannot be multiplied"))
 
-    def broken(*arguments, **named):
-        raise RuntimeError("a bug")
+    def broken(trainer):
+        def step(state, target, config):
+            raise RuntimeError("a bug")
 
-    monkeypatch.setattr(iteration, "render", broken)
+        trainer.step = step
+
     with pytest.raises(RuntimeError, match="a bug"):
-        loop.train(tiny_scene, tmp_path / "run", SETTINGS)
+        train_with(tiny_scene, tmp_path / "run", SETTINGS, broken)

@@ -21,7 +21,7 @@ from ...settings.settings import TrainSettings
 from ...water.medium import Medium
 from ..losses import photometric
 from ..optimizer import Optimizer
-from ..schedule import Schedule
+from ..schedule import STANDARD
 
 TIMED_GAUSSIANS, TIMED_WIDTH, TIMINGS = 20_000, 480, 5
 LOADED = 4
@@ -135,9 +135,9 @@ def _iteration(cloud: GaussianCloud, image: TrainingImage, factor: int, settings
 def predicted_milliseconds(speed: Speed, extent: Extent, size: Size, fraction: float, grow_until: float) -> float:
     """An iteration `fraction` (0..1) of the way through a run of that size: photographs are smaller and Gaussians fewer
     at first."""
-    schedule = Schedule()
+    schedule = STANDARD
     factor = next((factor for until, factor in schedule.coarse if fraction < until), 1)
-    grown = min(1.0, 1.25 * max(0.0, fraction - schedule.grow_from) / max(1e-9, grow_until - schedule.grow_from))
+    grown = min(1.0, 1.25 * max(0.0, fraction - schedule.densify_from) / max(1e-9, grow_until - schedule.densify_from))
     start = min(extent.points, size.max_gaussians)
     gaussians = start + (size.max_gaussians - start) * grown
     return speed.milliseconds(gaussians, extent.pixels(size.width) / factor**2)
