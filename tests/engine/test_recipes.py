@@ -13,6 +13,7 @@ import torch
 from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
+from swag_engine.evaluation.ssim import ssim
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.priors.interpolate import Admission
 from swag_engine.scene.colmap import load_scene
@@ -21,7 +22,7 @@ from swag_engine.scene.split import split_views
 from swag_engine.settings import recipes
 from swag_engine.settings.recipes import RECIPES, SWITCHES, Photometric, Recipe, recipe_of
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training import losses, network_priors
+from swag_engine.training import network_priors
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.network_priors import depth_of_images, interpolated_frames
 from swag_engine.training.objective import Objective
@@ -113,7 +114,7 @@ def test_weights_follow_the_paper_over_time():
     objective = Objective(RECIPES["paper"], 1.0, None, "torch")
     color = torch.full((4, 4, 3), 0.75)
     t = 0.3
-    similar = losses.ssim(color, StubTarget.color, "torch").item()
+    similar = ssim(color, StubTarget.color, "torch").item()
     expected = (0.7 + 0.5 * t) * 0.8 * 0.25 + 0.2 * (1 - similar) + 0.1 * t * 0.0625
     assert objective.reconstruction(color, StubTarget(), t).item() == pytest.approx(expected, rel=1e-5)
     t = 0.8
@@ -159,7 +160,7 @@ def test_stored_depth_becomes_the_prior_and_is_asked_for(tmp_path):
     scene = load_scene(scene_folder)
     images = load_images(scene, scene.views[::8], 160)
     note, priors = depth_of_images(scene, images, None)
-    assert note == "Depth prior on 3 of 3 photographs."
+    assert note == "Depth prior on 3 of 3 images."
     for image in images:
         stored = cv2.imread(str(REEF / "range" / f"{image.camera.name[:-4]}.png"), cv2.IMREAD_UNCHANGED)
         truth = cv2.resize(stored, (160, image.valid.shape[0]), interpolation=cv2.INTER_NEAREST) / 1000
@@ -199,7 +200,7 @@ def test_presets_that_make_no_sense_are_one_sentence(values, message):
 def test_a_water_type_is_modelled_whatever_the_points_say(tiny_scene, tmp_path):
     settings = replace(SETTINGS, water_type="II", metres_per_unit=0.5, iterations=10)
     metrics = train(tiny_scene, tmp_path / "run", settings)["metrics"]
-    assert metrics["water"] == "Water is modelled: from the type II."
+    assert metrics["water"] == "Water is modelled: starting from the type II."
     water = json.loads((tmp_path / "run" / "water.json").read_text())
     assert water["per"] == "metre"
     np.testing.assert_allclose(water["beta_D"], (0.260, 0.076, 0.062), rtol=0.15)
