@@ -16,10 +16,11 @@ from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
 from swag_engine.formats.ply import read_ply
 from swag_engine.kernels import cuda, cuda_driver
-from swag_engine.rasterize import projection
+from swag_engine.kernels.protocol import TooManyPairs
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import inputs
 from swag_engine.training import trainer as loop
 from swag_engine.training.pacing.memory import FEWEST, NARROWEST, SHARE, fit_memory, free_memory, is_shortage, needed
 from swag_engine.training.pacing.speed import Extent
@@ -62,7 +63,7 @@ SHORTAGES = {
     "driver": cuda_driver.CudaError("cuLaunchKernel failed with error 2, out of memory"),
     "torch, CPU": RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes"),
     "Python": MemoryError(),
-    "tiles": projection.TooManyPairs("The Gaussians meet too many tiles."),
+    "tiles": TooManyPairs("The Gaussians meet too many tiles."),
 }
 
 
@@ -96,7 +97,8 @@ def card(request, monkeypatch, tmp_path):
     monkeypatch.setattr(cuda_driver, "ptx_path", lambda: tmp_path / "kernels.ptx")
     (tmp_path / "kernels.ptx").write_text("")
     monkeypatch.setattr(cuda, "driver", cache(cuda.driver.__wrapped__))
-    monkeypatch.setattr(loop, "device_for", lambda backend: torch.device("cpu"))
+    for module in (loop, inputs):
+        monkeypatch.setattr(module, "device_for", lambda backend: torch.device("cpu"))
     fibres = Fibres(request.config.cache.mkdir("cuda_fibres"))
     return lambda too_large: pretend_card(monkeypatch, Libcuda(fibres, too_large))
 
