@@ -1,0 +1,1 @@
+"""Command line, worker process and batch runs."""

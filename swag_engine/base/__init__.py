@@ -1,0 +1,1 @@
+"""Errors, files, JSON, threads, timing and transfer functions."""

@@ -1,1 +1,1 @@
-"""What is between a place and its photographs beside the water, and which of it a scene calls for."""
+"""Effects that a scene may call for, one file each."""

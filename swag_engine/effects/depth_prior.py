@@ -5,7 +5,7 @@ from torch import Tensor
 
 
 def depth_loss(range_image: Tensor, alpha: Tensor, q: Tensor, median_range: float, pearson: bool = False) -> Tensor:
-    """How far the rendered range is from the prior, over the pixels with alpha > .5 (METHOD.md section 3).
+    """How far the rendered range is from the prior, over the pixels with alpha > .5 (docs/method.md section 3).
 
     range_image D (H, W) is alpha-weighted and normalised, in scene units, as `Picture.range`; alpha (H, W); q (H, W) is
     the prior's inverse range, not finite where there is none. The loss is mean |1/D - q| r_bar, r_bar being

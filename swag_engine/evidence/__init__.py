@@ -1,0 +1,1 @@
+"""What images and sparse points say about the water, the lamp and the camera."""

@@ -1,0 +1,1 @@
+"""Runs about runs: training with a report, forecasts, ablations, trade-offs, evaluation."""

@@ -1,0 +1,1 @@
+"""The Gaussians that are optimised, their densification and relocation."""

@@ -1,0 +1,1 @@
+"""Decide which effects a scene calls for."""

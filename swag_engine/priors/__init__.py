@@ -1,1 +1,1 @@
-"""What networks trained on other pictures know about these."""
+"""Networks that predict depth and frames."""

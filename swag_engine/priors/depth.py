@@ -1,7 +1,7 @@
 """Pseudo-depth of single photographs, brought to the scene's scale, and the loss that holds rendered ranges to it.
 
 Networks give inverse depth up to a scale and a shift that differ per image. SfM points give the two, or show that the
-network does not understand this image (METHOD.md section 3).
+network does not understand this image (docs/method.md section 3).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -103,7 +103,7 @@ class Alignment:
 
 
 def align(prediction: np.ndarray, points_uv: np.ndarray, inverse_range: np.ndarray) -> Alignment:
-    """Fit inverse_range = a prediction + b by robust IRLS (METHOD.md section 3).
+    """Fit inverse_range = a prediction + b by robust IRLS (docs/method.md section 3).
 
     prediction (H, W) inverse depth up to scale and shift; points_uv (P, 2) pixels, the top left pixel's centre at 0.5;
     inverse_range (P,) 1 / Euclidean range of SfM points, in inverse scene units. Points beside the picture and numbers
@@ -142,7 +142,7 @@ def align(prediction: np.ndarray, points_uv: np.ndarray, inverse_range: np.ndarr
 
 
 def gate(alignments: Mapping[str, Alignment]) -> dict[str, Alignment]:
-    """The same, without the images whose a is beyond [.2, 5] times the median of the accepted ones' (METHOD.md
+    """The same, without the images whose a is beyond [.2, 5] times the median of the accepted ones' (docs/method.md
     section 3): one network sees one scene at about one scale."""
     median = float(np.median([alignment.a for alignment in alignments.values() if alignment.accepted] or [np.nan]))
     low, high = SLOPE_FACTORS

@@ -1,4 +1,4 @@
-"""Frames between two photographs, by a frame interpolation network (METHOD.md section 8).
+"""Frames between two photographs, by a frame interpolation network (docs/method.md section 8).
 
 Only between training photographs that nothing held out lies between: a frame made across a test view would show what
 the run must not know. Whether a network is good enough for a scene is measured on the scene before it is used.
@@ -125,7 +125,7 @@ def admission(
     images: Mapping[str, TrainingImage],
     pairs: Sequence[tuple[str, str]],
 ) -> Admission:
-    """Test the interpolator on the scene: leave the middle one of three neighbours out (METHOD.md section 8).
+    """Test the interpolator on the scene: leave the middle one of three neighbours out (docs/method.md section 8).
 
     `pairs` are those of `neighbour_pairs`, so that no held-out image is looked at; `images` holds theirs. At most eight
     triples are tried, spread over the scene. Admitted are a PSNR of >= 22 dB, consistent flow on >= 80 % of the pixels,

@@ -1,0 +1,1 @@
+"""From Gaussians to pixels, whatever channels they have."""

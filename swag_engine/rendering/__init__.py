@@ -1,0 +1,1 @@
+"""From a scene model to images."""

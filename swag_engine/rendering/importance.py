@@ -14,7 +14,7 @@ from ..water.network import WaterNetwork
 from .render import render
 
 ENDLESS = 1e6
-"""Ranges longer than this many times are through nothing but water."""
+"""Factor on ranges from which nothing but water is seen."""
 
 
 def scores(
@@ -26,10 +26,21 @@ def scores(
     backend: str = "auto",
     lamp: Lamp | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Importance S (N,) and error E (N,) of the Gaussians over all `views`, as sums of rasterize.api.Contributions.
+    """Sum importance and error of each Gaussian over views (docs/method.md section 6).
 
-    views: cameras, each with the loss (a scalar) of a picture (H, W, 3) seen through it. The other arguments are
-    those of rasterize.render. With a medium each view's figures are divided by visibility() squared.
+    With a medium each view's sums are divided by `visibility` squared, so that dimmed structure is not lost first.
+
+    Args:
+        cloud: The Gaussians.
+        views: Cameras, each with the loss (a scalar) of an image (H, W, 3) seen through it.
+        sh_degree: Degree of the Gaussians' colors, 0..3.
+        medium: The water, None without.
+        water_degree: Degree of the background light, 0..2.
+        backend: What renders.
+        lamp: A lamp at the camera.
+
+    Returns:
+        Importance S (N,) and error E (N,), sums of rasterize.api.Contributions.
     """
     S, E = torch.zeros_like(cloud.opacity_logits), torch.zeros_like(cloud.opacity_logits)
     for camera, loss in views:
@@ -47,8 +58,8 @@ def scores(
             if isinstance(medium, Medium) and medium.veil is None:
                 colors = through_water(colors, offsets, medium, water_degree, 1.0, backend)
             elif isinstance(medium, Medium):
-                # Open water has no constant colour, but over one Gaussian it nearly has: taken off both sides of
-                # the formula, the colours are differences from it and nothing is behind.
+                # The color of open water is nearly constant over one Gaussian: subtracted from both sides of the
+                # formula, the colors are differences from it and nothing is behind.
                 water = through_water(torch.zeros_like(colors), ENDLESS * offsets, medium, water_degree, 1.0, backend)
                 colors = through_water(colors, offsets, medium, water_degree, 1.0, backend) - water
                 background = torch.zeros_like(background)
@@ -75,9 +86,14 @@ def scores(
 
 
 def visibility(medium: Medium | WaterNetwork, offsets: Tensor) -> Tensor:
-    """(N,) part of the light that comes through the water, at least .1, at offsets (N, 3) from the camera.
+    """Return the fraction of light that water lets through, by which far structure contributes less to an image.
 
-    What far structure adds to a picture is so much less than the same structure nearby.
+    Args:
+        medium: The water.
+        offsets: (N, 3) from the camera to the Gaussians, scene units.
+
+    Returns:
+        (N,) mean transmission of the channels, at least .1.
     """
     if isinstance(medium, Medium):
         transmission = torch.exp(-medium.beta_D * offsets.norm(dim=1, keepdim=True))

@@ -1,4 +1,4 @@
-"""A picture of a cloud of Gaussians through a camera."""
+"""Rendering of Gaussians through water as a camera sees them."""
 
 from dataclasses import dataclass
 
@@ -12,16 +12,25 @@ from ..scene.cameras import Camera
 from ..water.medium import MAX_DEGREE, Medium, open_water, through_water
 from ..water.network import WaterNetwork
 
-DAZZLING = 1e4  # display value
-FARTHEST = 1e15  # scene units; the square of what is farther overflows
+DAZZLING = 1e4
+"""Largest display value that water is applied to: its power of 2.4 must not overflow."""
+FARTHEST = 1e15
+"""Scene units; the square of a longer range overflows."""
 
 
 @dataclass
 class Picture:
-    """color (H, W, 3) display values; alpha (H, W) in 0..1; range (H, W) Euclidean distance to the camera in scene
-    units, alpha-weighted and normalised, 0 where alpha is 0; restored (H, W, 3): the same without water and lamp, black
-    where nothing is (both None unless asked for); offsets (N, 3): from the camera to the Gaussians, scene units,
-    without a gradient; rendering: what made it."""
+    """A rendered image.
+
+    Attributes:
+        color: (H, W, 3) display values.
+        alpha: (H, W) in 0..1.
+        range: (H, W) Euclidean distance to the camera in scene units, alpha-weighted and normalised, 0 where alpha is
+            0; None unless asked for.
+        restored: (H, W, 3) the same image without water and lamp, black where nothing is; None unless asked for.
+        offsets: (N, 3) from the camera to the Gaussians, scene units, without a gradient.
+        rendering: What the rasteriser returned.
+    """
 
     color: Tensor
     alpha: Tensor
@@ -44,12 +53,27 @@ def render(
     lamp: Lamp | None = None,
     kept: Tensor | None = None,
 ) -> Picture:
-    """Rasterise `cloud` as `camera` sees it, in the cloud's dtype; differentiable.
+    """Render a cloud as a camera sees it, in the cloud's dtype; differentiable.
 
-    medium: the water in front of the cloud, and behind it in place of the cloud's background (a network has none of its
-    own); water_degree and amount as in water.medium.through_water. lamp: one at the camera, by the same amount. kept
-    (N,): factors of the opacities, which stay at most 1. No gradient flows from colour to position through the range:
-    it would push Gaussians along rays to correct their colours.
+    No gradient flows from color to position through the range: it would push Gaussians along rays to correct their
+    colors.
+
+    Args:
+        cloud: The Gaussians, without water.
+        camera: The camera.
+        sh_degree: Degree of the Gaussians' colors, 0..3.
+        medium: Water in front of the cloud, and behind it in place of the cloud's background (a network has no
+            background of its own); None without water.
+        water_degree: Degree of the background light, 0..2.
+        amount: Amount of water and lamp, 0 (none) to 1.
+        with_range: Whether to render range.
+        with_restored: Whether to render the image without water too.
+        backend: What renders.
+        lamp: A lamp at the camera.
+        kept: (N,) factors of the opacities, which stay at most 1.
+
+    Returns:
+        The image.
     """
     centre, viewmat, intrinsics = (
         torch.from_numpy(array).to(cloud.means) for array in (camera.centre, camera.world_to_camera, camera.K)
@@ -62,7 +86,7 @@ def render(
         channels = lit(channels, offsets.norm(dim=1), lamp, amount)
     if medium is not None:
         if isinstance(medium, Medium):
-            # Light is display to the power of 2.4: without a limit a Gaussian that nobody sees makes it overflow.
+            # Light is the power of 2.4 of a display value: without a limit an unseen Gaussian makes it overflow.
             channels = through_water(channels.clamp(max=DAZZLING), offsets, medium, water_degree, amount, backend)
             background = torch.zeros_like(background) if veiled else background
         else:
@@ -100,14 +124,25 @@ def render(
     return Picture(color, rendering.alpha, seen, restored, offsets, rendering)
 
 
-def tail(
+def background_color(
     cloud: GaussianCloud,
     camera: Camera,
     medium: Medium | WaterNetwork | None,
     water_degree: int = MAX_DEGREE,
     backend: str = "auto",
 ) -> Tensor:
-    """Display colour behind all Gaussians, (H, W, 3) or (3,), as render() shows it; differentiable."""
+    """Return the display color behind all Gaussians as `render` shows it.
+
+    Args:
+        cloud: The Gaussians, whose background color counts where there is no water.
+        camera: The camera.
+        medium: The water, None without.
+        water_degree: Degree of the background light, 0..2.
+        backend: What renders.
+
+    Returns:
+        (H, W, 3), or (3,) where it is constant; differentiable.
+    """
     if not isinstance(medium, Medium) or medium.veil is None:
         return cloud.background.sigmoid()
     viewmat, K = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))

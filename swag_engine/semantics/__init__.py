@@ -1,1 +1,1 @@
-"""Names for things: regions of photographs, their embeddings, and what they make of each Gaussian."""
+"""Labels of Gaussians: regions, embeddings, text search."""

@@ -16,7 +16,7 @@ from .regions import SceneRegions
 from .saliency import OPEN_WATER
 
 MIN_WEIGHT, MIN_SHARE = 0.5, 0.5
-"""Pixels, and share of all it adds to the picture, that a Gaussian needs in a region (METHOD.md section 5)."""
+"""Pixels, and share of all it adds to the picture, that a Gaussian needs in a region (docs/method.md section 5)."""
 EVERY = 4
 """Features are learned in one iteration of so many: it costs as much as all else in an iteration."""
 AT_ONCE = 16
@@ -75,7 +75,7 @@ def targets_in_view(
 
 
 def semantic_loss(features: Tensor, targets: Tensor, assigned: Tensor) -> Tensor:
-    """L_s of METHOD.md section 5: the mean over the assigned Gaussians of |features - targets|^2, 0 without any.
+    """L_s of docs/method.md section 5: the mean over the assigned Gaussians of |features - targets|^2, 0 without any.
 
     features and targets (N, 32), assigned (N,) bool. Differentiable in features.
     """

@@ -14,7 +14,7 @@ from .cache import file_key
 from .tokenizer import BytePairTokenizer
 
 DIMENSIONS = 32
-"""Of a Gaussian's feature (METHOD.md section 5)."""
+"""Of a Gaussian's feature (docs/method.md section 5)."""
 MARGIN = 0.1
 """Of a region's bounding box, on each side, that its crop shows beside it."""
 

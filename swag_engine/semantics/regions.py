@@ -17,7 +17,7 @@ from .captions import Captioner, phrases
 from .embed import Embedder, Projection, colour_name, cropped
 
 PER_IMAGE = 3
-"""Phrases of a caption that are looked for in its photograph (METHOD.md section 5)."""
+"""Phrases of a caption that are looked for in its photograph (docs/method.md section 5)."""
 MOST_CLUSTERS = 8
 """Names that regions without one are given at most."""
 MIN_PIXELS = 16

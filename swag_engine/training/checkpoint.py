@@ -1,4 +1,4 @@
-"""The state of a run on disk: whole or absent, never code (safetensors)."""
+"""Checkpoints on disk: safetensors files, which hold no code, written whole or not at all."""
 
 import json
 from pathlib import Path
@@ -13,10 +13,24 @@ from ..base.files import atomic_path
 from ..base.strict_json import from_json
 
 KEEP = 2
+"""Newest checkpoints that are kept."""
 
 
 def save_checkpoint(run: Path, iteration: int, tensors: dict[str, torch.Tensor], state: dict[str, Any]) -> Path:
-    """Write checkpoint-<iteration>.safetensors with `tensors` and the JSON-able `state`; older ones but one go."""
+    """Write a checkpoint and remove old ones.
+
+    Args:
+        run: Folder of the run.
+        iteration: Iterations done, for the file's name.
+        tensors: Tensors by name.
+        state: A dict that JSON can hold.
+
+    Returns:
+        Path of the checkpoint.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
     path = run / f"checkpoint-{iteration:07d}.safetensors"
     with atomic_path(path) as temporary:
         try:
@@ -31,14 +45,21 @@ def save_checkpoint(run: Path, iteration: int, tensors: dict[str, torch.Tensor],
 
 
 def checkpoints(run: Path) -> list[Path]:
-    """The checkpoints of a run, oldest first."""
+    """Return the checkpoints of a run, oldest first."""
     return sorted(run.glob("checkpoint-*.safetensors"))
 
 
 def load_checkpoint(run: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]] | None:
-    """Tensors and state of the newest readable checkpoint, None if the run has none.
+    """Read the newest checkpoint of a run that can be read.
 
-    Raises InputError when there are checkpoints but none can be read.
+    Args:
+        run: Folder of the run.
+
+    Returns:
+        Tensors and state as `save_checkpoint` took them, None where the run has no checkpoint.
+
+    Raises:
+        InputError: If there are checkpoints but none can be read.
     """
     found = checkpoints(run)
     for path in reversed(found):
@@ -58,7 +79,7 @@ def load_checkpoint(run: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]
 
 
 def _is_whole(tensors: dict[str, torch.Tensor], state: Any) -> bool:
-    """Whether a file has what a run goes on with, in shapes that fit. Raises KeyError for what is missing."""
+    """Whether a file has what a run continues with, in shapes that fit. Raises KeyError for what is missing."""
     cloud = {name: tensor for name, tensor in tensors.items() if name.startswith("cloud.")}
     n, higher = len(cloud["cloud.means"]), cloud["cloud.shN"].shape[1]
     known = {"means": (n, 3), "quats": (n, 4), "log_scales": (n, 3), "opacity_logits": (n,), "sh0": (n, 1, 3)}

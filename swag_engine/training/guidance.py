@@ -1,6 +1,6 @@
-"""What regions of the photographs do in a training: features for every Gaussian, and what acts on pictures by them.
+"""Guidance of training by regions of the images: features of the Gaussians, and switches that act on rendered images.
 
-L_s moves only features (METHOD.md section 5); the switches of training/recipes.py let labels act on the pictures.
+L_s moves only features (docs/method.md section 5); the switches of settings/recipes.py let labels act on the pictures.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..base.errors import InputError
 from ..gaussians.cloud import GaussianCloud
-from ..rendering.render import tail
+from ..rendering.render import background_color
 from ..scene.cameras import Camera
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage, cache_folder
@@ -32,16 +32,22 @@ from ..water.network import WaterNetwork
 from .targets import Target
 
 PRUNED = ("haze", "fish", OPEN_WATER)
-"""Classes that are no part of the place, by a word of their name."""
+"""Classes that are no part of the scene, by a word of their name."""
 SURE = 0.7
-"""Cosine of a Gaussian's feature with a label's, and length of the feature, from which the Gaussian is taken for it."""
+"""Cosine of a Gaussian's feature with that of a label, and length of the feature, from which it has the label."""
 
 
 class Guidance:
-    """Regions of a scene's training photographs, and what they say during a run by the switches of its recipe.
+    """Regions of a scene's training images, and what they do during a run by the switches of its recipe.
 
-    about: what labels.json shall say of where they are from. Features of Gaussians start as 0 and are pulled to those
-    of the regions that they are seen in; `labels_of` reads them.
+    Features of Gaussians start at 0 and approach those of the regions that they are seen in; `labels_of` reads them.
+
+    Args:
+        regions: The regions.
+        images: The training images.
+        recipe: What the run computes.
+        about: Origin of the regions, for labels.json.
+        backend: What computes.
     """
 
     def __init__(
@@ -58,14 +64,14 @@ class Guidance:
         self.maps: dict[tuple[str, int], np.ndarray] = {}
 
     def labels_at(self, camera: Camera) -> np.ndarray:
-        """(H, W) labels of the photograph that `camera` took, at the camera's size."""
+        """Return the labels (H, W) of the image that `camera` took, at the camera's size."""
         key = camera.name, camera.width
         if key not in self.maps:
             self.maps[key] = resized_labels(self.regions.maps[camera.name], camera.width, camera.height)
         return self.maps[key]
 
     def emphasise(self, targets: Sequence[Target]) -> None:
-        """Let each pixel count by its label where the recipe says so: all of it for what stands out most."""
+        """Weigh each pixel by the salience of its label where the recipe says so, 1 for the most salient."""
         for target in targets if self.recipe.salient_pixels else ():
             labels = torch.from_numpy(self.labels_at(target.camera).astype(np.int64))
             target.emphasis = (self.weights / self.weights.max())[labels].to(target.pixels.device)
@@ -80,10 +86,22 @@ class Guidance:
         iteration: int,
         progress: float,
     ) -> Tensor:
-        """What the regions of a photograph add to its loss in an iteration, `progress` (0..1) of the way through.
+        """Compute what the regions of an image add to its loss.
 
-        L_s, in one iteration of EVERY, differentiable in the cloud's features alone; and, where the recipe says so,
-        open_water_loss of the picture's alpha (H, W) and of the medium, or of the cloud's background without one.
+        In one iteration of EVERY that is L_s, differentiable in the cloud's features alone; and, where the recipe says
+        so, open_water_loss.
+
+        Args:
+            cloud: The Gaussians.
+            alpha: (H, W) of the rendered image.
+            target: The training image.
+            medium: The water, None without.
+            water_degree: Degree of the background light, 0..2.
+            iteration: Number of the iteration.
+            progress: How far the run is, 0..1.
+
+        Returns:
+            The loss, a scalar.
         """
         labels = self.labels_at(target.camera)
         loss = alpha.new_zeros(())
@@ -93,20 +111,20 @@ class Guidance:
             loss = max(0.01, 0.3 * (1 - progress)) * semantic_loss(cloud.features, targets, assigned)
         if self.recipe.open_water and OPEN_WATER in self.regions.labels:
             water = torch.from_numpy(labels == self.regions.labels.index(OPEN_WATER) + 1).to(alpha.device)
-            behind = tail(cloud, target.camera, medium, water_degree, self.backend)
+            behind = background_color(cloud, target.camera, medium, water_degree, self.backend)
             cost = open_water_loss(alpha, behind, target.color, water & target.valid)
             loss = loss + self.recipe.open_water * cost
         return loss
 
     @torch.no_grad()
     def labels_of(self, features: Tensor) -> Tensor:
-        """(N,) int64: the label that features (N, 32) have come near to, 0 for those that are not SURE."""
+        """Return the labels (N,) int64 that features (N, 32) are close to, 0 for those that are not SURE."""
         cosines, best = (features @ torch.from_numpy(self.regions.prototypes).to(features).T).max(1)
         lengths = features.norm(dim=1)
         return torch.where((lengths > SURE) & (cosines > SURE * lengths), best + 1, 0)
 
     def growth_weights(self, cloud: GaussianCloud) -> Tensor | None:
-        """(N,) float32 factors on the scores of growth and reallocation, larger for what stands out; None without."""
+        """Return factors (N,) float32 on the scores of densification and relocation by salience; None without."""
         if not self.recipe.salient_growth:
             return None
         return self.weights.to(cloud.features)[self.labels_of(cloud.features)]
@@ -114,7 +132,8 @@ class Guidance:
     @torch.no_grad()
     def prune(self, cloud: GaussianCloud) -> None:
         """Make Gaussians of PRUNED classes transparent where the recipe says so, for growth to drop them; never most
-        of a cloud."""
+        of a cloud.
+        """
         numbers = [number for number, label in enumerate(self.regions.labels, start=1) if is_pruned(label)]
         if self.recipe.class_pruning:
             dropped = torch.isin(self.labels_of(cloud.features), torch.tensor(numbers, device=cloud.features.device))
@@ -122,7 +141,7 @@ class Guidance:
                 cloud.opacity_logits[dropped] = -20.0
 
     def write(self, folder: Path, splats: Splats, up: Sequence[float], cloud: GaussianCloud) -> None:
-        """Write a run's result with labels, as `label` would: labels by votes, features as they were learned."""
+        """Write a run's result with labels, as the command `label` does: labels by votes, features as learned."""
         made = assign(cloud, self.regions, self.cameras, self.backend)
         learned = torch.nn.functional.normalize(cloud.features.detach(), dim=1)
         write_semantics(folder, splats, up, self.regions, replace(made, features=learned), self.about)
@@ -131,7 +150,18 @@ class Guidance:
 def find_guidance(
     scene: Scene, training: Sequence[TrainingImage], recipe: Recipe, settings: TrainSettings, weights_dir: Path | None
 ) -> tuple[str, Guidance | None]:
-    """A sentence, and the guidance by the regions of the training photographs; None where they cannot be had."""
+    """Find the regions of the training images.
+
+    Args:
+        scene: The scene.
+        training: The training images.
+        recipe: What the run computes.
+        settings: Words and masks that the user gave.
+        weights_dir: Folder where networks are looked for first.
+
+    Returns:
+        A sentence for the user, and the guidance; None where regions cannot be found.
+    """
     try:
         words = checked_words(settings.words.split(",")) if settings.words else ()
         chosen, masks = choose(scene, words, Path(settings.masks) if settings.masks else None)
@@ -146,7 +176,7 @@ def find_guidance(
 
 
 def salience(regions: SceneRegions, images: Sequence[TrainingImage]) -> Tensor:
-    """(L + 1,) float32, .5 to 1.5 by label: how much its pixels stand out, open water not at all; 1 for label 0."""
+    """Return the salience (L + 1,) float32 of each label, .5 to 1.5; open water counts as not salient, label 0 as 1."""
     count = len(regions.labels) + 1
     sums, pixels = np.zeros(count), np.zeros(count)
     for image in images:
@@ -163,16 +193,23 @@ def salience(regions: SceneRegions, images: Sequence[TrainingImage]) -> Tensor:
 
 
 def open_water_loss(alpha: Tensor, behind: Tensor, photograph: Tensor, water: Tensor) -> Tensor:
-    """Where a photograph shows open water: mean opacity, 0..1, and mean absolute difference of what is behind all
-    Gaussians from the photograph; 0 where it shows none. Differentiable in alpha and behind.
+    """Penalise opacity in front of open water, and a background color that differs from it.
 
-    Open water is the tail behind all Gaussians: whatever covers it is a floater, and its colour is the tail's. alpha
-    (H, W); behind (H, W, 3) or (3,) and photograph (H, W, 3) in 0..1; water (H, W) bool.
+    Open water is the background behind all Gaussians: whatever covers it is a floater.
+
+    Args:
+        alpha: (H, W) of the rendered image.
+        behind: (H, W, 3) or (3,) background color, 0..1.
+        photograph: (H, W, 3) training image, 0..1.
+        water: (H, W) bool, pixels that show open water.
+
+    Returns:
+        Mean opacity plus mean absolute difference over these pixels, 0 without any; differentiable in alpha, behind.
     """
     cost = alpha + (behind - photograph).abs().mean(-1)
     return torch.where(water, cost, torch.zeros_like(cost)).sum() / water.sum().clamp(min=1)
 
 
 def is_pruned(label: str) -> bool:
-    """Whether a label is of one of the PRUNED classes."""
+    """Return whether a label is of one of the PRUNED classes."""
     return any(f" {word} " in f" {label.casefold()} " for word in PRUNED)

@@ -1,4 +1,4 @@
-"""What a picture costs: its distance from the photograph, and what is known about any place under water."""
+"""Loss terms: differences from the training image, and priors on scenes under water (docs/method.md)."""
 
 import torch
 from torch import Tensor
@@ -6,6 +6,9 @@ from torch import Tensor
 from ..evaluation.ssim import check_images, l1_and_ssim
 
 RELATIVE_FLOOR = 1e-3
+"""Display value added to the brightness that relative residuals are divided by."""
+COVERED = 0.5
+"""Alpha from which a pixel shows a surface."""
 
 
 def photometric(
@@ -18,11 +21,24 @@ def photometric(
     relative: bool = False,
     backend: str = "auto",
 ) -> Tensor:
-    """l1 mean |e| + ssim_weight (1 - SSIM) + l2 mean e^2 of e = image - target (H, W, 3); differentiable in image.
+    """Compare a rendered image with a training image: l1 mean |e| + ssim_weight (1 - SSIM) + l2 mean e^2.
 
-    relative: e is divided by the image's own brightness (WaterSplatting, arXiv 2408.08206), which carries no gradient
-    of its own; SSIM stays as it is. valid: (H, W) bool or None. Invalid pixels take the target's value first: they
-    add nothing and get no gradient.
+    Args:
+        image: (H, W, 3) rendered display values.
+        target: (H, W, 3) display values in 0..1; e = image - target.
+        valid: (H, W) bool, None where all pixels count. Invalid pixels add nothing and get no gradient.
+        l1: Weight of the mean absolute difference.
+        ssim_weight: Weight of 1 - SSIM.
+        l2: Weight of the mean squared difference.
+        relative: Divide e by the image's own brightness, which carries no gradient of its own (WaterSplatting, arXiv
+            2408.08206); SSIM stays as it is.
+        backend: What computes.
+
+    Returns:
+        The loss, a scalar; differentiable in image.
+
+    Raises:
+        ValueError: If the images differ in shape.
     """
     if valid is not None:
         image = torch.where(valid[..., None], image, target)
@@ -42,12 +58,18 @@ def photometric(
 
 
 def grey_world(restored: Tensor, alpha: Tensor, target: str = "mean") -> Tensor:
-    """How far a picture without water, (H, W, 3), is from grey on average where alpha (H, W) > .5; differentiable.
+    """Measure how far an image without water is from grey on average.
 
-    "mean": mean_c (mu_c / mu - 1)^2 with mu the mean of the channels' means mu_c; "middle": sum_c (mu_c - 1/2)^2
-    (SWAGSplatting). 0 where nothing is covered.
+    Args:
+        restored: (H, W, 3) image without water.
+        alpha: (H, W); pixels with alpha > COVERED count.
+        target: "mean" for mean_c (mu_c / mu - 1)^2, mu being the mean of the channels' means mu_c; "middle" for
+            sum_c (mu_c - 1/2)^2 (SWAGSplatting).
+
+    Returns:
+        The loss, a scalar, 0 where nothing is covered; differentiable in restored.
     """
-    covered = (alpha.detach() > 0.5).to(restored.dtype)
+    covered = (alpha.detach() > COVERED).to(restored.dtype)
     means = (restored * covered[..., None]).sum((0, 1)) / covered.sum().clamp(min=1)
     if target == "middle":
         return (means - 0.5).square().sum() * covered.any()
@@ -55,12 +77,18 @@ def grey_world(restored: Tensor, alpha: Tensor, target: str = "mean") -> Tensor:
 
 
 def smoothness(range_image: Tensor, alpha: Tensor, guide: Tensor, median_range: float) -> Tensor:
-    """mean |change of range from pixel to pixel| / median_range x exp(-5 |change of the guide|); differentiable.
+    """Penalise changes of range between neighbouring pixels: mean |change| / median_range exp(-5 |change of guide|).
 
-    range_image (H, W) in scene units and alpha (H, W) as of a Picture; guide (H, W, 3) in 0..1: where it has an edge,
-    range may have one. Pairs of pixels count where both have alpha > .5.
+    Args:
+        range_image: (H, W) range in scene units.
+        alpha: (H, W); pairs of pixels count where both have alpha > COVERED.
+        guide: (H, W, 3) image in 0..1; where it has an edge, range may have one.
+        median_range: Median range of the scene, scene units.
+
+    Returns:
+        The loss, a scalar; differentiable in range_image.
     """
-    covered = alpha.detach() > 0.5
+    covered = alpha.detach() > COVERED
     total, count = range_image.new_zeros(()), covered.new_zeros((), dtype=torch.long)
     for axis in (0, 1):
         steps = range_image.diff(dim=axis).abs() / median_range
@@ -72,6 +100,15 @@ def smoothness(range_image: Tensor, alpha: Tensor, guide: Tensor, median_range: 
 
 
 def attenuation_order(beta: Tensor, order: tuple[int, int, int], margin: float = 1e-3) -> Tensor:
-    """Hinge on coefficients (3,) that should fall in this order of channels; 0 where each leads the next by margin."""
+    """Penalise attenuation coefficients that are not in the expected order of channels.
+
+    Args:
+        beta: (3,) coefficients.
+        order: Channels, that of the largest coefficient first.
+        margin: Difference that two neighbours in the order must have.
+
+    Returns:
+        The loss, a scalar, 0 where all are in order; differentiable in beta.
+    """
     first, second, third = (beta[channel] for channel in order)
     return (margin - first + second).clamp(min=0) + (margin - second + third).clamp(min=0)

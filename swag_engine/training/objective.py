@@ -1,4 +1,4 @@
-"""What one iteration minimises."""
+"""The loss of one iteration."""
 
 import torch
 from torch import Tensor
@@ -11,16 +11,20 @@ from ..water.network import WaterNetwork
 from .losses import attenuation_order, grey_world, photometric, smoothness
 from .targets import Target
 
-OCEANIC = (0, 1, 2)  # red is taken most, blue least
-SAMPLED = 8
-"""One Gaussian in so many is asked for its range consistency in an iteration."""
+OCEANIC = (0, 1, 2)
+"""Channels by attenuation in clear oceanic water: red most, blue least."""
+CONSISTENCY_EVERY = 8
+"""One Gaussian in so many takes part in the range consistency of a water network in an iteration."""
 
 
 class Objective:
     """The loss of a recipe.
 
-    median_range: the scene's, in scene units. order: the channels by the attenuation that the sparse points gave,
-    largest first, None where they gave none.
+    Args:
+        recipe: Which terms count, and how much.
+        median_range: Median range of the scene, scene units.
+        order: Channels by the attenuation that the sparse points gave, largest first; None where they gave none.
+        backend: What computes.
     """
 
     def __init__(self, recipe: Recipe, median_range: float, order: tuple[int, int, int] | None, backend: str) -> None:
@@ -28,22 +32,31 @@ class Objective:
         self.order = OCEANIC if recipe.hinge_order == "oceanic" else order
 
     def in_stage_two(self, fraction: float) -> bool:
-        """Whether geometry and water are frozen, `fraction` (0..1) of the way through the run."""
+        """Return whether geometry and water are frozen, `fraction` (0..1) of the way through the run."""
         return fraction >= self.recipe.stage_two_from
 
     def needs_range(self, target: Target, fraction: float) -> bool:
-        """Whether the picture has to come with ranges."""
+        """Return whether the rendered image has to come with ranges."""
         geometry = self.recipe.smoothness > 0 or (self.recipe.depth > 0 and target.inverse_range is not None)
         return geometry and not self.in_stage_two(fraction)
 
     def needs_restored(self, medium: object, fraction: float) -> bool:
-        """Whether the picture has to come with the same without water."""
+        """Return whether the rendered image has to come with the same image without water."""
         return self.recipe.grey_world > 0 and medium is not None and not self.in_stage_two(fraction)
 
     def reconstruction(self, color: Tensor, target: Target, fraction: float) -> Tensor:
-        """How far the picture (H, W, 3) is from its photograph."""
+        """Compare a rendered image with its target.
+
+        Args:
+            color: (H, W, 3) display values.
+            target: The training image.
+            fraction: How far the run is, 0..1.
+
+        Returns:
+            The loss, a scalar; differentiable in color.
+        """
         if target.emphasis is not None:
-            # A difference that counts half is one half as large, for SSIM too.
+            # A pixel of weight 1/2 is moved half of the way to the target, so that SSIM is weighted too.
             color = torch.lerp(target.color, color, target.emphasis[..., None])
         weights = self.recipe.photometric_two if self.in_stage_two(fraction) else self.recipe.photometric
         return photometric(
@@ -60,10 +73,20 @@ class Objective:
     def __call__(
         self, picture: Picture, target: Target, medium: Medium | WaterNetwork | None, fraction: float
     ) -> Tensor:
-        """The loss of one picture, `fraction` of the way through; `picture` has what needs_* asked for."""
+        """Compute the loss of one rendered image.
+
+        Args:
+            picture: The image, with what needs_range and needs_restored asked for.
+            target: The training image.
+            medium: The water, None without.
+            fraction: How far the run is, 0..1.
+
+        Returns:
+            The loss, a scalar.
+        """
         recipe, two = self.recipe, self.in_stage_two(fraction)
         loss = self.reconstruction(picture.color, target, fraction)
-        if target.weight != 1:
+        if target.interpolated:
             return target.weight * loss
         if two:
             return loss
@@ -76,12 +99,13 @@ class Objective:
         if recipe.grey_world and picture.restored is not None:
             loss = loss + recipe.grey_world * grey_world(picture.restored, picture.alpha, recipe.grey_world_target)
         if recipe.hinge and medium is not None and self.order:
-            # The coefficients that render, per median range, so that the margin means the same in every scene.
+            # Coefficients per median range, so that the margin means the same in every scene.
             loss = loss + recipe.hinge * attenuation_order(medium.beta_D * self.median_range, self.order)
         if recipe.range_consistency and isinstance(medium, WaterNetwork):
-            loss = loss + recipe.range_consistency * medium.range_consistency(picture.offsets[::SAMPLED])
+            loss = loss + recipe.range_consistency * medium.range_consistency(picture.offsets[::CONSISTENCY_EVERY])
         return loss
 
 
 def _at(weights: Weights, fraction: float) -> float:
+    """A weight that changes linearly over the run."""
     return weights[0] + (weights[1] - weights[0]) * fraction

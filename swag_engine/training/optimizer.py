@@ -1,4 +1,6 @@
-"""Adam over a cloud whose number of Gaussians changes, and over the effects that are simulated."""
+"""Adam over a cloud whose number of Gaussians changes, and over the effects that are modelled."""
+
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -9,14 +11,24 @@ from ..gaussians.densify import PER_GAUSSIAN
 from ..kernels.backends import kernels_for
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
+"""Names of the two moments in a checkpoint."""
 BETAS = (0.9, 0.999)
+"""Decay of the two moments in each step."""
 EPS = 1e-15
+"""Added to the root of the second moment."""
 
 
 class Optimizer:
-    """Adam (arXiv 1412.6980) with one learning rate a parameter; its moments follow the Gaussians through growth.
+    """Adam (arXiv 1412.6980) with one learning rate a parameter; its moments follow the Gaussians in densification.
 
-    cloud and simulated (what the run learns beside it): optimised in place.
+    Args:
+        cloud: The Gaussians; updated in place.
+        simulated: The effects; updated in place.
+        backend: What computes.
+
+    Attributes:
+        steps: Steps since the moments were last zero.
+        moments: First and second moment by parameter name.
     """
 
     def __init__(self, cloud: GaussianCloud, simulated: Simulated, backend: str = "auto") -> None:
@@ -28,7 +40,7 @@ class Optimizer:
         self.adopt()
 
     def adopt(self) -> None:
-        """Take up effects that were added to `simulated`, and drop what was taken from it; moments begin at 0."""
+        """Include effects that were added to `simulated` and drop those that were removed; new moments are zero."""
         for owner in (self.cloud, *self.simulated.owners().values()):
             for name, parameter in owner.parameters().items():
                 if not parameter.requires_grad:
@@ -39,13 +51,16 @@ class Optimizer:
         }
 
     def parameters(self) -> dict[str, Tensor]:
-        """Name -> tensor; those of effects begin with the effect's name, as in "medium.veil"."""
+        """Return all parameters by name; those of effects begin with the effect's name, as in "medium.veil"."""
         return self.cloud.parameters() | self.simulated.parameters()
 
-    def step(self, rates: dict[str, float]) -> None:
-        """One update of the parameters that have a rate and a gradient; clears all gradients.
+    def step(self, rates: Mapping[str, float]) -> None:
+        """Update the parameters that have a rate and a gradient once, and clear all gradients.
 
-        All Gaussians move, not only those that the view shows: that scores .3 dB better on the demo scene.
+        All Gaussians move, not only those in view: that scores .3 dB better on the demo scene.
+
+        Args:
+            rates: Step size by parameter name.
         """
         self.steps += 1
         for name, parameter in self.parameters().items():
@@ -55,11 +70,17 @@ class Optimizer:
         self.clear_gradients()
 
     def clear_gradients(self) -> None:
+        """Drop the gradients of all parameters."""
         for parameter in self.parameters().values():
             parameter.grad = None
 
     def replace(self, cloud: GaussianCloud, source: Tensor) -> None:
-        """Go on with another cloud. source (N',): index of the Gaussian whose moments each one takes, -1 for none."""
+        """Continue with another cloud.
+
+        Args:
+            cloud: The Gaussians.
+            source: (N',) index of the Gaussian whose moments each one takes, -1 for none.
+        """
         known = source >= 0
         for name in PER_GAUSSIAN:
             setattr(cloud, name, getattr(cloud, name).detach().contiguous().requires_grad_())
@@ -69,10 +90,15 @@ class Optimizer:
         cloud.background = self.cloud.background
         self.cloud = cloud
 
-    def restart(self, values: dict[str, Tensor]) -> None:
-        """Take up other values, named as by parameters(), of as many Gaussians as they have; Adam begins anew."""
+    def restart(self, values: Mapping[str, Tensor]) -> None:
+        """Set parameters to other values and all moments to zero.
+
+        Args:
+            values: Values by name, of as many Gaussians as they have; names of effects that are not modelled any more
+                are ignored.
+        """
         owners, known = self.simulated.owners() | {"": self.cloud}, self.parameters()
-        for name in values.keys() & known.keys():  # effects come and go
+        for name in values.keys() & known.keys():
             owner, _, own_name = name.rpartition(".")
             setattr(owners[owner], own_name, values[name].clone().requires_grad_())
         self.moments = {
@@ -82,14 +108,14 @@ class Optimizer:
         self.steps = 0
 
     def state_tensors(self) -> dict[str, Tensor]:
-        """Moments and the step count, named for a checkpoint."""
+        """Return moments and step count, named for a checkpoint."""
         tensors = {"adam.steps": torch.tensor(self.steps)}
         for name, pair in self.moments.items():
             tensors |= {f"adam.{name}.{moment}": value for moment, value in zip(MOMENTS, pair, strict=True)}
         return tensors
 
-    def load_state(self, tensors: dict[str, Tensor]) -> None:
-        """Take up what `state_tensors` gave."""
+    def load_state(self, tensors: Mapping[str, Tensor]) -> None:
+        """Read what `state_tensors` returned."""
         self.steps = int(tensors["adam.steps"])
         for name, parameter in self.parameters().items():
             mean, square = (tensors[f"adam.{name}.{moment}"].to(parameter.device, copy=True) for moment in MOMENTS)
@@ -105,7 +131,17 @@ def adam_step(
     step: int,
     backend: str = "auto",
 ) -> None:
-    """One Adam step, in place, of `parameter` and its two moments, contiguous and of one shape. step counts from 1."""
+    """Update one parameter and its moments in place by one step of Adam.
+
+    Args:
+        parameter: Contiguous tensor of any shape.
+        gradient: Its gradient, of the same shape.
+        exp_avg: First moment, contiguous, of the same shape.
+        exp_avg_sq: Second moment, contiguous, of the same shape.
+        rate: Step size.
+        step: Number of the step, from 1.
+        backend: What computes.
+    """
     if kernels := kernels_for(backend, parameter):
         kernels.adam_step(parameter, gradient, exp_avg, exp_avg_sq, rate, *BETAS, EPS, step)
         return

@@ -1,0 +1,1 @@
+"""The medium between camera and surface."""

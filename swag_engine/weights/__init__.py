@@ -1,1 +1,1 @@
-"""Pretrained networks: which there are, where their files lie, how they run."""
+"""Files of pretrained networks."""

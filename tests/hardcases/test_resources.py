@@ -84,7 +84,7 @@ def test_a_run_that_runs_out_of_memory_continues_smaller(tmp_path, kind):
     (note,) = [note for note in metrics["notes"] if note.startswith("Memory ran out")]
     assert metrics["iteration"] == 120 and metrics["test_psnr"] > metrics["control_psnr"] + 1
     assert metrics["gaussians"] <= 400 or kind == "tiles"
-    assert ("photographs down to 1/2 of their size" in note) == (kind == "tiles")
+    assert ("images reduced to 1/2 of their size" in note) == (kind == "tiles")
 
 
 @pytest.fixture
@@ -106,7 +106,7 @@ def card(request, monkeypatch, tmp_path):
 ON_CARD = replace(SETTINGS, recipe="3dgs", backend="cuda", width=48, iterations=20)
 CARDS = {
     "for 256 Gaussians": (lambda kernel, blocks: kernel == "project_forward" and blocks > 1, "at most 210 Gaussians."),
-    "for 15 tiles": (lambda kernel, blocks: kernel == "blend_forward_3" and blocks > 15, "photographs down to 1/2 of"),
+    "for 15 tiles": (lambda kernel, blocks: kernel == "blend_forward_3" and blocks > 15, "images reduced to 1/2 of"),
 }
 
 
@@ -187,7 +187,7 @@ def test_held_out_photographs_that_never_fit_are_left_unscored(tiny_scene, tmp_p
 
     monkeypatch.setattr(loop, "score_views", never)
     metrics = loop.train(tiny_scene, tmp_path / "run", SETTINGS)["metrics"]
-    assert np.isnan(metrics["test_psnr"]) and "Memory did not reach to score all" in metrics["notes"][-1]
+    assert np.isnan(metrics["test_psnr"]) and "Memory did not suffice to score all" in metrics["notes"][-1]
 
 
 @pytest.mark.parametrize("factor, width", [(2, 160), (4, 80), (8, 80)])

@@ -1,0 +1,1 @@
+"""Time, speed and memory of a run."""

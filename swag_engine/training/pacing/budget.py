@@ -11,14 +11,21 @@ from ...settings.settings import TrainSettings
 from .speed import Extent, Speed, measure_speed, predicted_milliseconds, predicted_seconds
 
 CLOSING = 3.0
-"""Seconds kept for writing results and their report."""
+"""Time kept for writing results and their report, s."""
 
 
 @dataclass
 class Budget:
-    """The time of a run. seconds: all of it, from `started` (time.monotonic()) on.
+    """The time budget of a run.
 
-    held_out: seconds that scoring the held-out views took last.
+    Attributes:
+        seconds: Time of the whole run, s.
+        started: time.monotonic() that it counts from.
+        speed: Measured speed of this machine on this scene.
+        extent: Size of the scene.
+        size: Size of the run that should fit.
+        densify_until: Fraction of the run at which densification ends.
+        held_out: Time that scoring the held-out images took last, s.
     """
 
     seconds: float
@@ -26,31 +33,40 @@ class Budget:
     speed: Speed
     extent: Extent
     size: Size
-    grow_until: float
+    densify_until: float
     held_out: float = 0.0
 
     @property
     def iterations(self) -> int:
-        """How many are expected to fit."""
+        """How many iterations are expected to fit."""
         return self.size.iterations
 
     def left(self) -> float:
-        """Seconds that may still be trained."""
+        """Return how long may still be trained, s."""
         return self.seconds - (time.monotonic() - self.started) - CLOSING - self.held_out
 
     def shorten(self, seconds: float) -> None:
-        """Only so many seconds of training more."""
+        """Let the run train only `seconds` more, where it had more time."""
         self.seconds -= max(0.0, self.left() - seconds)
 
     def predicted(self, fraction: float) -> float:
-        """Seconds of an iteration at that fraction of the run."""
-        return predicted_milliseconds(self.speed, self.extent, self.size, fraction, self.grow_until) / 1000
+        """Return the predicted time of an iteration at a fraction of the run, s."""
+        return predicted_milliseconds(self.speed, self.extent, self.size, fraction, self.densify_until) / 1000
 
 
 def fit_budget(scene: Scene, settings: TrainSettings, started: float) -> tuple[TrainSettings, Budget | None]:
-    """The settings with what fits their time budget filled in, and the budget; None where they have none.
+    """Choose the size of the run that fits a time budget.
 
-    Raises InputError where the time does not even reach for a first look.
+    Args:
+        scene: The scene.
+        settings: What the user chose.
+        started: time.monotonic() that the budget counts from.
+
+    Returns:
+        The settings with the size filled in, and the budget; None where the settings have none.
+
+    Raises:
+        InputError: If the time is too short even for the smallest run.
     """
     if not settings.budget:
         return settings, None

@@ -1,4 +1,4 @@
-"""What memory a run takes, before it is spent, and how a run goes on that has too little of it."""
+"""Memory of a run: what it needs, how it is reduced to what is free, and what happens when memory runs out."""
 
 import ctypes
 import sys
@@ -17,29 +17,43 @@ from ...kernels.protocol import TooManyPairs
 from ...settings.settings import TrainSettings
 from .speed import Extent
 
-BYTES_PER_GAUSSIAN, BYTES_PER_PIXEL = 1280, 24
+BYTES_PER_GAUSSIAN = 1280
+"""Memory of one Gaussian with its moments, gradients and copies."""
+BYTES_PER_PIXEL = 24
+"""Memory of one pixel of a training image at all sizes."""
 SHARE = 0.8
-"""Of the free memory that a run may take."""
-FEWEST, NARROWEST = 5_000, 160
-"""Gaussians and pixels of width that a run is cut down to, at most."""
+"""Fraction of the free memory that a run may take."""
+FEWEST = 5_000
+"""Gaussians that a run is reduced to, at least."""
+NARROWEST = 160
+"""Pixels of image width that a run is reduced to, at least."""
 KEPT = 0.7
-"""Share of the Gaussians that are kept each time a run meets the end of memory."""
-SMALLEST = 8
-"""Part of their size that photographs are shrunk to, at most, when a run has met the end of memory."""
+"""Fraction of the Gaussians that are kept each time a run runs out of memory."""
+MOST_SHRINK = 8
+"""Factor by which images are reduced, at most, when a run has run out of memory."""
 TOO_LITTLE = "This needs more memory than there is: close other programs, use fewer Gaussians or a smaller width."
 
 T = TypeVar("T")
 
 
 def needed(extent: Extent, width: int, gaussians: int) -> int:
-    """Bytes of a run: photographs of the whole scene at `width` pixels and so many Gaussians with all their copies."""
+    """Estimate the memory that a run needs.
+
+    Args:
+        extent: Size of the scene.
+        width: Width of the images, pixels.
+        gaussians: Largest number of Gaussians.
+
+    Returns:
+        Bytes.
+    """
     return gaussians * BYTES_PER_GAUSSIAN + int(
         extent.pixels(width) * (extent.training + extent.held_out) * BYTES_PER_PIXEL
     )
 
 
 def free_memory(device: torch.device) -> int | None:
-    """Bytes that are free on a device, None where the system does not tell."""
+    """Return how many bytes are free on a device, None where the system does not say."""
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0]
     if sys.platform == "win32":
@@ -54,9 +68,18 @@ def free_memory(device: torch.device) -> int | None:
 
 
 def fit_memory(extent: Extent, settings: TrainSettings, free: int | None) -> tuple[TrainSettings, str]:
-    """The settings with as many Gaussians, then pixels, as fit `free` bytes, and a sentence where that is fewer.
+    """Reduce a run to what fits into memory: fewer Gaussians first, then smaller images.
 
-    Raises InputError where even the least does not fit.
+    Args:
+        extent: Size of the scene.
+        settings: Settings with all sizes filled in.
+        free: Free bytes, None where that is not known.
+
+    Returns:
+        The settings, and a sentence for the user where they were reduced, else an empty text.
+
+    Raises:
+        InputError: If even the smallest run does not fit.
     """
     limit = SHARE * free if free else float("inf")
     gaussians, width = settings.max_gaussians, settings.width
@@ -70,10 +93,10 @@ def fit_memory(extent: Extent, settings: TrainSettings, free: int | None) -> tup
     if needed(extent, width, gaussians) > limit:
         raise InputError(
             f"This scene needs {needed(extent, width, gaussians) / 1e9:.2f} GB of memory at the least and "
-            f"{(free or 0) / 1e9:.2f} GB are free: close other programs or use fewer photographs."
+            f"{(free or 0) / 1e9:.2f} GB are free: close other programs or use fewer images."
         )
     note = (
-        f"Memory: {settings.max_gaussians} Gaussians and photographs of {settings.width} pixels need {asked:.2f} GB, "
+        f"Memory: {settings.max_gaussians} Gaussians and images of {settings.width} pixels need {asked:.2f} GB, "
         f"and {(free or 0) / 1e9:.2f} GB are free; trained with {gaussians} and {width}."
     )
     return replace(settings, max_gaussians=gaussians, width=width), note
@@ -81,7 +104,7 @@ def fit_memory(extent: Extent, settings: TrainSettings, free: int | None) -> tup
 
 @torch.no_grad()
 def reduced(cloud: GaussianCloud) -> tuple[GaussianCloud, Tensor]:
-    """The most opaque KEPT of a cloud, in their order, and their indices (N',)."""
+    """Keep the most opaque fraction KEPT of a cloud in their order; also return their indices (N',)."""
     kept = torch.sort(cloud.opacity_logits, descending=True, stable=True).indices[: max(1, int(KEPT * len(cloud)))]
     kept = kept.sort().values
     values = {name: getattr(cloud, name)[kept] for name in PER_GAUSSIAN}
@@ -90,9 +113,14 @@ def reduced(cloud: GaussianCloud) -> tuple[GaussianCloud, Tensor]:
 
 @dataclass
 class Relief:
-    """How a run was cut down after it met the end of memory. shrink: factor that photographs are smaller by, at
-    least; most: limit of the Gaussians, None for the settings'; times: how often; unscored: whether memory did not
-    reach for held-out photographs."""
+    """How a run was reduced after it ran out of memory.
+
+    Attributes:
+        shrink: Factor by which images are reduced, at least.
+        most: Limit of the number of Gaussians, None for that of the settings.
+        times: How often memory ran out.
+        unscored: Whether memory did not suffice to score held-out images.
+    """
 
     shrink: int = 1
     most: int | None = None
@@ -100,10 +128,17 @@ class Relief:
     unscored: bool = False
 
     def relieve(self, gaussians: int) -> None:
-        """Cut down again: no more than so many Gaussians, then smaller photographs. Raises InputError at the end."""
+        """Reduce the run again: no more than so many Gaussians, then smaller images too.
+
+        Args:
+            gaussians: Gaussians that are left.
+
+        Raises:
+            InputError: If the run cannot be reduced any further.
+        """
         if self.times:
             self.shrink *= 2
-        if self.shrink > SMALLEST:
+        if self.shrink > MOST_SHRINK:
             raise InputError(TOO_LITTLE)
         self.most, self.times = gaussians, self.times + 1
 
@@ -112,17 +147,17 @@ class Relief:
         """A sentence for the user, empty where nothing happened."""
         sentences = []
         if self.times:
-            pictures = f" and photographs down to 1/{self.shrink} of their size" if self.shrink > 1 else ""
+            pictures = f" and images reduced to 1/{self.shrink} of their size" if self.shrink > 1 else ""
             sentences.append(
-                f"Memory ran out {self.times} times: the run went on with at most {self.most} Gaussians{pictures}."
+                f"Memory ran out {self.times} times: the run continued with at most {self.most} Gaussians{pictures}."
             )
         if self.unscored:
-            sentences.append("Memory did not reach to score all held-out photographs.")
+            sentences.append("Memory did not suffice to score all held-out images.")
         return " ".join(sentences)
 
 
 def is_shortage(error: Exception) -> bool:
-    """Whether something failed for want of memory, on any device."""
+    """Return whether an error means that memory ran out, on any device."""
     words = str(error).lower()
     return isinstance(error, MemoryError | torch.OutOfMemoryError | TooManyPairs) or (
         isinstance(error, RuntimeError) and ("out of memory" in words or "can't allocate memory" in words)
@@ -130,13 +165,13 @@ def is_shortage(error: Exception) -> bool:
 
 
 def within_memory(compute: Callable[[], T]) -> T | None:
-    """What `compute` returns, None where memory does not reach for it."""
+    """Return what `compute` returns, None where it runs out of memory."""
     try:
         return compute()
     except (MemoryError, RuntimeError, TooManyPairs) as error:
         if not is_shortage(error):
             raise
-    # Not before the error is gone are the tensors that its frames held.
+    # The tensors that the error's frames held are released only now.
     if torch.cuda.is_initialized():
         torch.cuda.empty_cache()
     return None

@@ -1,4 +1,4 @@
-"""How fast this machine trains this scene, from a few iterations, and what a run of some size will take."""
+"""Speed of this machine on a scene, measured on a few iterations, and the predicted time of a run."""
 
 import math
 import time
@@ -23,18 +23,27 @@ from ..losses import photometric
 from ..optimizer import Optimizer
 from ..schedule import STANDARD
 
-TIMED_GAUSSIANS, TIMED_WIDTH, TIMINGS = 20_000, 480, 5
+TIMED_GAUSSIANS = 20_000
+"""Gaussians of the timed iterations."""
+TIMED_WIDTH = 480
+"""Width of the timed images, pixels."""
+TIMINGS = 5
+"""Rounds of timing; the fastest counts."""
 LOADED = 4
-"""Photographs that loading is timed with."""
+"""Images that loading is timed with."""
 STEPS = 20
-"""Parts that a run is cut into to add up what it takes."""
+"""Parts of a run over which its predicted time is summed."""
 
 
 @dataclass(frozen=True)
 class Speed:
-    """What an iteration takes: milliseconds, and so many more for each Gaussian and for each pixel.
+    """Time of an iteration as a linear model.
 
-    load: seconds to prepare one photograph at TIMED_WIDTH.
+    Attributes:
+        fixed: Time of every iteration, ms.
+        per_gaussian: Additional time for each Gaussian, ms.
+        per_pixel: Additional time for each pixel, ms.
+        load: Time to prepare one image at TIMED_WIDTH, s.
     """
 
     fixed: float
@@ -43,18 +52,25 @@ class Speed:
     load: float
 
     def milliseconds(self, gaussians: float, pixels: float) -> float:
-        """One iteration."""
+        """Return the time of one iteration, ms."""
         return self.fixed + gaussians * self.per_gaussian + pixels * self.per_pixel
 
     def times(self, factor: float) -> "Speed":
-        """Where everything takes `factor` as long."""
+        """Return a speed at which everything takes `factor` times as long."""
         return Speed(*(factor * value for value in astuple(self)))
 
 
 @dataclass(frozen=True)
 class Extent:
-    """What of a scene decides how long it takes: numbers of photographs and of points; width and height of the largest
-    photograph in pixels."""
+    """Size of a scene, as far as it decides how long training takes.
+
+    Attributes:
+        training: Number of training images.
+        held_out: Number of validation and test images.
+        points: Number of sparse points.
+        width: Width of the largest image, pixels.
+        height: Its height, pixels.
+    """
 
     training: int
     held_out: int
@@ -64,19 +80,31 @@ class Extent:
 
     @classmethod
     def of(cls, scene: Scene) -> "Extent":
+        """Return the size of a scene."""
         split = split_views([view.camera.name for view in scene.views])
         camera = max((view.camera for view in scene.views), key=lambda camera: camera.width)
         held_out = len(split.validation) + len(split.test)
         return cls(len(split.train), held_out, len(scene.points.positions), camera.width, camera.height)
 
     def pixels(self, width: int) -> float:
-        """Pixels of a photograph reduced to `width`."""
+        """Return the number of pixels of an image reduced to `width`."""
         width = min(width, self.width)
         return width * width * self.height / self.width
 
 
 def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
-    """Train a few iterations on one photograph; takes about a second. Raises InputError as load_images does."""
+    """Measure the speed of a few iterations on one image; takes about a second.
+
+    Args:
+        scene: The scene.
+        settings: Settings of the run.
+
+    Returns:
+        The speed.
+
+    Raises:
+        InputError: If the image cannot be read.
+    """
     image = load_images(scene, scene.views[:1], TIMED_WIDTH)[0]
     others = scene.views[1 : 1 + LOADED]  # the first alone would count what is only done once
     started = time.perf_counter()
@@ -90,7 +118,7 @@ def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
         _iteration(cloud, image, 2, settings),
         _iteration(half, image, 1, settings),
     ]
-    # In turns: what else the machine does then falls on all of them, and their differences stay small.
+    # In turns, so that other load on the machine affects all of them alike.
     rounds = [[once() for once in work] for _ in range(TIMINGS)]
     whole, smaller, fewer = (min(times) for times in zip(*rounds, strict=True))
     per_pixel = max(0.0, (whole - smaller) / (0.75 * pixels))
@@ -99,7 +127,7 @@ def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
 
 
 def _grown(points: GaussianCloud, count: int) -> GaussianCloud:
-    """The cloud as growth leaves it: so many Gaussians about those of the points, covering as much of the picture."""
+    """The cloud as densification leaves it: so many Gaussians near those of the points, with the same total area."""
     of_point = torch.arange(count) % len(points)
     parts = {name: getattr(points, name)[of_point] for name in PER_GAUSSIAN}
     cloud = GaussianCloud(**parts, background=points.background.clone())
@@ -109,7 +137,7 @@ def _grown(points: GaussianCloud, count: int) -> GaussianCloud:
 
 
 def _iteration(cloud: GaussianCloud, image: TrainingImage, factor: int, settings: TrainSettings) -> Callable[[], float]:
-    """An iteration at 1/factor of the photograph's size, which says how many milliseconds it took."""
+    """An iteration at 1/factor of the image's size, which returns how many milliseconds it took."""
     from ..targets import Target
 
     device = device_for(settings.backend)
@@ -133,8 +161,18 @@ def _iteration(cloud: GaussianCloud, image: TrainingImage, factor: int, settings
 
 
 def predicted_milliseconds(speed: Speed, extent: Extent, size: Size, fraction: float, grow_until: float) -> float:
-    """An iteration `fraction` (0..1) of the way through a run of that size: photographs are smaller and Gaussians fewer
-    at first."""
+    """Predict the time of an iteration; early in a run images are smaller and Gaussians fewer.
+
+    Args:
+        speed: Speed of the machine.
+        extent: Size of the scene.
+        size: Size of the run.
+        fraction: How far the run is, 0..1.
+        grow_until: Fraction of the run at which densification ends.
+
+    Returns:
+        Time, ms.
+    """
     schedule = STANDARD
     factor = next((factor for until, factor in schedule.coarse if fraction < until), 1)
     grown = min(1.0, 1.25 * max(0.0, fraction - schedule.densify_from) / max(1e-9, grow_until - schedule.densify_from))
@@ -144,12 +182,22 @@ def predicted_milliseconds(speed: Speed, extent: Extent, size: Size, fraction: f
 
 
 def predicted_seconds(speed: Speed, extent: Extent, size: Size, grow_until: float) -> float:
-    """A whole run of that size: photographs, iterations, validation, and the figures at the end."""
+    """Predict the time of a whole run: loading, iterations, validation and the final scores.
+
+    Args:
+        speed: Speed of the machine.
+        extent: Size of the scene.
+        size: Size of the run.
+        grow_until: Fraction of the run at which densification ends.
+
+    Returns:
+        Time, s.
+    """
     middles = [(step + 0.5) / STEPS for step in range(STEPS)]
     mean = sum(predicted_milliseconds(speed, extent, size, middle, grow_until) for middle in middles) / STEPS
     larger = extent.pixels(size.width) / extent.pixels(TIMED_WIDTH)
     loading = speed.load * (extent.training + extent.held_out) * larger
-    # A picture without its gradient takes a third of an iteration; each held-out one is drawn at every tenth or so.
+    # Rendering without a gradient takes a third of an iteration; each held-out image is rendered about six times.
     last = speed.milliseconds(size.max_gaussians, extent.pixels(size.width))
     drawing = 0.3 * last * extent.held_out * 6
     return loading + (mean * size.iterations + drawing) / 1000
