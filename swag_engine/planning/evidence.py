@@ -1,4 +1,4 @@
-"""What a scene's photographs and sparse points say about each effect, before anything is trained (docs/method.md section 9).
+"""What a scene's images and sparse points say about each effect, before training (docs/method.md section 9).
 
 Colours are taken in linear light. Every finding carries the figures it rests on, each with its threshold, and says in
 one sentence why; "unknown" is an answer, for where the photographs cannot tell.

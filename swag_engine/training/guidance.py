@@ -131,8 +131,9 @@ class Guidance:
 
     @torch.no_grad()
     def prune(self, cloud: GaussianCloud) -> None:
-        """Make Gaussians of PRUNED classes transparent where the recipe says so, for growth to drop them; never most
-        of a cloud.
+        """Make Gaussians of PRUNED classes transparent where the recipe says so, unless they are most of the cloud.
+
+        Densification then drops them.
         """
         numbers = [number for number, label in enumerate(self.regions.labels, start=1) if is_pruned(label)]
         if self.recipe.class_pruning:

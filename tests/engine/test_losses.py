@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from swag_engine.base.timing import Ledger
 from swag_engine.evaluation.ssim import ssim
 from swag_engine.kernels import cpu
-from swag_engine.training import losses
 from swag_engine.training.losses import attenuation_order, grey_world, photometric, smoothness
 
 SIZES = [(1, 1), (4, 7), (11, 11), (23, 41), (9, 330)]  # the last one is wider than a block of the kernel
@@ -136,11 +136,15 @@ def test_square_error_and_relative_residuals_are_those_of_the_definition(relativ
     assert (gradient - expected_gradient).abs().max() < 1e-5 * expected_gradient.abs().max()
 
 
-def test_no_weight_computes_nothing(monkeypatch):
+def test_ssim_without_weight_is_not_computed():
     image, target = (x.float() for x in images(20, 30))
-    monkeypatch.setattr(losses, "_l1_and_ssim", lambda *arguments: pytest.fail("SSIM was computed"))
     expected = 0.05 * (image - target).abs().mean() + 0.9 * (image - target).square().mean()
-    assert photometric(image, target, None, 0.05, 0.0, 0.9).item() == pytest.approx(expected.item(), rel=1e-6)
+    for weight, computed in ((0.0, False), (0.2, True)):
+        ledger = Ledger()
+        with ledger.iteration():
+            value = photometric(image, target, None, 0.05, weight, 0.9).item()
+        assert ("loss L1 and SSIM" in ledger.seconds) == computed
+        assert computed or value == pytest.approx(expected.item(), rel=1e-6)
 
 
 def test_grey_world_is_zero_for_grey_and_pulls_a_cast_back():
