@@ -1,14 +1,14 @@
-"""How far the backends are apart over thousands of random scenes.
+"""Measure the largest differences between the backends over thousands of random scenes.
 
-    python benchmarks/backends_agree.py [--scenes 3000] [--seed 0]
+Run: `python benchmarks/backends_agree.py [--scenes 3000] [--seed 0]`; exit code 1 where backends disagree
+Results: benchmarks/results/backends_agree.json
 
-Each scene, of 1 to 60 Gaussians and 1 to 40 pixels a side, is drawn by torch in float64 (the truth), by torch in
+Each scene has 1 to 60 Gaussians and 1 to 40 pixels a side. It is rendered by torch in float64 (the truth), by torch in
 float32, by the CPU kernels and by the CUDA kernels (on simulated threads, or with SWAG_TEST_CUDA=1 on the card).
-"blended": any channels, the gradients by all that is optimised, and the sums of contributions. "trained": a cloud
-through water with its range, its colours without the water, and SSIM, as training does. An error is the largest
-difference over the largest value of that tensor of the truth. A scene may be over the tolerance only where rounding
-decides a comparison (alpha at 1/255 or .99, transmittance at 1e-4, the order of depths): the truth says how near it
-was to one. Writes results/backends_agree.json; exit code 1 where backends disagree.
+"blended" compares any channels, the gradients of every optimised tensor, and the sums of contributions; "trained" a
+cloud in water with its range, its restored colours, and SSIM, as training does. An error is the largest difference
+divided by the largest value of that tensor of the truth. A scene may exceed the tolerance only where rounding decides
+a comparison (alpha at 1/255 or .99, transmittance at 1e-4, the order of depths); the truth tells how close it was.
 """
 
 import argparse
@@ -25,6 +25,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 import torch
 from torch import Tensor
 
+from benchmarks.common import write_results
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels import cuda
 from swag_engine.rasterize.api import contributions, rasterize
@@ -36,10 +37,12 @@ from tests.engine.cuda_fibres import Fibres
 from tests.engine.test_cuda import DEVICE, ON_CARD
 from tests.engine.test_rasterize import GRADIENTS, blend_by_the_book, make_scene, relative_error
 
-RESULT = ROOT / "benchmarks" / "results" / "backends_agree.json"
-TOLERANCE, TRAINED_GRADIENTS = 1e-4, 5e-3
-"""Of all, but for gradients through SSIM: its variances cancel in float32, in plain torch too."""
+TOLERANCE = 1e-4
+"""Largest relative error of everything but gradients through SSIM."""
+TRAINED_GRADIENTS = 5e-3
+"""Largest relative error of gradients through SSIM, whose variances cancel in float32, in plain torch too."""
 NEAR_A_COMPARISON = 1e-5
+"""Distance of a value from a threshold below which rounding may decide the comparison."""
 BACKENDS = {"torch": torch.device("cpu"), "cpu": torch.device("cpu"), "cuda": torch.device(DEVICE)}
 
 Scene = dict[str, Tensor | int]
@@ -47,6 +50,7 @@ Results = dict[str, Tensor]
 
 
 def random_scene(number: int) -> Scene:
+    """Make the random scene of this number."""
     draw = random.Random(number)
     sides = {"width": draw.randint(1, 40), "height": draw.randint(1, 40)}
     size = 10 ** draw.uniform(-2, 0.3)
@@ -54,14 +58,14 @@ def random_scene(number: int) -> Scene:
 
 
 def weighted(values: list[Tensor], seed: int) -> Tensor:
-    """A random functional of tensors."""
+    """Return a random linear functional of the tensors."""
     generator = torch.Generator().manual_seed(seed)
     weights = (1 + torch.randn(v.shape, generator=generator, dtype=torch.float64) for v in values)
     return sum((v * w.to(v)).sum() for v, w in zip(values, weights, strict=True))
 
 
 def blended(scene: Scene, backend: str, dtype: torch.dtype, device: torch.device) -> Results:
-    """Channels, their gradients, and contributions."""
+    """Render channels; return them, their gradients and the sums of contributions."""
     tensors = {k: v.to(device, dtype, copy=True) for k, v in scene.items() if isinstance(v, Tensor)}
     for name in GRADIENTS:
         tensors[name].requires_grad_()
@@ -79,7 +83,7 @@ def blended(scene: Scene, backend: str, dtype: torch.dtype, device: torch.device
 
 
 def trained(scene: Scene, backend: str, dtype: torch.dtype, device: torch.device) -> Results:
-    """A cloud through water, with range and without the water, and the gradients of SSIM and of all these."""
+    """Render a cloud in water, with range and restored colours; return them and the gradients through SSIM."""
     generator = torch.Generator().manual_seed(3)
     n, width, height = len(scene["means"]), scene["width"], scene["height"]
 
@@ -114,11 +118,12 @@ def trained(scene: Scene, backend: str, dtype: torch.dtype, device: torch.device
 
 
 def tolerance(backend: str, way: str, name: str) -> float:
+    """Return the tolerance of a tensor."""
     return TRAINED_GRADIENTS if way == "trained" and name.startswith("gradient") else TOLERANCE
 
 
 def errors(scene: Scene) -> dict[tuple[str, str, str], float]:
-    """By backend, way and tensor."""
+    """Measure the relative errors by backend, way and tensor."""
     found = {}
     for way in (blended, trained):
         truth = way(scene, "torch", torch.float64, torch.device("cpu"))
@@ -131,6 +136,7 @@ def errors(scene: Scene) -> dict[tuple[str, str, str], float]:
 
 
 def main() -> int:
+    """Compare all scenes, print and write the largest errors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0, help="number of the first scene")
@@ -166,7 +172,7 @@ def main() -> int:
         "largest error": table,
         "seconds": round(time.perf_counter() - begun),
     }
-    RESULT.write_text(json.dumps(result, indent=2) + "\n")
+    write_results("backends_agree", result)
     print(json.dumps(result, indent=2))
     return bool(wrong)
 

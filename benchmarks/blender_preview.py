@@ -1,13 +1,13 @@
-"""How near the preview's nodes come to the engine's own picture in Cycles and EEVEE; how long a million splats take.
+"""Measure PSNR of Blender's preview nodes against the engine in Cycles and EEVEE, and the time a million splats take.
 
-    python benchmarks/blender_preview.py RUN [MILLION]
+Run: `python benchmarks/blender_preview.py RUN [COUNT]`
+Results: benchmarks/results/blender_preview.json, docs/images/blender_preview.webp
 
-RUN: a finished training run with water, such as `train tests/scenes/reef_wreck --width 320 --iterations 1000
---max-gaussians 20000`. Its middle held-out view is drawn by the engine and by Cycles through the preview, as trained
-(display values, view transform Raw), in light (view transform Standard, saved as sRGB) and as solid ellipsoids, and by
-EEVEE as trained, each without and with the fitted water. MILLION: how many splats with harmonics of degree 3 are put
-into Blender and shown as points in its viewport's evaluation; 0 keeps the figures of the last time. Writes
-results/blender_preview.json and .png.
+RUN is a finished training run with water, such as `train tests/scenes/reef_wreck --width 320 --iterations 1000
+--max-gaussians 20000`. The test view of median PSNR is rendered by the engine, by Cycles as trained (display values,
+view transform Raw), in linear light (view transform Standard, saved as sRGB) and as solid ellipsoids, and by EEVEE as
+trained, each without and with the fitted water. COUNT splats of SH degree 3 (one million unless given) are loaded into
+Blender and evaluated for its viewport; 0 keeps the figures of the last run.
 """
 
 import json
@@ -22,9 +22,9 @@ sys.path.insert(0, str(ROOT))
 import cv2
 import numpy as np
 import torch
-from formats import make_splats
-from train_scenes import processor
 
+from benchmarks.common import PICTURES, RESULTS, WEBP_QUALITY, processor, write_results
+from benchmarks.formats import make_splats
 from demo.run import blender_with_extension
 from swag_engine.experiments.evaluate_run import newest
 from swag_engine.formats.ply import read_ply
@@ -33,18 +33,17 @@ from swag_engine.rendering.render import render
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 
-RESULTS = ROOT / "benchmarks" / "results" / "blender_preview"
-# Name -> renderer, display values are blended, splats face the camera.
 WAYS = {
     "as trained": ("CYCLES", True, True),
     "in light": ("CYCLES", False, True),
     "ellipsoids as trained": ("CYCLES", True, False),
     "EEVEE as trained": ("EEVEE", True, True),
 }
+"""Name of a way to render -> (render engine, blend display values, splats face the camera)."""
 
 
 def engine_pictures(run: RunFolder) -> tuple[dict, dict[float, np.ndarray]]:
-    """The middle held-out view's pinhole as the importer takes it, and the engine's picture by amount of water."""
+    """Return the test view's pinhole camera for the importer, and the engine's images by amount of water."""
     scene_folder, settings, _ = run.read_config()
     metrics = json.loads(run.metrics.read_text(encoding="utf-8"))
     held_out = sorted(metrics["views"], key=lambda name: metrics["views"][name]["psnr"])
@@ -61,7 +60,7 @@ def engine_pictures(run: RunFolder) -> tuple[dict, dict[float, np.ndarray]]:
 
 
 def rendered_picture(bpy, path: Path, width: int, height: int, display_values: bool) -> np.ndarray:
-    """Display values (H, W, 3) of the scene as it is set up to be rendered, at the centres of the pixels."""
+    """Render the scene at pixel centres; return display values (H, W, 3)."""
     scene = bpy.context.scene
     scene.cycles.samples = scene.eevee.taa_render_samples = 1
     scene.render.filter_size = 0
@@ -79,7 +78,7 @@ def rendered_picture(bpy, path: Path, width: int, height: int, display_values: b
 
 
 def into_blender(bpy, count: int) -> dict:
-    """Seconds in which Blender takes in so many splats of degree 3 and evaluates them for its viewport."""
+    """Measure the seconds to load `count` splats of SH degree 3 into Blender and to evaluate them for the viewport."""
     from bl_ext.user_default.swag_splatting.swag_blender import splats
     from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
 
@@ -102,6 +101,7 @@ def into_blender(bpy, count: int) -> dict:
 
 
 def main() -> None:
+    """Render every way, compare with the engine, and write figures and picture."""
     run = RunFolder(Path(sys.argv[1]))
     million = int(sys.argv[2]) if len(sys.argv) > 2 else 1_000_000
     pinhole, expected = engine_pictures(run)
@@ -118,7 +118,7 @@ def main() -> None:
     obj = splats.new_splat_object("splats", read_ply(run.ply), scene.collection, root)
     splat_preview.remember_training(obj, 1 / pinhole["fx"], [0, 0, 0])
     water.remember_water(obj, run.read_water(), run.read_config()[1].metres_per_unit)
-    result = json.loads(RESULTS.with_suffix(".json").read_text(encoding="utf-8"))
+    result = json.loads((RESULTS / "blender_preview.json").read_text(encoding="utf-8"))
     result |= {"machine": processor(), "blender": bpy.app.version_string, "splats": len(obj.data.points), "psnr": {}}
     rows = []
     for name, (renderer, display_values, facing) in WAYS.items():
@@ -137,12 +137,13 @@ def main() -> None:
             if facing:
                 rows.append(np.concatenate([picture, drawn, np.abs(drawn - picture) * 10], axis=1))
     picture = np.clip(np.concatenate(rows), 0, 1)[..., ::-1] * 255
-    cv2.imwrite(str(RESULTS.with_suffix(".png")), picture.round().astype(np.uint8))
+    quality = [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY]
+    cv2.imwrite(str(PICTURES / "blender_preview.webp"), picture.round().astype(np.uint8), quality)
 
     if million:
         result["into blender"] = into_blender(bpy, million)
     print(result["into blender"])
-    RESULTS.with_suffix(".json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    write_results("blender_preview", result)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""Whether the plan finds the effects that generated scenes have, and none that they have not.
+"""Measure how often the plan's decisions are right on generated scenes of known truth.
 
-    python benchmarks/effects_matrix.py [--clean FOLDER] [--only tuning|final|land]
+Run: `python benchmarks/effects_matrix.py [--clean FOLDER] [--only tuning|final|land] [--workers N]`
+Results: benchmarks/results/effects_matrix.json (summary and seeds), docs/images/effects_matrix.webp
 
-The reef and the wreck are rendered without water by Cycles along three camera patterns, and a street, a room and flat
-ground are ray-cast; what each scene adds is drawn by its own seed. Thresholds were chosen on scenes of seeds 0 to 4,
-three of which are "tuning"; those of seed 7 ("final") and five more seeds of what is photographed in air ("land") are
-for the run after they were frozen. Writes benchmarks/results/effects_matrix.json and .png.
+A reef with a wreck is rendered without water by Cycles along three camera patterns; a street, a room and flat ground
+are ray-cast. Water, lamp, exposure, caustics, fish, vignetting and a phone's image processing are added with amounts
+drawn by each scene's seed. The thresholds of the plan were chosen on seeds 0 to 4 (the set "tuning" has three of them)
+and frozen; the sets "final" (seed 7) and "land" (five seeds of scenes in air) were drawn afterwards.
 """
 
 import json
@@ -26,9 +27,12 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from benchmarks.common import RESULTS, save_figure, write_results
+
 EFFECTS = ("attenuation", "backscatter", "lamp", "exposure", "caustics")
+STATES = ("on", "off", "unknown")
 SEEN = 5.0
-"""Display values of 255 by which an effect must change the brightest-changed twentieth of the pixels to count."""
+"""Change (8-bit display values, 95th percentile over pixels) above which an effect counts as visible."""
 NO_WATER = {"beta_D": (0.0, 0.0, 0.0), "beta_B": (0.0, 0.0, 0.0), "B_inf": (0.0, 0.0, 0.0)}
 BLUE = {"beta_D": (0.17, 0.062, 0.042), "beta_B": (0.13, 0.08, 0.068), "B_inf": (0.03, 0.175, 0.255)}
 GREEN = {"beta_D": (0.25, 0.10, 0.14), "beta_B": (0.20, 0.12, 0.13), "B_inf": (0.05, 0.20, 0.12)}
@@ -49,7 +53,7 @@ SCENES: dict[str, dict] = {
     "green, fish": {"water": GREEN, "fish": True},
 }
 SKY = NO_WATER | {"B_inf": (0.35, 0.55, 0.95)}
-"""Behind what is photographed in air: no light that is lost or added on the way to it."""
+"""Scenes in air: the colour of the sky behind them, no attenuation and no backscatter."""
 LAND: dict[str, dict] = {
     "land": {"water": SKY},
     "land, exposure": {"water": SKY, "exposure": 0.12},
@@ -69,21 +73,22 @@ BOXES: dict[str, dict[str, dict]] = {
         "blue, lamp": {"water": BLUE, "lamp": 1.0},
     },
 }
-"""Scenes of the places of boxes, by pattern. From a constant height over flat ground range and place in the picture go
-together, so that water, lamp and lens cannot be told apart."""
-CANNOT_TELL = ("nadir", "survey")
+"""Scenes of the ray-cast models (street, room, flat ground), by camera pattern."""
+SURVEYS = ("nadir", "survey")
+"""Patterns at a constant height over flat ground: range follows the position in the image, so that water, lamp and
+vignetting cannot be separated and "undetermined" is the right decision."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One scene: its name in SCENES, the camera pattern, and the seed of model and amounts."""
+    """A generated scene: its name in SCENES or BOXES, the camera pattern, the seed of its model and amounts."""
 
     name: str
     pattern: str
     seed: int
 
     def effects(self) -> dict:
-        """What make_scene is given: the named effects with amounts that differ by up to a fifth from scene to scene."""
+        """Return the arguments of make_scene: the named effects, each amount varied by up to 20 % by the seed."""
         random = np.random.default_rng([self.seed, *self.name.encode(), *self.pattern.encode()])
         named = dict((LAND | BOXES.get(self.pattern, SCENES))[self.name])
         named.pop("fish", None)
@@ -100,12 +105,13 @@ class Case:
 
 
 REEF_SEEDS = {"tuning": (0, 1, 2), "final": (7,)}
-"""Of the models that Cycles renders, by set of scenes."""
+"""Seeds of the scenes of a set."""
 LAND_SEEDS = tuple(range(55, 60))
+"""Seeds of the set "land"."""
 
 
 def cases(title: str) -> list[Case]:
-    """The scenes of a set: tuning, final or land."""
+    """List the scenes of a set: tuning, final or land."""
     from tests.scenes.effect_scenes import PATTERNS
 
     if title == "land":
@@ -122,7 +128,7 @@ def cases(title: str) -> list[Case]:
 
 
 def made(case: Case, clean: Path):
-    """The scene's folder, made where it is not there yet: settings, passes and truth."""
+    """Generate the scene unless its folder exists; return its settings, render passes and truth."""
     from tests.scenes.effect_scenes import rendered, settings_for
     from tests.scenes.make_scene import Water, make_scene
 
@@ -136,12 +142,12 @@ def made(case: Case, clean: Path):
     )
     path = settings.out / "truth.json"
     truth = json.loads(path.read_text()) if path.exists() else make_scene(settings, passes)
-    shutil.rmtree(settings.out / "masks", ignore_errors=True)  # nobody tells the plan where the fish are
+    shutil.rmtree(settings.out / "masks", ignore_errors=True)  # the plan must not get the masks of the fish
     return settings, passes, truth
 
 
-def looked_at(folder: Path) -> tuple:
-    """What a plan finds in the scene in this folder: the effects by name, the fit, seconds, number of sightings."""
+def decide_effects(folder: Path) -> tuple:
+    """Return the plan's decisions by effect, the fit, seconds and the number of observations of a scene folder."""
     from swag_engine.evidence.observations import FIT_WIDTH, observe
     from swag_engine.planning import evidence
     from swag_engine.scene.colmap import load_scene
@@ -158,10 +164,10 @@ def looked_at(folder: Path) -> tuple:
 
 
 def run_case(case: Case, clean: Path) -> dict:
-    """Make the scene, look at it as a plan does, and put truth and findings side by side."""
+    """Generate a scene, decide its effects, and return truth and decisions side by side."""
     settings, passes, truth = made(case, clean)
     os.environ["SWAG_CACHE_DIR"] = str(clean / "cache")
-    effects, fit, seconds, sightings = looked_at(settings.out)
+    effects, fit, seconds, sightings = decide_effects(settings.out)
     sizes = effect_sizes(passes, settings, truth)
     row: dict = {
         "scene": case.name,
@@ -184,8 +190,9 @@ def run_case(case: Case, clean: Path) -> dict:
 
 
 def color_errors(passes, settings, fit) -> dict[str, float]:
-    """Median delta E (CIE 1976) between the clean colours and those seen through the water, as they are and with the
-    fitted water taken away; both of the brightness of the clean ones, for no photograph shows absolute light.
+    """Measure the median delta E (CIE 1976) to the clean colours, as photographed and with the fitted water removed.
+
+    Both are first scaled to the clean colours' median, because absolute brightness is unknown in a photograph.
     """
     from tests.scenes.make_scene import srgb
 
@@ -212,9 +219,11 @@ def color_errors(passes, settings, fit) -> dict[str, float]:
 
 
 def effect_sizes(passes, settings, truth: dict) -> dict[str, float]:
-    """By how much of 255 each effect changes the pixels (95th percentile), against the same with the effect at its
-    mean: what is constant over range and photographs could be the place itself. Exposure is all that a photograph has
-    for itself as a whole: gain, that of a telephone's white balance, and the waves' mean light on what it shows.
+    """Measure how much each effect changes the pixels (8-bit display values, 95th percentile).
+
+    Each is compared with the effect held at its value at the median range: a change that is constant over range and
+    images cannot be distinguished from the scene itself. Exposure is everything that scales one image as a whole:
+    gain, the gain of a phone's white balance, and the mean of the caustics over the image.
     """
     from tests.scenes.make_scene import caustic_pattern, focal_length, lamp_light, srgb, world_points
 
@@ -263,27 +272,29 @@ def effect_sizes(passes, settings, truth: dict) -> dict[str, float]:
 # All of them ----------------------------------------------------------------------------------------------------------
 
 
-def judged(row: dict, name: str) -> tuple[str, bool | None]:
-    """What the truth is (present, slight, absent), and whether the decision is right; None where it does not count."""
+def judge(row: dict, name: str) -> tuple[str, bool | None]:
+    """Return the truth (present, slight or absent), and whether the decision is right; None where it is not counted."""
     state, size = row["states"][name], row["sizes"][name]
     if size < 0.05:
         return "absent", state != "on"
     if size <= SEEN:
         return "slight", None
-    if row["pattern"] in CANNOT_TELL and name in ("attenuation", "backscatter", "lamp"):
+    if row["pattern"] in SURVEYS and name in ("attenuation", "backscatter", "lamp"):
         return "present", state in ("unknown", "on")
     return "present", state == "on"
 
 
 def summary(rows: list[dict]) -> dict:
-    """Confusion matrix and share of right decisions per effect; errors of the coefficients where water was found."""
+    """Summarise a set: confusion matrix and fraction of right decisions per effect, errors of the coefficients."""
     matrix: dict = {}
     for name in EFFECTS:
-        counts = {truth: {"on": 0, "off": 0, "unknown": 0} for truth in ("present", "slight", "absent")}
+        counts = {truth: dict.fromkeys(STATES, 0) for truth in ("present", "slight", "absent", "present_in_surveys")}
         right = []
         for row in rows:
-            truth, correct = judged(row, name)
+            truth, correct = judge(row, name)
             counts[truth][row["states"][name]] += 1
+            if truth == "present" and row["pattern"] in SURVEYS:
+                counts["present_in_surveys"][row["states"][name]] += 1
             if correct is not None:
                 right.append(correct)
         matrix[name] = counts | {"right": float(np.mean(right)), "counted": len(right)}
@@ -299,12 +310,18 @@ def summary(rows: list[dict]) -> dict:
                 errors[key].append(abs(row["fit"][key][brightest] / true[named][brightest] - 1))
     colors = [row["delta_e"] for row in rows if "delta_e" in row and max(row["truth"]["water"]["beta_D"]) > 0]
     air = [row for row in rows if max(row["truth"]["water"]["beta_D"]) == 0]
-    told = [row["states"]["attenuation"] for row in rows if row["pattern"] == "survey"]
+    survey = [row["states"]["attenuation"] for row in rows if row["pattern"] == "survey"]
     false = {name: sum(r["states"][name] == "on" and r["sizes"][name] < 0.05 for r in air) for name in EFFECTS}
     return {
         "scenes": len(rows),
         "confusion": matrix,
-        "right": float(np.mean([c for row in rows for name in EFFECTS if (c := judged(row, name)[1]) is not None])),
+        "right": float(np.mean([c for row in rows for name in EFFECTS if (c := judge(row, name)[1]) is not None])),
+        "wrong": [
+            {"scene": row["scene"], "pattern": row["pattern"], "effect": name, "state": row["states"][name]}
+            for row in rows
+            for name in EFFECTS
+            if judge(row, name)[1] is False
+        ],
         "relative_error": {
             name: {"median": float(np.median(values)), "p90": float(np.quantile(values, 0.9)), "scenes": len(values)}
             for name, values in errors.items()
@@ -312,27 +329,25 @@ def summary(rows: list[dict]) -> dict:
         },
         "delta_e": {name: float(np.median([pair[name] for pair in colors])) for name in ("seen", "restored") if colors},
         "in_air": {"scenes": len(air), "falsely_on": false},
-        "flat_survey": {state: told.count(state) for state in ("on", "off", "unknown")},
+        "flat_survey": {state: survey.count(state) for state in STATES},
         "seconds": float(np.median([row["seconds"] for row in rows])),
     }
 
 
 def show(title: str, result: dict) -> None:
+    """Print the summary of a set."""
     print(f"\n{title}: {result['scenes']} scenes, {result['right']:.1%} of the decisions right")
-    print("| effect | there: on / off / cannot tell | slight | not there: on / off / cannot tell | right |")
+    print("| effect | visible: on / off / undetermined | slight | absent: on / off / undetermined | right |")
     print("|---|---|---|---|---|")
     for name, counts in result["confusion"].items():
-        cells = [
-            " / ".join(str(counts[truth][s]) for s in ("on", "off", "unknown"))
-            for truth in ("present", "slight", "absent")
-        ]
+        cells = [" / ".join(str(counts[truth][s]) for s in STATES) for truth in ("present", "slight", "absent")]
         print(f"| {name} | {cells[0]} | {cells[1]} | {cells[2]} | {counts['right']:.0%} of {counts['counted']} |")
     for name in ("relative_error", "delta_e", "in_air", "flat_survey", "seconds"):
         print(f"{name}: {json.dumps(result[name])}")
 
 
-def draw(path: Path, results: dict[str, dict]) -> None:
-    """The confusion matrices as pictures, one row a set of scenes."""
+def draw(results: dict[str, dict]) -> None:
+    """Draw the confusion matrices to a WebP file, one row per set of scenes."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -342,19 +357,19 @@ def draw(path: Path, results: dict[str, dict]) -> None:
     for row, (title, result) in zip(axes, results.items(), strict=True):
         for axis, name in zip(row, EFFECTS, strict=True):
             counts = result["confusion"][name]
-            truths, states = ("present", "slight", "absent"), ("on", "off", "unknown")
-            table = np.array([[counts[t][s] for s in states] for t in truths])
+            table = np.array([[counts[t][s] for s in STATES] for t in ("present", "slight", "absent")])
             axis.imshow(table / np.maximum(table.sum(1, keepdims=True), 1), cmap="Blues", vmin=0, vmax=1.4)
             for y, x in np.ndindex(3, 3):
                 axis.text(x, y, table[y, x], ha="center", va="center", fontsize=12)
-            axis.set_xticks(range(3), ("on", "off", "cannot\ntell"))
-            axis.set_yticks(range(3), ("there", "slight", "not there"))
+            axis.set_xticks(range(3), ("on", "off", "undeter-\nmined"))
+            axis.set_yticks(range(3), ("visible", "slight", "absent"))
             axis.set_title(f"{name} ({title}): {counts['right']:.0%} right", fontsize=9)
     figure.tight_layout()
-    figure.savefig(path, dpi=90)
+    save_figure("effects_matrix", figure, dpi=90)
 
 
 def main() -> None:
+    """Run the sets of scenes that the command line asks for and write their summaries."""
     parser = ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--clean", type=Path, default=Path(tempfile.gettempdir()) / "swag_effects_clean")
     parser.add_argument("--only", choices=("tuning", "final", "land"))
@@ -364,22 +379,16 @@ def main() -> None:
     seeds = [str(seed) for title in titles for seed in REEF_SEEDS.get(title, ())]
     generator = ROOT / "tests" / "scenes" / "effect_scenes.py"
     subprocess.run([sys.executable, str(generator), str(asked.clean), *seeds], check=True, stdout=subprocess.DEVNULL)
-    path = ROOT / "benchmarks" / "results" / "effects_matrix.json"
+    path = RESULTS / "effects_matrix.json"
     document = json.loads(path.read_text()) if path.exists() else {"sets": {}}
     for title in titles:
         work = cases(title)
         with ProcessPoolExecutor(asked.workers) as pool:
             rows = list(pool.map(run_case, work, [asked.clean] * len(work)))
-        document["sets"][title] = {"summary": summary(rows), "rows": rows}
+        document["sets"][title] = {"seeds": sorted({row["seed"] for row in rows}), "summary": summary(rows)}
         show(title, document["sets"][title]["summary"])
-    from swag_engine.base.strict_json import to_json
-    from swag_engine.planning import evidence
-
-    document["thresholds"] = {
-        name: value for name, value in vars(evidence).items() if name.isupper() and isinstance(value, int | float)
-    }
-    path.write_text(to_json(document, indent=1) + "\n")
-    draw(path.with_suffix(".png"), {title: made["summary"] for title, made in document["sets"].items()})
+    write_results("effects_matrix", document)
+    draw({title: made["summary"] for title, made in document["sets"].items()})
 
 
 if __name__ == "__main__":

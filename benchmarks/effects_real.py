@@ -1,10 +1,11 @@
-"""What the plan says of the real scenes in ../shared, with a picture of each.
+"""Record the plan's decisions on the real scenes in ../shared, with a picture of each.
 
-    python benchmarks/effects_real.py        writes benchmarks/results/effects_real.json and effects_NAME.png
+Run: `python benchmarks/effects_real.py`
+Results: benchmarks/results/effects_real.json, docs/images/effects_NAME.webp
 
-Pictures: a photograph; the same without what was found, at ranges interpolated between its sparse points; light
-against range with the fitted curve. flsea_rgbd is single frames with metric depth, so that no point is seen twice:
-there the quantiles of the light in bins of range stand for points, as if the same things lay near and far.
+A picture shows an image, the same with the water and lamp that were found removed (ranges interpolated between the
+sparse points), and linear light against range with the fitted curve. flsea_rgbd has single frames with metric depth,
+so that no point is seen twice: there the quantiles of the light in bins of range replace the points.
 """
 
 import sys
@@ -23,6 +24,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from scipy.interpolate import griddata
 
+from benchmarks.common import RESULTS, SHARED, save_figure
 from swag_engine.base.strict_json import to_json
 from swag_engine.evidence.fit import Family, Fit, Sightings, lens_terms
 from swag_engine.evidence.observations import FIT_WIDTH, Observations, observe
@@ -32,8 +34,6 @@ from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
 
-SHARED = ROOT.parent / "shared" / "data"
-RESULTS = ROOT / "benchmarks" / "results"
 SCENES = {
     "aqualoc_amphorae": "photographs",
     "sparus_seabed": "photographs",
@@ -44,20 +44,23 @@ COLORS = ("tab:red", "tab:green", "tab:blue")
 
 
 def linear(display: np.ndarray) -> np.ndarray:
+    """Convert sRGB display values to linear light."""
     return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
 
 
 def displayed(light: np.ndarray) -> np.ndarray:
+    """Convert linear light to sRGB display values."""
     light = light.clip(0, 1)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def lamp_light(ranges: np.ndarray, fit: Fit, unit: float) -> np.ndarray:
+    """Return the fitted lamp's light relative to that at range `unit`; ones where no lamp was fitted."""
     return (fit.tau + unit**2) / (fit.tau + ranges**2) if np.isfinite(fit.tau) else np.ones_like(ranges)
 
 
 def restored(pixels: np.ndarray, ranges: np.ndarray, fit: Fit, unit: float, usual: float) -> np.ndarray:
-    """The photograph without the water and the lamp's fall-off, as bright at the `usual` range as it was."""
+    """Remove the fitted water and the lamp's fall-off; the brightness at the `usual` range is kept."""
     r = ranges[..., None]
     light = linear(pixels / 255.0) + fit.B * np.expm1(-fit.beta_B * r)
     J = light.clip(0) * np.exp(fit.beta_D * (r - usual)) / lamp_light(r, fit, unit)
@@ -65,7 +68,7 @@ def restored(pixels: np.ndarray, ranges: np.ndarray, fit: Fit, unit: float, usua
 
 
 def curve(axis, ranges: np.ndarray, light: np.ndarray, track: np.ndarray, fit: Fit, unit: float, title: str) -> None:
-    """Light against range: every point's own colour is set to the scene's median, so that all lie on one curve."""
+    """Plot light against range, every point shifted to the scene's median colour so that all lie on one curve."""
     order = np.linspace(*np.quantile(ranges, (0.01, 0.99)), 100)
     for c in range(3):
         direct = np.exp(-fit.beta_D[c] * ranges) * lamp_light(ranges, fit, unit)
@@ -83,22 +86,24 @@ def curve(axis, ranges: np.ndarray, light: np.ndarray, track: np.ndarray, fit: F
     axis.set_title(textwrap.fill(title, 72), fontsize=7, loc="left")
 
 
-def picture(path: Path, rows: list[tuple]) -> None:
+def picture(name: str, rows: list[tuple]) -> None:
+    """Draw rows of (image, restored image, plot function, title) to docs/images/NAME.webp."""
     figure, axes = plt.subplots(len(rows), 3, figsize=(15, 3.6 * len(rows)), squeeze=False)
     for row, (photograph, clean, plot, title) in zip(axes, rows, strict=True):
         row[0].imshow(photograph)
         row[0].set_title(title, fontsize=9)
         row[1].imshow(clean)
-        row[1].set_title("without what was found", fontsize=9)
+        row[1].set_title("with water and lamp removed", fontsize=9)
         for axis in row[:2]:
             axis.axis("off")
         plot(row[2])
     figure.tight_layout()
-    figure.savefig(path, dpi=80)
+    save_figure(name, figure, dpi=80)
     plt.close(figure)
 
 
 def scene_with_points(name: str, kind: str) -> dict:
+    """Plan a scene, draw its picture, and return the plan."""
     scene = load_scene(SHARED / name)
     held_out = set(split_views([view.name for view in scene.views]).test)
     views = [view for view in scene.views if view.name not in held_out]
@@ -125,10 +130,10 @@ def scene_with_points(name: str, kind: str) -> dict:
     clean = restored(image.pixels, dense, fit, unit, float(np.median(dense)))
     words = "; ".join(
         f"{title}: {', '.join(key.replace('_', ' ') for key, effect in plan.effects.items() if effect.state == state)}"
-        for state, title in (("on", "on"), ("unknown", "cannot tell"))
+        for state, title in (("on", "on"), ("unknown", "undetermined"))
     )
     picture(
-        RESULTS / f"effects_{name}.png",
+        f"effects_{name}",
         [
             (
                 image.pixels,
@@ -144,7 +149,7 @@ def scene_with_points(name: str, kind: str) -> dict:
 
 
 def frames_with_depth() -> dict:
-    """Coefficients per metre of each frame of flsea_rgbd."""
+    """Fit the coefficients (per metre) of each frame of flsea_rgbd, draw them, and return them."""
     folder, rows, figures = SHARED / "flsea_rgbd", [], {}
     for path in sorted((folder / "images").iterdir()):
         pixels = cv2.imread(str(path))[..., ::-1]
@@ -185,11 +190,12 @@ def frames_with_depth() -> dict:
                 path.name,
             )
         )
-    picture(RESULTS / "effects_flsea_rgbd.png", rows)
+    picture("effects_flsea_rgbd", rows)
     return {"kind": "photographs with metric depth", "per": "metre", "frames": figures}
 
 
 def main() -> None:
+    """Plan every scene and write the results."""
     document = {name: scene_with_points(name, kind) for name, kind in SCENES.items()}
     document["flsea_rgbd"] = frames_with_depth()
     (RESULTS / "effects_real.json").write_text(to_json(document, indent=1) + "\n")

@@ -1,14 +1,14 @@
-"""What each effect costs in a training, beside what the plan says it costs; and a planned run against all effects on.
+"""Measure what each effect costs in training, beside the cost that the plan predicts.
 
-    python benchmarks/effects_training.py [SCENE ...]    prints a table, writes benchmarks/results/effects_training.json
+Run: `python benchmarks/effects_training.py [SCENE ...]` (without SCENE: the demo scene)
+Results: benchmarks/results/effects_training.json
 
-Runs of ITERATIONS at 320 pixels with 20 000 Gaussians at most, all rows in turns, ROUNDS times; milliseconds are of
-the four iterations in turn that took least in the last thirds, so that another process' load weighs little. Without
-SCENE: the demo scene. At the end a street in air, of which the plan says that it has no effects: planned and all on in
-turns, three seeds, processor time of whole runs of AIR_ITERATIONS (those of draft) by their iterations.
+Each row is a run of ITERATIONS at 320 pixels with at most 20 000 Gaussians. The rows take turns, ROUNDS times; a
+row's figure is the least mean of four consecutive iterations in the last third of its runs, which limits the influence
+of other processes. At the end a street in air, where the plan switches every effect off, is trained as planned and
+with all effects on: three seeds, processor time of whole runs of AIR_ITERATIONS.
 """
 
-import json
 import sys
 import tempfile
 import time
@@ -19,6 +19,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 
+from benchmarks.common import DEMO, write_results
 from benchmarks.effects_matrix import SKY
 from swag_engine.experiments.ablate import ALL
 from swag_engine.planning.plan import measured_costs
@@ -42,13 +43,13 @@ ROWS = {
     "caustics": OFF.replace("caustics=off", "caustics=on"),
     "moving objects": OFF.replace("moving_objects=off", "moving_objects=on"),
     "all": f"water=on,{ALL}",
-    "all, and names": f"water=on,{ALL},semantics=on",
+    "all and semantics": f"water=on,{ALL},semantics=on",
 }
 AIR = {"planned": "", "all": ROWS["all"]}
 
 
 def measured(scene: Path, effects: str) -> dict[str, float]:
-    """Least milliseconds of an iteration, mean of EVERY in turn (names are learned in one of them), and test PSNR."""
+    """Return the least mean milliseconds of EVERY iterations (semantics are learned in one of them) and test PSNR."""
     times: list[float] = []
 
     def watch(trainer: Trainer) -> None:
@@ -71,7 +72,7 @@ def measured(scene: Path, effects: str) -> dict[str, float]:
 
 
 def in_air() -> dict[str, dict[str, float]]:
-    """Milliseconds of processor time an iteration and test PSNR, planned and with all effects, where there are none."""
+    """Measure processor ms per iteration and test PSNR on the street in air, as planned and with all effects."""
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in AIR}
     with tempfile.TemporaryDirectory() as folder:
         settings = settings_for(Path(folder) / "street", seed=7, water=Water(**SKY))
@@ -89,7 +90,8 @@ def in_air() -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
-    scenes = [Path(name) for name in sys.argv[1:]] or [ROOT / "tests" / "scenes" / "reef_wreck"]
+    """Measure every scene and write the results."""
+    scenes = [Path(name) for name in sys.argv[1:]] or [DEMO]
     document = {}
     for scene in scenes:
         camera = load_scene(scene).views[0].camera.resized(320)
@@ -103,8 +105,7 @@ def main() -> None:
     air = in_air()
     print("street in air", air)
     lengths = {"iterations": ITERATIONS, "air_iterations": AIR_ITERATIONS}
-    path = ROOT / "benchmarks" / "results" / "effects_training.json"
-    path.write_text(json.dumps(lengths | {"scenes": document, "street in air": air}, indent=1) + "\n")
+    write_results("effects_training", lengths | {"scenes": document, "street in air": air})
 
 
 if __name__ == "__main__":

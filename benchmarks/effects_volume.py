@@ -1,14 +1,14 @@
-"""What the plan finds where the truth does not share its equation: water that scatters, rendered by Cycles.
+"""Measure the plan's decisions and coefficients in scattering water, rendered by Cycles as a volume.
 
-    python benchmarks/effects_volume.py [--clean FOLDER]
+Run: `python benchmarks/effects_volume.py [--clean FOLDER] [--workers N]`
+Results: benchmarks/results/effects_volume.json
 
-The reef and the wreck stand in a medium that absorbs and scatters, under a surface that the sun comes through: light
-fades on its way down as on its way to the camera, and is scattered several times. Nothing there is exactly the model of
-water/medium.py. Attenuation of what is seen must lie between absorption alone (all scattered light still arrives) and
-the beam's, absorption + scattering (none does). Writes benchmarks/results/effects_volume.json.
+The reef and the wreck stand in a medium that absorbs and scatters, below a surface lit by the sun: light fades on its
+way down as well as on its way to the camera and is scattered several times, so that nothing follows the image formation
+model of docs/method.md section 1 exactly. The true attenuation lies between absorption alone (all scattered light still
+arrives) and absorption + scattering, the beam attenuation (none does).
 """
 
-import json
 import multiprocessing
 import os
 import sys
@@ -23,7 +23,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.effects_matrix import EFFECTS, looked_at
+from benchmarks.common import write_results
+from benchmarks.effects_matrix import EFFECTS, decide_effects
 
 COMMON = {"surface": 5.0, "light": 1.4}
 WATERS: dict[str, dict] = {
@@ -32,7 +33,7 @@ WATERS: dict[str, dict] = {
     "green": {"absorption": (0.22, 0.07, 0.11), "scattering": (0.08,) * 3, "anisotropy": 0.8},
     "murky": {"absorption": (0.2, 0.06, 0.05), "scattering": (0.15,) * 3, "anisotropy": 0.7},
 }
-"""Coefficients per metre; the phase function is Henyey-Greenstein's."""
+"""Coefficients per metre for red, green, blue; the phase function is Henyey-Greenstein with this anisotropy."""
 CASES = (
     ("clear", "oblique"),
     ("blue", "orbit"),
@@ -45,7 +46,7 @@ THERE = {"attenuation": True, "backscatter": True, "lamp": False, "exposure": Fa
 
 
 def run_case(name: str, pattern: str, clean: Path) -> dict:
-    """Render the scene where it is not there yet, and put truth and findings side by side."""
+    """Render the scene unless it exists, decide its effects, and return truth and decisions side by side."""
     from tests.scenes.effect_scenes import camera_poses, settings_for
     from tests.scenes.make_scene import Rendered, focal_length, make_scene
     from tests.scenes.reef_model import Model, Renderer
@@ -65,7 +66,7 @@ def run_case(name: str, pattern: str, clean: Path) -> dict:
             kept, clean=np.stack([c for c, _ in half]), range=np.stack([r for _, r in half]), seen=np.stack(volume)
         )
     os.environ["SWAG_CACHE_DIR"] = str(clean / "cache")
-    effects, fit, seconds, sightings = looked_at(settings.out)
+    effects, fit, seconds, sightings = decide_effects(settings.out)
     row: dict = {
         "scene": name,
         "pattern": pattern,
@@ -83,10 +84,10 @@ def run_case(name: str, pattern: str, clean: Path) -> dict:
 
 
 def color_errors(clean: np.ndarray, ranges: np.ndarray, seen: np.ndarray, fit: object) -> dict[str, float]:
-    """Median delta E (CIE 1976) to the clean colours (V, H, W, 3) of those seen, and of those restored by the fit.
+    """Measure the median delta E (CIE 1976) to the clean colours (V, H, W, 3), as seen and as restored by the fit.
 
-    Each channel is brought to the clean one's median: what the way down from the surface takes is not the water between
-    camera and place.
+    Each channel is scaled to the clean one's median, because light lost between surface and scene is not part of the
+    water between scene and camera.
     """
     from tests.scenes.make_scene import srgb
 
@@ -107,7 +108,7 @@ def color_errors(clean: np.ndarray, ranges: np.ndarray, seen: np.ndarray, fit: o
 
 
 def right(row: dict, effect: str) -> bool:
-    """Whether a decision is; from a constant height "cannot tell" is, too."""
+    """Return whether a decision is right; in nadir surveys "undetermined" is right as well."""
     state = row["states"][effect]
     if THERE[effect]:
         return state == "on" or (row["pattern"] == "nadir" and state == "unknown")
@@ -115,6 +116,7 @@ def right(row: dict, effect: str) -> bool:
 
 
 def main() -> None:
+    """Run every scene, print a table and write the results."""
     parser = ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--clean", type=Path, default=Path(tempfile.gettempdir()) / "swag_effects_clean")
     parser.add_argument("--workers", type=int, default=2)
@@ -136,8 +138,7 @@ def main() -> None:
         ends = [" ".join(f"{x:.3f}" for x in value) for value in (absorbed, absorbed + scattered)]
         print(f"| {' | '.join((row['scene'], row['pattern'], *row['states'].values(), found, *ends, error))} |")
     result = {"right": float(np.mean(decisions)), "decisions": len(decisions), "rows": rows}
-    path = ROOT / "benchmarks" / "results" / "effects_volume.json"
-    path.write_text(json.dumps(result, indent=1) + "\n")
+    write_results("effects_volume", result)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,12 @@
-"""Seconds and memory of reading and writing splat files on this machine: a million splats of SH degree 3.
+"""Measure seconds and memory of reading and writing splat files: one million splats of SH degree 3.
 
-    python benchmarks/formats.py [SPLATS]
+Run: `python benchmarks/formats.py [SPLATS]`, with nothing else on the machine
+Results: benchmarks/results/formats.json
 
-Writes results/formats.json. Each figure is from a process of its own: the median of several runs, and the most memory
-that the process held above what it held with numpy loaded, splats included. Writing counts until the file is on disk.
-Run it with nothing else on the machine: the clock counts what others take.
+Each figure is from a process of its own: the median of ROUNDS runs, and the peak memory above that of the process with
+numpy loaded, splats included. Writing counts until the file is on disk.
 """
 
-import json
 import multiprocessing
 import resource
 import statistics
@@ -21,19 +20,18 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 import numpy as np
-from train_scenes import processor
 
+from benchmarks.common import processor, write_results
 from swag_engine.formats.gltf import read_glb, write_glb
 from swag_engine.formats.ply import read_ply, write_ply
 from swag_engine.splats.splats import Splats
 
-RESULTS = ROOT / "benchmarks" / "results" / "formats.json"
 ROUNDS = 5
 FORMATS = {"ply": (write_ply, read_ply), "glb": (write_glb, read_glb)}
 
 
 def make_splats(count: int) -> Splats:
-    """Random splats, made without memory beside them."""
+    """Make random splats of SH degree 3."""
     random = np.random.default_rng(0)
 
     def normal(*shape: int) -> np.ndarray:
@@ -46,12 +44,12 @@ def make_splats(count: int) -> Splats:
 
 
 def held() -> int:
-    """Most bytes that this process has held so far."""
+    """Return the peak resident bytes of this process."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 def measure(work: Callable[[], object], before: int) -> dict[str, float]:
-    """Median seconds of ROUNDS runs, by the clock and of the processor, and bytes held above `before`."""
+    """Measure ROUNDS runs: median wall-clock and processor seconds, and peak bytes above `before`."""
     seconds, processor_seconds = [], []
     for _ in range(ROUNDS):
         started, processor_started = time.perf_counter(), time.process_time()
@@ -66,17 +64,20 @@ def measure(work: Callable[[], object], before: int) -> dict[str, float]:
 
 
 def write(name: str, path: Path, count: int) -> dict[str, float]:
+    """Measure writing `count` splats."""
     before = held()
     splats = make_splats(count)
     return measure(lambda: FORMATS[name][0](path, splats), before)
 
 
 def read(name: str, path: Path, count: int) -> dict[str, float]:
+    """Measure reading the file that `write` made."""
     before = held()
     return measure(lambda: FORMATS[name][1](path), before)
 
 
 def main() -> None:
+    """Measure every format, print and write the results."""
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
     result: dict[str, object] = {"machine": processor(), "splats": count, "sh_degree": 3, "rounds": ROUNDS}
     with tempfile.TemporaryDirectory() as folder:
@@ -93,7 +94,7 @@ def main() -> None:
                     f"{work.__name__} {name}: {clock:.2f} s by the clock, {busy:.2f} s of the processor, "
                     f"{size / 1e6:.0f} MB, memory {memory:.2f} x the file"
                 )
-    RESULTS.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    write_results("formats", result)
 
 
 if __name__ == "__main__":

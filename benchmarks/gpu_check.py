@@ -1,10 +1,11 @@
-"""Everything about the CUDA backend that needs an NVIDIA card, in under eight minutes.
+"""Check and time the CUDA backend on a machine with an NVIDIA card.
 
-    python benchmarks/gpu_check.py
+Run: `python benchmarks/gpu_check.py` (under eight minutes)
+Results: benchmarks/results/cuda_registers.json, benchmarks/results/gpu_check.json
 
-Registers of every kernel by ptxas (needs no card), tests/engine/test_cuda.py on the card, compute-sanitizer where the
-CUDA toolkit is installed, and milliseconds of each stage and of whole training iterations at 1280x720, beside gsplat's
-where that is installed. Writes results/cuda_registers.json and results/gpu_check.json.
+Records the registers of every kernel by ptxas (needs no card), runs tests/engine/test_cuda.py on the card and
+compute-sanitizer where the CUDA toolkit is installed, and times each stage and whole training iterations at 1280x720,
+beside gsplat where that is installed.
 """
 
 import json
@@ -24,19 +25,17 @@ import torch
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from swag_engine.kernels import (
-    build,
-    cuda,
-)
+from benchmarks.common import RESULTS, write_results
+from swag_engine.kernels import build, cuda
 from swag_engine.rasterize.api import contributions, rasterize
 
-RESULTS = ROOT / "benchmarks" / "results"
 PTXAS = "nvidia-cuda-nvcc-cu12"
 ARCHITECTURES = ("sm_75", "sm_80", "sm_86", "sm_89", "sm_90", "sm_100", "sm_120")
 GAUSSIANS = (100_000, 1_000_000, 3_000_000)
 SIZE = 1280, 720
 ROUNDS = 10
-SMALL_SCENE = "--small-scene"  # what runs under compute-sanitizer
+SMALL_SCENE = "--small-scene"
+"""Argument with which this script runs under compute-sanitizer."""
 
 DEVICE = torch.device("cuda")
 
@@ -45,7 +44,7 @@ Tensors = dict[str, torch.Tensor]
 
 
 def version(package: str) -> str | None:
-    """Of an installed package, None where it is not installed."""
+    """Return the version of an installed package, None where it is not installed."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -53,13 +52,13 @@ def version(package: str) -> str | None:
 
 
 def find_ptxas() -> Path | None:
-    """CUDA's assembler, None where its package is not installed."""
+    """Return the path of CUDA's assembler, None where its package is not installed."""
     files = (metadata.files(PTXAS) or []) if version(PTXAS) else []
     return next((Path(str(f.locate())) for f in files if f.stem == "ptxas"), None)
 
 
 def assemble(ptx: Path, architecture: str) -> dict[str, dict[str, int]]:
-    """Of each kernel the registers a thread, and bytes of stack and of spilled registers."""
+    """Assemble a PTX file; return per kernel the registers per thread and the bytes of stack and spills."""
     command = [str(find_ptxas()), "-v", f"-arch={architecture}", str(ptx), "-o", os.devnull]
     report = subprocess.run(command, check=True, capture_output=True, text=True).stderr
     kernels = re.findall(
@@ -71,6 +70,7 @@ def assemble(ptx: Path, architecture: str) -> dict[str, dict[str, int]]:
 
 
 def record_registers() -> None:
+    """Write the registers of every kernel on every architecture."""
     if not find_ptxas():
         print(f"{PTXAS} is not installed: registers are not recorded.")
         return
@@ -84,7 +84,7 @@ def record_registers() -> None:
 
 
 def run_tests() -> dict[str, object]:
-    """test_cuda.py on the card."""
+    """Run test_cuda.py on the card."""
     command = [sys.executable, "-m", "pytest", "tests/engine/test_cuda.py", "-v"]
     done = subprocess.run(
         command, cwd=ROOT, env=os.environ | {"SWAG_TEST_CUDA": "1"}, stdout=subprocess.PIPE, text=True
@@ -94,7 +94,7 @@ def run_tests() -> dict[str, object]:
 
 
 def sanitize() -> dict[str, str]:
-    """What compute-sanitizer's tools say about a small scene."""
+    """Run compute-sanitizer's tools on a small scene; return their verdicts."""
     program = shutil.which("compute-sanitizer")
     if not program:
         print("compute-sanitizer is not installed: it is left out.")
@@ -140,16 +140,18 @@ def make_camera(width: int, height: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def activated(p: Tensors) -> tuple[torch.Tensor, ...]:
+    """Return means, quaternions, scales and opacities."""
     return p["means"], p["quats"], p["log_scales"].exp(), p["opacity_logits"].sigmoid()
 
 
 def loss(picture: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """Return .8 L1 + .2 (1 - SSIM)."""
     l1, ssim = cuda.l1_ssim(picture, target)
     return 0.8 * l1 + 0.2 * (1 - ssim)
 
 
 def iteration(n: int, width: int, height: int) -> Step:
-    """One training iteration: project, blend, L1 + SSIM, backward, Adam."""
+    """Return one training iteration: project, blend, L1 + SSIM, backward, Adam."""
     p = make_parameters(n, width, height)
     camera, background = make_camera(width, height), torch.rand(3, device=DEVICE)
     target = torch.rand(height, width, 3, device=DEVICE)
@@ -169,7 +171,7 @@ def iteration(n: int, width: int, height: int) -> Step:
 
 
 def gsplat_iteration(n: int, width: int, height: int) -> Step:
-    """The same by gsplat, with our loss and torch's fused Adam."""
+    """Return the same by gsplat, with our loss and torch's fused Adam."""
     from gsplat import rasterization
 
     p = make_parameters(n, width, height)
@@ -190,7 +192,7 @@ def gsplat_iteration(n: int, width: int, height: int) -> Step:
 
 
 def stages(n: int, width: int, height: int) -> dict[str, Step]:
-    """Each part of an iteration on its own."""
+    """Return each part of an iteration separately."""
     p = make_parameters(n, width, height)
     camera, background = make_camera(width, height), torch.rand(3, device=DEVICE)
     sh, directions = [p["sh0"], p["shN"]], torch.nn.functional.normalize(p["means"].detach(), dim=1)
@@ -230,7 +232,7 @@ def stages(n: int, width: int, height: int) -> dict[str, Step]:
 
 
 def milliseconds(step: Step) -> float:
-    """Median over rounds, after two that warm up."""
+    """Return the median over rounds, after two of warming up."""
     times = []
     for _ in range(ROUNDS + 2):
         begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
@@ -243,7 +245,7 @@ def milliseconds(step: Step) -> float:
 
 
 def timings(n: int) -> dict[str, object]:
-    """Milliseconds and peak memory at n Gaussians."""
+    """Measure milliseconds and peak memory with n Gaussians."""
     rows: dict[str, object] = {}
     try:
         rows |= {name: milliseconds(step) for name, step in stages(n, *SIZE).items()}
@@ -258,7 +260,7 @@ def timings(n: int) -> dict[str, object]:
 
 
 def small_scene() -> None:
-    """Every kernel once."""
+    """Run every kernel once."""
     n, width, height = 500, 100, 70
     iteration(n, width, height)()
     camera = make_camera(width, height)
@@ -272,11 +274,11 @@ def small_scene() -> None:
 
 
 def main() -> None:
+    """Run all checks and timings, print and write the results."""
     if SMALL_SCENE in sys.argv:
         small_scene()
         torch.cuda.synchronize()
         return
-    RESULTS.mkdir(exist_ok=True)
     record_registers()
     start = time.perf_counter()
     if reason := cuda.reason():
@@ -294,7 +296,7 @@ def main() -> None:
     }
     for n in GAUSSIANS:
         results[f"ms, {n} Gaussians at {SIZE[0]}x{SIZE[1]}"] = timings(n)
-    (RESULTS / "gpu_check.json").write_text(json.dumps(results, indent=2) + "\n")
+    write_results("gpu_check", results)
     print(json.dumps(results, indent=2))
 
 

@@ -1,6 +1,7 @@
-"""What the guard costs: its checks as shares of a training iteration, within one run.
+"""Measure the cost of the guard's checks as a fraction of a training iteration, within one process.
 
-python benchmarks/guard.py        prints the figures, writes benchmarks/results/guard.json
+Run: `python benchmarks/guard.py`
+Results: benchmarks/results/guard.json
 """
 
 import json
@@ -14,9 +15,9 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 import torch
-from raster import MAIN, RESULTS, make_cloud
-from train_scenes import processor
 
+from benchmarks.common import processor, write_results
+from benchmarks.raster import MAIN, make_cloud
 from swag_engine.effects.scene_effects import Simulated
 from swag_engine.rendering.render import render
 from swag_engine.training.guard import MOST_INTERVAL, Guard, GuardedState, step_problem
@@ -28,6 +29,7 @@ ROUNDS = 40
 
 
 def main() -> None:
+    """Time the guard beside the iteration, print and write the results."""
     n, width, height = MAIN
     cloud, camera = make_cloud(n, width, height)
     optimizer, rates, target = Optimizer(cloud, Simulated()), asdict(LearningRates()), torch.rand(height, width, 3)
@@ -70,7 +72,7 @@ def main() -> None:
         f"guard, every {MOST_INTERVAL} iterations": round(times["full"], 1),
         "guard, per cent of an iteration": round(100 * checking / iteration, 2),
     }
-    (RESULTS / "guard.json").write_text(json.dumps(document, indent=2) + "\n")
+    write_results("guard", document)
     print(json.dumps(document, indent=2))
 
 

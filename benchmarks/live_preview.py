@@ -1,11 +1,12 @@
-"""How long a frame of Blender's window takes while splats arrive as they do in training, and its user orbits.
+"""Measure the frame times of Blender's window while splats arrive as in training and the view orbits.
 
-    SCRIPT=benchmarks/live_preview.py tests/blender/tour.sh ROOT EXTENSION.zip SCENE OUT
+Run: `SCRIPT=benchmarks/live_preview.py tests/blender/tour.sh ROOT EXTENSION.zip SCENE OUT` (a real Blender)
+Results: OUT/report.json in milliseconds; copied by hand to benchmarks/results/live_preview.json
 
-Runs inside the real Blender. Three times ten seconds: an empty viewport, one with SPLATS splats that stand still, and
-one into which as many come anew every second, read beside the window as the Train operator reads them. Each frame the
-view turns a little. Without a graphics card most of a frame is drawing; what the add-on itself takes of an update
-(attributes, then nodes) is told apart. Writes report.json: milliseconds.
+Three times ten seconds: an empty viewport, one with SPLATS splats that do not change, and one that receives as many
+new ones every second, read outside the window's thread as the Train operator does. The view turns a little in each
+frame. Without a graphics card most of a frame is drawing; the add-on's own part of an update (attributes, then nodes)
+is measured separately.
 """
 
 import os
@@ -20,12 +21,17 @@ from mathutils import Quaternion
 sys.path.insert(0, os.environ["SWAG_OUT"])
 from window import install, photograph, report, start, view3d
 
-SPLATS, SECONDS = 200_000, 10.0
+SPLATS = 200_000
+"""Splats in the viewport."""
+SECONDS = 10.0
+"""Seconds of each part."""
 drawn: list[float] = []
+"""When each frame was drawn, seconds."""
 
 
 def made():
-    from bl_ext.user_default.swag_splatting.swag_engine.gaussians.splats import Splats
+    """Make random splats of SH degree 0."""
+    from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
 
     random = np.random.default_rng(0)
     directions = random.normal(size=(SPLATS, 4)).astype(np.float32)
@@ -40,7 +46,7 @@ def made():
 
 
 def frames(each_second):
-    """Steps in which the view turns for SECONDS; drawn holds when it was drawn."""
+    """Turn the view for SECONDS and fill `drawn`; call each_second once a second."""
     _, area, _ = view3d()
     region = area.spaces.active.region_3d
     drawn.clear()
@@ -55,6 +61,7 @@ def frames(each_second):
 
 
 def summary(name):
+    """Write median and 95th percentile of the frame times (ms) to the report."""
     times = 1000 * np.diff(drawn)
     report[name] = {"frames": len(times)} | {
         key: round(float(np.quantile(times, share)), 1) for key, share in (("median", 0.5), ("95 %", 0.95))
@@ -62,6 +69,7 @@ def summary(name):
 
 
 def steps():
+    """Yield the waits (seconds) between the steps of the measurement."""
     install()
     yield 1.0
     from bl_ext.user_default.swag_splatting.operators import train
@@ -85,6 +93,7 @@ def steps():
     own, reading = [], []
 
     def arrive():
+        """Show the splats that were read and start reading the next."""
         if reading:
             times = [time.perf_counter()]
             for work in (lambda: train.show_splats(scene, reading.pop().result(), "run", "scene"), update_nodes):

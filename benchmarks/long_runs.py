@@ -1,14 +1,14 @@
-"""What long runs do: memory over time, drift of the restored colours in stage two, steps that were not finite.
+"""Measure long runs: memory over time, drift of the restored colours in stage 2, skipped and rolled back steps.
 
-    python benchmarks/long_runs.py [--part default|recipes]       writes benchmarks/results/long_runs.json
+Run: `python benchmarks/long_runs.py [--part default|recipes]` (Linux)
+Results: benchmarks/results/long_runs.json
 
-The default recipe runs 20 000 iterations on two scenes, every other recipe 5 000 on the demo scene, at 320 pixels. Runs
-whose figures are in the file already are left out, and scenes that are not on this machine.
+The default recipe runs 20 000 iterations on two scenes, every other recipe 5 000 on the demo scene, at 320 pixels.
+Runs whose figures are in the file already are skipped, and scenes that are not on this machine.
 """
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -21,9 +21,9 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 
 import torch
-from raster import RESULTS
-from train_scenes import SCENES, processor
 
+from benchmarks.common import RESULTS, machine, write_results
+from benchmarks.train_scenes import SCENES
 from swag_engine.rendering.render import render
 from swag_engine.settings.recipes import RECIPES
 from swag_engine.settings.settings import TrainSettings
@@ -33,17 +33,17 @@ from tests.scenes.runs import train_with
 DEFAULT = TrainSettings().recipe
 LONG, SHORT = 20_000, 5_000
 SAMPLES = 40
-"""Looks at the memory in a run."""
+"""Memory measurements per run."""
 
 
 def resident() -> int:
-    """Bytes; Linux."""
+    """Return the resident bytes of this process (Linux)."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")))
 
 
 def restored(trainer: Trainer) -> list[torch.Tensor]:
-    """The held-out views without water."""
+    """Render the test views without water."""
     with torch.no_grad():
         return [
             render(trainer.state.cloud, image.camera, medium=trainer.state.effects.medium, amount=0.0).color.clamp(0, 1)
@@ -96,6 +96,7 @@ def one(scene: Path, recipe: str, iterations: int) -> dict[str, Any]:
 
 
 def main() -> None:
+    """Make the runs that are not in the results yet, each in a separate process."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--part", choices=("default", "recipes"))
     parser.add_argument("--one", nargs=3, help=argparse.SUPPRESS)
@@ -108,14 +109,14 @@ def main() -> None:
     runs += [] if options.part == "default" else [(demo, recipe, SHORT) for recipe in RECIPES if recipe != DEFAULT]
     path = RESULTS / "long_runs.json"
     document = json.loads(path.read_text()) if path.exists() else {}
-    document["machine"] = f"{processor()}, {os.cpu_count()} cores"
+    document["machine"] = machine()
     for scene, recipe, iterations in runs:
         name = f"{recipe}, {scene}, {iterations} iterations"
         if name in document or not SCENES[scene].exists():
             continue
         command = [sys.executable, __file__, "--one", str(SCENES[scene]), recipe, str(iterations)]
         document[name] = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
-        path.write_text(json.dumps(document, indent=1) + "\n")
+        write_results("long_runs", document)
         print(
             name, {key: value for key, value in document[name].items() if not key.startswith("iteration")}, flush=True
         )

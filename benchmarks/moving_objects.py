@@ -1,9 +1,10 @@
-"""What a training makes of fish before some photographs: how right its masks are, and what they gain.
+"""Measure how well training masks moving objects, and what the masks gain.
 
-    python benchmarks/moving_objects.py [--seeds 3]
+Run: `python benchmarks/moving_objects.py [--seeds 3]`
+Results: benchmarks/results/moving_objects.json
 
-Fish are painted into four of ten training photographs, one to three in each, and into none; the held-out ones stay
-without. Masks are compared with the true fish. Writes benchmarks/results/moving_objects.json.
+One to three fish are painted into each of four of ten training images, or into none; test images stay without. The
+motion masks of the run are compared with the painted fish.
 """
 
 import json
@@ -21,6 +22,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from benchmarks.common import write_results
 from benchmarks.train_scenes import SCENES
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.split import split_views
@@ -31,11 +33,11 @@ from swag_engine.training.trainer import train
 WAYS = {"planned": "", "never": "moving_objects=off"}
 SETTINGS = TrainSettings(iterations=1000, width=320, max_gaussians=20_000)
 FISHY = 0.4
-"""Share of the training photographs that have fish."""
+"""Fraction of the training images that have fish."""
 
 
 def fish_in(shape: tuple[int, ...], random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Where fish are (H, W) bool, and their colours (H, W, 3) uint8."""
+    """Draw fish: their mask (H, W) bool and colours (H, W, 3) uint8."""
     height, width = shape[:2]
     mask, colors = np.zeros((height, width), np.uint8), np.zeros((height, width, 3), np.uint8)
     for _ in range(random.integers(1, 4)):
@@ -51,7 +53,7 @@ def fish_in(shape: tuple[int, ...], random: np.random.Generator) -> tuple[np.nda
 
 
 def made(scene: Path, folder: Path, fish: bool, seed: int) -> dict[str, np.ndarray]:
-    """A copy of the scene in `folder`, with fish or without; by training photograph, where they are (H, W) bool."""
+    """Copy the scene to `folder`, with fish or without; return the masks (H, W) bool by training image."""
     shutil.copytree(scene, folder, ignore=shutil.ignore_patterns("plan.json", "masks", "depth"))
     names = split_views([view.name for view in load_scene(folder).views]).train
     random = np.random.default_rng(seed)
@@ -67,7 +69,7 @@ def made(scene: Path, folder: Path, fish: bool, seed: int) -> dict[str, np.ndarr
 
 
 def measured(scene: Path, swimming: dict[str, np.ndarray], effects: str, seed: int) -> dict:
-    """Train, and compare the masks with the true fish."""
+    """Train, and compare the motion masks with the painted fish."""
     with tempfile.TemporaryDirectory() as place:
         metrics = train(scene, Path(place) / "run", replace(SETTINGS, effects=effects, seed=seed))["metrics"]
         tensors, _ = load_checkpoint(Path(place) / "run") or ({}, {})
@@ -92,6 +94,7 @@ def measured(scene: Path, swimming: dict[str, np.ndarray], effects: str, seed: i
 
 
 def main() -> None:
+    """Run every scene, seed and way and write the results."""
     parser = ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=3)
     asked = parser.parse_args()
@@ -109,8 +112,7 @@ def main() -> None:
                         row = {"scene": name, "fish": fish, "way": way, "seed": seed}
                         rows.append(row | measured(folder, swimming, effects, seed))
                         print(json.dumps(rows[-1]), flush=True)
-    path = ROOT / "benchmarks" / "results" / "moving_objects.json"
-    path.write_text(json.dumps({"settings": SETTINGS.to_json(), "rows": rows}, indent=1) + "\n")
+    write_results("moving_objects", {"settings": SETTINGS.to_json(), "rows": rows})
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
-"""Milliseconds of rasterising and of a whole training iteration on this machine's CPU, as ratios within one run.
+"""Measure milliseconds of rasterising and of a whole training iteration on the CPU, and ratios within one process.
 
-    python benchmarks/raster.py
+Run: `python benchmarks/raster.py` (Linux), with nothing else on the machine
+Results: benchmarks/results/raster.json, docs/images/raster.webp
 
-Writes results/raster.json and results/raster.png. Compared are the kernels, the torch backend, and, where gsplat is
-installed, the torch implementation inside gsplat (splax and taichi-splatting need a GPU). What gsplat has no CPU code
-for is given to it: the lists of pixels and Gaussians for nothing, the scan along rays in torch.
+Compared are the CPU kernels, the torch backend, and, where gsplat is installed, the torch reference inside gsplat. The
+reference has no CPU code for the lists of pixel-Gaussian pairs and for the scan along rays: it gets the lists for free,
+and a scan in torch. gsplat's own kernels need a GPU and are not part of this comparison.
 """
 
 import json
@@ -23,8 +24,8 @@ sys.path.insert(0, str(ROOT))
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from train_scenes import processor
 
+from benchmarks.common import processor, save_figure, write_results
 from swag_engine.effects.scene_effects import Simulated
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels import cpu
@@ -35,13 +36,12 @@ from swag_engine.training.losses import photometric
 from swag_engine.training.optimizer import Optimizer
 from swag_engine.training.schedule import LearningRates
 
-RESULTS = ROOT / "benchmarks" / "results"
 MAIN = (50_000, 640, 360)
 ROUNDS = 7
 
 
 def make_cloud(n: int, width: int, height: int) -> tuple[GaussianCloud, Camera]:
-    """A bumpy surface (80 %) and floaters in front of it, as trained scenes look; median sigma 1.9 px at 640 px."""
+    """Make a cloud like a trained scene: a bumpy surface (80 %), floaters in front; median sigma 1.9 px at 640 px."""
     r = np.random.default_rng(0)
     focal = 0.8 * width
     u, v = r.uniform(-8, width + 8, n), r.uniform(-8, height + 8, n)
@@ -70,7 +70,7 @@ def make_cloud(n: int, width: int, height: int) -> tuple[GaussianCloud, Camera]:
 
 
 def iteration(n: int, width: int, height: int, backend: str) -> Callable[[], None]:
-    """One training iteration: project, blend, L1 + SSIM, backward, Adam."""
+    """Return one training iteration: project, blend, L1 + SSIM, backward, Adam."""
     cloud, camera = make_cloud(n, width, height)
     optimizer, rates = Optimizer(cloud, Simulated(), backend), asdict(LearningRates())
     target = torch.rand(height, width, 3)
@@ -84,7 +84,7 @@ def iteration(n: int, width: int, height: int, backend: str) -> Callable[[], Non
 
 
 def raster(n: int, width: int, height: int, backend: str) -> Callable[[], None]:
-    """Binning, sorting and blending of projected Gaussians, forward and backward."""
+    """Return binning, sorting and blending of projected Gaussians, forward and backward."""
     cloud, camera = make_cloud(n, width, height)
     viewmat, K = torch.eye(4), torch.from_numpy(camera.K).float()
     channels = cloud.colors(torch.zeros(3), 3).detach()
@@ -117,7 +117,7 @@ def raster(n: int, width: int, height: int, backend: str) -> Callable[[], None]:
 def accepted_pairs(
     leaves: list[torch.Tensor], projected: projection.Projection, width: int, height: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Gaussian, pixel and image of all pairs that are blended, by pixel and depth."""
+    """List Gaussian, pixel and image of all blended pairs, by pixel and depth."""
     means2d, conics, opacities, _ = (leaf.detach() for leaf in leaves)
     gaussians, pixels = [], []
     for _, meets, at in reference._tiles(means2d, projected.depths, projected.radii, width, height):
@@ -130,7 +130,7 @@ def accepted_pairs(
 
 
 def weights_along_rays(alphas: torch.Tensor, ray_indices: torch.Tensor, n_rays: int) -> tuple[torch.Tensor, ...]:
-    """T alpha and T of samples sorted by ray and depth, as nerfacc's function of this signature, which needs CUDA."""
+    """Return T alpha and T of samples sorted by ray and depth; replaces nerfacc's function, which needs CUDA."""
     logs = torch.log1p(-alphas).double()
     before = logs.cumsum(0) - logs
     first = torch.searchsorted(ray_indices, torch.arange(n_rays)).clamp(max=len(logs) - 1)
@@ -141,13 +141,13 @@ def weights_along_rays(alphas: torch.Tensor, ray_indices: torch.Tensor, n_rays: 
 def sums_along_rays(
     weights: torch.Tensor, values: torch.Tensor | None, ray_indices: torch.Tensor, n_rays: int
 ) -> torch.Tensor:
-    """Sums of weights, or of weighted values, by ray."""
+    """Sum weights, or weighted values, by ray."""
     terms = weights[:, None] if values is None else weights[:, None] * values
     return torch.zeros(n_rays, terms.shape[1]).index_add(0, ray_indices, terms)
 
 
 def milliseconds(steps: dict[str, Callable[[], None]], rounds: int = ROUNDS) -> dict[str, float]:
-    """Medians over rounds in which each step runs once, after one that warms up."""
+    """Return medians over rounds in which each step runs once, after one round of warming up."""
     times: dict[str, list[float]] = {name: [] for name in steps}
     for number in range(rounds + 1):
         for name, step in steps.items():
@@ -159,6 +159,8 @@ def milliseconds(steps: dict[str, Callable[[], None]], rounds: int = ROUNDS) -> 
 
 
 def with_threads(count: int, step: Callable[[], None]) -> Callable[[], None]:
+    """Run a step with this number of threads."""
+
     def run() -> None:
         torch.set_num_threads(count)
         step()
@@ -167,7 +169,7 @@ def with_threads(count: int, step: Callable[[], None]) -> Callable[[], None]:
 
 
 def peak_bytes(n: int, width: int, height: int) -> int:
-    """What training N Gaussians adds to the largest resident size of a process of its own."""
+    """Return the peak bytes that training N Gaussians adds to a separate process."""
     code = (
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import raster; "
         f"print(raster.peak_of_three_iterations({n}, {width}, {height}))"
@@ -176,6 +178,7 @@ def peak_bytes(n: int, width: int, height: int) -> int:
 
 
 def peak_of_three_iterations(n: int, width: int, height: int) -> int:
+    """Return the bytes by which three iterations raise this process' peak."""
     iteration(1000, 64, 48, "cpu")()
     before = peak_resident()
     step = iteration(n, width, height, "cpu")
@@ -185,12 +188,13 @@ def peak_of_three_iterations(n: int, width: int, height: int) -> int:
 
 
 def peak_resident() -> int:
-    """Bytes; Linux. getrusage would count the process that started this one."""
+    """Return the peak resident bytes (Linux); getrusage would count the parent process."""
     status = Path("/proc/self/status").read_text()
     return 1024 * int(next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM")))
 
 
 def main() -> None:
+    """Time everything, print, write and plot the results."""
     threads = torch.get_num_threads()
     counts = [1 << k for k in range(threads.bit_length()) if 1 << k <= threads]
     rivals = {"kernels": raster(*MAIN, "cpu"), "torch": raster(*MAIN, "torch")}
@@ -232,12 +236,13 @@ def main() -> None:
         str(count): milliseconds({"rasterise": with_threads(count, step), "iteration": with_threads(count, whole)}, 5)
         for count in counts
     }
-    (RESULTS / "raster.json").write_text(json.dumps(results, indent=2) + "\n")
+    write_results("raster", results)
     plot(results)
     print(json.dumps(results, indent=2))
 
 
 def plot(results: dict) -> None:
+    """Plot milliseconds by Gaussians, pixels and threads."""
     figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
     panels = (
         ("ms by Gaussians at 640x360", "Gaussians at 640 x 360", 1),
@@ -253,7 +258,7 @@ def plot(results: dict) -> None:
         axis.grid(alpha=0.3)
     axes[0].legend()
     figure.suptitle(str(results["machine"]))
-    figure.savefig(RESULTS / "raster.png", dpi=110)
+    save_figure("raster", figure, dpi=110)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,14 @@
-"""How right labels are and what they cost.
+"""Measure the accuracy and the cost of labels.
 
-    python benchmarks/semantics.py            prints tables, writes benchmarks/results/semantics.json
+Run: `python benchmarks/semantics.py [RUN]`, with nothing else on the machine (RUN: a finished run of the demo scene)
+Results: benchmarks/results/semantics.json
 
-Trains the demo scene, labels its Gaussians from the true masks of the training photographs, and compares rendered
-labels with the truth of the held-out views. Region providers are compared with the class masks of SUIM photographs,
-where they are on this machine. Run it with nothing else on the machine.
+Trains the demo scene, labels its Gaussians from the true masks of the training images, and compares rendered labels
+with the truth of the held-out views. The region provider `saliency` is compared with the class masks of SUIM images,
+where they are on this machine.
 """
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -24,7 +24,7 @@ import torch
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.train_scenes import processor
+from benchmarks.common import DEMO, SHARED, machine, write_results
 from swag_engine.rendering.model import cloud_from_checkpoint
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
@@ -39,37 +39,38 @@ from swag_engine.semantics.saliency import Saliency
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.losses import photometric
 
-REEF = ROOT / "tests" / "scenes" / "reef_wreck"
-SUIM = ROOT.parent / "shared" / "data" / "suim"
+SUIM = SHARED / "suim"
 ITERATIONS, WIDTH, GAUSSIANS = 1500, 480, 60000
 
 
 def main() -> None:
-    document: dict[str, Any] = {"machine": f"{processor()}, {os.cpu_count()} cores"}
+    """Measure the demo run and SUIM, print and write the results."""
+    document: dict[str, Any] = {"machine": machine()}
     with tempfile.TemporaryDirectory() as folder:
         run = Path(sys.argv[1]) if len(sys.argv) > 1 else train(Path(folder) / "run")
         document["demo"] = demo(run)
     if SUIM.is_dir():
         document["suim"] = suim(Saliency())
     print(json.dumps(document, indent=2))
-    (ROOT / "benchmarks" / "results" / "semantics.json").write_text(json.dumps(document, indent=2) + "\n")
+    write_results("semantics", document)
 
 
 def train(run: Path) -> Path:
-    command = [sys.executable, "-m", "swag_engine", "train", REEF, "--out", run, "--iterations", ITERATIONS]
+    """Train the demo scene in a separate process."""
+    command = [sys.executable, "-m", "swag_engine", "train", DEMO, "--out", run, "--iterations", ITERATIONS]
     command += ["--width", WIDTH, "--max-gaussians", GAUSSIANS]
     subprocess.run([str(part) for part in command], cwd=ROOT, check=True)
     return run
 
 
 def demo(run: Path) -> dict[str, Any]:
-    """IoU of rendered labels on held-out views by source of the regions, and what labelling costs."""
-    scene = load_scene(REEF)
+    """Measure the IoU of rendered labels on held-out and validation views, and the cost of labelling."""
+    scene = load_scene(DEMO)
     width = json.loads((run / "config.json").read_text())["settings"]["width"]
     split = split_views([view.name for view in scene.views])
     images = {image.camera.name: image for image in load_images(scene, scene.views, width)}
     training = [images[name] for name in split.train]
-    masks = MaskFolder(REEF / "labels", scene)
+    masks = MaskFolder(DEMO / "labels", scene)
     loaded = load_checkpoint(run)
     assert loaded is not None
     cloud = cloud_from_checkpoint(loaded[0])
@@ -104,7 +105,7 @@ def demo(run: Path) -> dict[str, Any]:
 
 
 def truth_of(masks: MaskFolder, image: TrainingImage, regions: SceneRegions) -> np.ndarray:
-    """(H, W) the regions' labels as the masks have them."""
+    """Return the labels (H, W) that the masks give, as indices into the regions' labels plus one."""
     truth = np.zeros(image.valid.shape, int)
     for region in masks.regions(image, []):
         if region.name in regions.labels:
@@ -115,7 +116,7 @@ def truth_of(masks: MaskFolder, image: TrainingImage, regions: SceneRegions) -> 
 def ious(
     regions: SceneRegions, truth: dict[str, np.ndarray], shown: dict[str, np.ndarray], names: Sequence[str]
 ) -> dict[str, float]:
-    """IoU by label over all pixels of these views together, and their mean as `miou`."""
+    """Measure IoU by label over all pixels of these views together, and their mean as `miou`."""
     found = {}
     for number, label in enumerate(regions.labels, 1):
         common = sum(((truth[name] == number) & (shown[name] == number)).sum() for name in names)
@@ -126,7 +127,7 @@ def ious(
 
 
 def consistency(cloud: Any, regions: SceneRegions, cameras: dict[str, Camera], labels: torch.Tensor) -> float:
-    """The share of what Gaussians add to all photographs that is where the photograph has the Gaussian's label."""
+    """Return the fraction of the Gaussians' contributions that falls on pixels of their own label."""
     right = total = 0.0
     for name, drawn in regions.maps.items():
         here, weights, _ = label_weights(cloud, cameras[name], drawn)
@@ -136,9 +137,7 @@ def consistency(cloud: Any, regions: SceneRegions, cameras: dict[str, Camera], l
 
 
 def cost(cloud: Any, regions: SceneRegions, images: dict[str, TrainingImage]) -> dict[str, float]:
-    """Processor time of semantics in an iteration, and of the iteration without it (picture, loss, gradients), in ms;
-    and what the features of 100 000 Gaussians take in memory.
-    """
+    """Measure processor milliseconds of an iteration and of its semantics, and the memory of the features."""
     features = torch.zeros(len(cloud), 32, requires_grad=True)
     for parameter in cloud.parameters().values():
         parameter.requires_grad_()
@@ -163,7 +162,7 @@ def cost(cloud: Any, regions: SceneRegions, images: dict[str, TrainingImage]) ->
 
 
 def suim(provider: RegionProvider) -> dict[str, Any]:
-    """Per photograph: IoU of open water with SUIM's background, and of all else together with its objects."""
+    """Measure, per image, the IoU of open water with SUIM's background and of everything else with its objects."""
     scores = {}
     for path in sorted((SUIM / "images").iterdir()):
         pixels = read_picture(path)[0]
@@ -179,10 +178,11 @@ def suim(provider: RegionProvider) -> dict[str, Any]:
             "salient alone": iou_of(salient, truth),
         }
     means = {kind: round(float(np.mean([score[kind] for score in scores.values()])), 4) for kind in scores[path.name]}
-    return {"provider": provider.name, "mean": means, "photographs": scores}
+    return {"provider": provider.name, "mean": means, "images": scores}
 
 
 def iou_of(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the intersection over union of two masks (H, W) bool."""
     return round(float((a & b).sum() / max(1, (a | b).sum())), 4)
 
 

@@ -1,10 +1,10 @@
-"""What accuracy costs in time on the demo and on japanese_gardens: presets and two widths, the demo without water too.
+"""Measure accuracy against time on the demo and on japanese_gardens: presets at two widths, the demo without water too.
 
-    python benchmarks/tradeoff.py FOLDER [WEIGHTS]        WEIGHTS: a folder with the networks of LPIPS
+Run: `python benchmarks/tradeoff.py FOLDER [WEIGHTS]`, with nothing else on the machine
+Results: benchmarks/results/tradeoff_SCENE.json, docs/images/tradeoff_SCENE.webp
 
-Makes the runs in FOLDER, prints a table for each scene, and writes docs/tradeoff_SCENE.png and
-benchmarks/results/tradeoff_SCENE.json. Stopped and started again with the same FOLDER it goes on. A scene that is not
-on this machine is left out. Run it with nothing else on the machine: its seconds are those of the clock.
+FOLDER receives the runs; started again with the same FOLDER the benchmark continues. WEIGHTS is a folder with the
+networks of LPIPS. A scene that is not on this machine is skipped.
 """
 
 import os
@@ -13,16 +13,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+
 ROOT = Path(__file__).resolve().parents[1]
-SCENES = {
-    "demo": ROOT / "tests" / "scenes" / "reef_wreck",
-    "japanese_gardens": ROOT.parent / "shared" / "data" / "japanese_gardens",
-}
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.common import DEMO, PICTURES, RESULTS, SHARED, WEBP_QUALITY
+
+SCENES = {"demo": DEMO, "japanese_gardens": SHARED / "japanese_gardens"}
 GRID = ["--presets", "draft", "standard", "high", "--widths", "240", "480"]
 EFFECTS = {"demo": ["default", "water=off"], "japanese_gardens": ["default"]}
 
 
 def main(folder: Path, *weights: str) -> None:
+    """Run `tradeoff` on every scene and store its results."""
     for name, scene in SCENES.items():
         if not scene.exists():
             continue
@@ -42,8 +46,9 @@ def main(folder: Path, *weights: str) -> None:
         ]
         print(f"\n{name}\n", flush=True)
         subprocess.run(command, cwd=ROOT, check=True)
-        shutil.copy(out / "tradeoff.png", ROOT / "docs" / f"tradeoff_{name}.png")
-        shutil.copy(out / "tradeoff.json", ROOT / "benchmarks" / "results" / f"tradeoff_{name}.json")
+        picture = cv2.imread(str(out / "tradeoff.png"))
+        cv2.imwrite(str(PICTURES / f"tradeoff_{name}.webp"), picture, [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
+        shutil.copy(out / "tradeoff.json", RESULTS / f"tradeoff_{name}.json")
 
 
 if __name__ == "__main__":

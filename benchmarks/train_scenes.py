@@ -1,22 +1,24 @@
-"""What a training run reaches and costs: minutes, Gaussians, held-out PSNR and SSIM on the demo and the shared scenes.
+"""Measure what training reaches and takes: minutes, Gaussians, test PSNR and SSIM on the demo and the shared scenes.
 
-    python benchmarks/train_scenes.py        prints a table, writes benchmarks/results/train_scenes.json
+Run: `python benchmarks/train_scenes.py`, with nothing else on the machine
+Results: benchmarks/results/train_scenes.json
 
-Scenes that are not on this machine are left out. Run it with nothing else on the machine.
+Scenes that are not on this machine are skipped.
 """
 
 import json
-import os
-import platform
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-SHARED = ROOT.parent / "shared" / "data"
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.common import DEMO, SHARED, machine, write_results
+
 SCENES = {
-    "demo (reef and wreck, rendered)": ROOT / "tests" / "scenes" / "reef_wreck",
+    "demo (reef and wreck, rendered)": DEMO,
     "aqualoc_amphorae (photographs)": SHARED / "aqualoc_amphorae",
     "japanese_gardens (rendered by a NeRF)": SHARED / "japanese_gardens",
 }
@@ -25,8 +27,9 @@ ITERATIONS = (500, 1500, 4500)
 
 
 def main() -> None:
+    """Train every scene for each number of iterations, print a table and write the results."""
     rows = []
-    print("| scene | iterations | minutes | Gaussians | held-out PSNR | SSIM | median image |")
+    print("| scene | iterations | minutes | Gaussians | test PSNR | SSIM | median-image baseline |")
     print("|---|---|---|---|---|---|---|")
     for name, scene in SCENES.items():
         if not scene.exists():
@@ -39,27 +42,17 @@ def main() -> None:
                 f"| {row['test_ssim']:.3f} | {row['control_psnr']:.2f} dB |",
                 flush=True,
             )
-    document = {"machine": f"{processor()}, {os.cpu_count()} cores", "settings": SETTINGS, "runs": rows}
-    (ROOT / "benchmarks" / "results" / "train_scenes.json").write_text(json.dumps(document, indent=2) + "\n")
+    write_results("train_scenes", {"machine": machine(), "settings": SETTINGS, "runs": rows})
 
 
 def train(scene: Path, iterations: int) -> dict[str, float]:
-    """Train in a process of its own and return the figures that are reported."""
+    """Train in a separate process and return the reported figures."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "swag_engine", "train", scene, "--out", f"{folder}/run", "--json"]
         command += ["--iterations", iterations, *SETTINGS]
         done = subprocess.run([str(part) for part in command], cwd=ROOT, stdout=subprocess.PIPE, check=True)
     metrics = json.loads(done.stdout)["metrics"]
     return {key: metrics[key] for key in ("seconds", "gaussians", "test_psnr", "test_ssim", "control_psnr", "psnr")}
-
-
-def processor() -> str:
-    """The processor's name where the system tells it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
 
 
 if __name__ == "__main__":
