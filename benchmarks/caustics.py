@@ -21,7 +21,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.common import write_results
-from swag_engine.effects.caustics import Illumination, illuminated
+from swag_engine.effects.caustics import Illumination
+from swag_engine.effects.image_gain import apply_log_gains
 from swag_engine.water.light import to_display, to_light
 
 ROWS, COLUMNS, VIEWS, STEPS = 60, 96, 16, 640
@@ -64,7 +65,7 @@ def learned(seen: list[Tensor], way: str) -> Tensor:
         for group, rate in zip(optimizer.param_groups, (5e-3, 2e-2), strict=True):
             group["lr"] = rate * (1 - step / STEPS)
         view = step % VIEWS
-        shown = illuminated(picture, field, str(view)) if way == "field" else picture
+        shown = apply_log_gains(picture, [field.log_gain(str(view), *picture.shape[:2])]) if way == "field" else picture
         weight = trust(seen[view], shown.detach()) if way == "weight" else torch.ones(ROWS, COLUMNS)
         optimizer.zero_grad()
         ((shown - seen[view]).abs().mean(2) * weight).mean().backward()

@@ -148,19 +148,18 @@ def made(case: Case, clean: Path):
 
 def decide_effects(folder: Path) -> tuple:
     """Return the plan's decisions by effect, the fit, seconds and the number of observations of a scene folder."""
-    from swag_engine.evidence.observations import FIT_WIDTH, observe
-    from swag_engine.planning import evidence
+    from swag_engine.evidence.observations import FIT_WIDTH
+    from swag_engine.evidence.scene_evidence import SceneEvidence
+    from swag_engine.planning.plan import decide_all
     from swag_engine.scene.colmap import load_scene
     from swag_engine.scene.images import load_images
 
     scene = load_scene(folder)
     images = load_images(scene, scene.views, FIT_WIDTH)
     started = time.perf_counter()
-    observations = observe(images, [view.point_indices for view in scene.views], scene.points)
-    centres = np.stack([image.camera.centre for image in images])
-    caustics = evidence.caustics_finding(observations, centres, scene.points.positions)
-    found = evidence.water_findings(observations, evidence.open_water_light(images, scene))
-    return found.effects | {"caustics": caustics}, found.fit, time.perf_counter() - started, len(observations)
+    evidence = SceneEvidence(scene, images)
+    decisions, terms = decide_all(evidence), evidence.water_terms
+    return decisions, terms and terms.fit, time.perf_counter() - started, len(evidence.observations)
 
 
 def run_case(case: Case, clean: Path) -> dict:

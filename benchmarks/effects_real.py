@@ -27,8 +27,9 @@ from scipy.interpolate import griddata
 from benchmarks.common import RESULTS, SHARED, save_figure
 from swag_engine.base.strict_json import to_json
 from swag_engine.evidence.fit import Family, Fit, Sightings, lens_terms
+from swag_engine.evidence.image_cells import open_water_light
 from swag_engine.evidence.observations import FIT_WIDTH, Observations, observe
-from swag_engine.planning import evidence
+from swag_engine.evidence.water_terms import find_water_terms
 from swag_engine.planning.plan import describe, make_plan
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
@@ -111,7 +112,7 @@ def scene_with_points(name: str, kind: str) -> dict:
     plan = make_plan(scene, images)
     print(f"\n{name} ({kind})\n{describe(plan)}", flush=True)
     observations = observe(images, [view.point_indices for view in views], scene.points)
-    found = evidence.water_findings(observations, evidence.open_water_light(images, scene))
+    found = find_water_terms(observations, open_water_light(images, scene))
     fit, unit = found.fit, float(np.median(observations.ranges))
     assert fit is not None
     index = {image: k for k, image in enumerate(found.images)}

@@ -22,7 +22,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
 from benchmarks.common import DEMO, write_results
 from benchmarks.effects_matrix import SKY
 from swag_engine.experiments.ablate import ALL
-from swag_engine.planning.plan import measured_costs
+from swag_engine.planning.costs import measured_costs
 from swag_engine.scene.colmap import load_scene
 from swag_engine.semantics.assign import EVERY
 from swag_engine.settings.settings import TrainSettings

@@ -18,7 +18,7 @@ import torch
 
 from benchmarks.common import processor, write_results
 from benchmarks.raster import MAIN, make_cloud
-from swag_engine.effects.scene_effects import Simulated
+from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.rendering.render import render
 from swag_engine.training.guard import MOST_INTERVAL, Guard, GuardedState, step_problem
 from swag_engine.training.losses import photometric
@@ -32,7 +32,7 @@ def main() -> None:
     """Time the guard beside the iteration, print and write the results."""
     n, width, height = MAIN
     cloud, camera = make_cloud(n, width, height)
-    optimizer, rates, target = Optimizer(cloud, Simulated()), asdict(LearningRates()), torch.rand(height, width, 3)
+    optimizer, rates, target = Optimizer(cloud, SceneEffects()), asdict(LearningRates()), torch.rand(height, width, 3)
     guard, guarded = Guard(10_000), GuardedState()
     guarded.keep(optimizer)
     loss = torch.zeros(())

@@ -26,7 +26,7 @@ import numpy as np
 import torch
 
 from benchmarks.common import processor, save_figure, write_results
-from swag_engine.effects.scene_effects import Simulated
+from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels import cpu
 from swag_engine.rasterize import projection, reference
@@ -72,7 +72,7 @@ def make_cloud(n: int, width: int, height: int) -> tuple[GaussianCloud, Camera]:
 def iteration(n: int, width: int, height: int, backend: str) -> Callable[[], None]:
     """Return one training iteration: project, blend, L1 + SSIM, backward, Adam."""
     cloud, camera = make_cloud(n, width, height)
-    optimizer, rates = Optimizer(cloud, Simulated(), backend), asdict(LearningRates())
+    optimizer, rates = Optimizer(cloud, SceneEffects(), backend), asdict(LearningRates())
     target = torch.rand(height, width, 3)
 
     def step() -> None:

@@ -1,39 +1,53 @@
-"""What moved between photographs, by what training leaves unexplained.
+"""Moving objects: what moves between images is masked out of them, found by what training leaves unexplained.
 
-Where everything that stands still has been learned, a fish leaves a patch of large residual in one photograph. What is
-hard to learn leaves residuals wherever it is seen. Noise and edges leave single pixels and lines, which opening takes
-away.
+Where everything static has been learned, a fish leaves a patch of large residual in one image. What is hard to learn
+leaves residuals wherever it is seen. Noise and edges leave single pixels and lines, which opening removes.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
+from ..evidence.decision import Decision
+from ..evidence.scene_evidence import SceneEvidence
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.contributions import contribution_sums
 from ..rasterize.api import rasterize
 from ..scene.cameras import Camera
+from ..scene.images import mask_of
+from .effect import Effect
 
-LEAST_RESIDUAL, LEAST_EXCESS = 0.08, 4.0
-"""Display value that a residual must exceed, and how many times the photograph's usual residual."""
+LEAST_RESIDUAL = 0.08
+"""Display value that a residual must exceed."""
+LEAST_EXCESS = 4.0
+"""Factor by which it must exceed the image's median residual."""
 LEAST_ALONE = 5.0
-"""How many times the residual of the same place in the other photographs."""
+"""Factor by which it must exceed the residual of the same place in the other images."""
 KNOWN = 0.5
-"""Pixels of a Gaussian in other photographs that weigh as much as the photograph itself."""
+"""Pixels of a Gaussian in other images that weigh as much as the image itself."""
 GRAIN = 0.01
-"""Share of the width below which nothing counts as an object."""
-LEAST_AREA, LEAST_IMAGES = 0.01, 0.10
-"""Share of a photograph that must be covered, and share of the photographs in which it is."""
+"""Fraction of the width below which nothing counts as an object."""
+LEAST_AREA = 0.01
+"""Fraction of an image that masks must cover for it to count."""
+LEAST_IMAGES = 0.10
+"""Fraction of the images that must count."""
 
 
 def residual(photograph: np.ndarray, picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Differences (H, W) float32 of a photograph from the picture of all that stands still, over the grain of objects.
+    """Compare an image with the rendered static scene.
 
-    photograph and picture (H, W, 3) display values 0..1, valid (H, W) bool; 0 where that is false. The brightness of
-    the whole is not compared, for exposure is no object.
+    The brightness of the whole image is not compared: exposure is not an object.
+
+    Args:
+        photograph: (H, W, 3) display values 0..1.
+        picture: (H, W, 3) rendered display values 0..1.
+        valid: (H, W) bool.
+
+    Returns:
+        (H, W) float32 mean absolute difference, averaged over the size of the smallest objects, 0 where not valid.
     """
     difference = (photograph - picture).astype(np.float32)
     if not valid.any():
@@ -45,10 +59,15 @@ def residual(photograph: np.ndarray, picture: np.ndarray, valid: np.ndarray) -> 
 
 
 def moving_mask(residual: np.ndarray, elsewhere: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Pixels (H, W) bool of a photograph that show what is in it alone.
+    """Find the pixels of an image that show what is in this image alone.
 
-    residual: the photograph's; elsewhere: what the other photographs leave unexplained of the same places, both
-    (H, W); valid (H, W) bool, invalid pixels are never in the mask.
+    Args:
+        residual: (H, W) residual of the image.
+        elsewhere: (H, W) residual of the same places in the other images.
+        valid: (H, W) bool; invalid pixels are never in the mask.
+
+    Returns:
+        (H, W) bool.
     """
     if not valid.any():
         return np.zeros(valid.shape, bool)
@@ -65,10 +84,20 @@ def moving_mask(residual: np.ndarray, elsewhere: np.ndarray, valid: np.ndarray) 
 def residuals_elsewhere(
     cloud: GaussianCloud, cameras: Sequence[Camera], residuals: Sequence[np.ndarray], backend: str = "auto"
 ) -> Iterator[np.ndarray]:
-    """For each camera, what the residuals (H, W) of all others say of the places that it sees: (H, W) float32.
+    """Render, for each camera, the residuals that all other images have at the places it sees.
 
-    A Gaussian's residual in photographs is the mean over their pixels, weighted with what it adds to them. Where others
-    show little of it, its residual in the photograph itself counts: what is seen once cannot be told from what moves.
+    The residual of a Gaussian in images is the mean over their pixels, weighted with what it adds to them. Where the
+    others show little of it, its residual in the image itself counts: what is seen once cannot be distinguished from
+    what moves.
+
+    Args:
+        cloud: The Gaussians.
+        cameras: Cameras of the images.
+        residuals: (H, W) residual of each image.
+        backend: What renders.
+
+    Yields:
+        (H, W) float32 for each camera.
     """
 
     def sums(camera: Camera, values: np.ndarray) -> Tensor:
@@ -92,10 +121,23 @@ def residuals_elsewhere(
 
 
 def _grain(width: int) -> int:
-    """Pixels, odd, below which nothing counts as an object in a photograph of this width."""
+    """Pixels, odd, below which nothing counts as an object in an image of this width."""
     return max(3, round(GRAIN * width) | 1)
 
 
-def share_with_objects(masks: list[np.ndarray]) -> float:
-    """Share of the photographs whose mask covers LEAST_AREA of them; LEAST_IMAGES of them make the effect count."""
+def fraction_with_objects(masks: list[np.ndarray]) -> float:
+    """Return the fraction of images whose mask covers more than LEAST_AREA; the effect counts from LEAST_IMAGES."""
     return float(np.mean([mask.mean() > LEAST_AREA for mask in masks])) if masks else 0.0
+
+
+def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision:
+    """Decide from masks that the user gave; without them only training can show moving objects."""
+    views = {view.name: view for view in evidence.scene.views}
+    masked = sum(mask_of(evidence.scene, views[name]) is not None for name in evidence.names)
+    figures = {"masked_images": masked}
+    if masked:
+        return Decision("on", figures, f"Masks were given for {masked} photos; what they cover is ignored.")
+    return Decision("unknown", figures, "Determined during training: moving objects remain unexplained by it.")
+
+
+EFFECT = Effect("Moving objects", "training images", decide, on_when_unknown=True)

@@ -1,96 +1,126 @@
-"""The effects that a run simulates, together: what is learned of each, and how they change a picture.
+"""The effects that a run models, together: what is learned of each, and how they change an image.
 
-An effect that is None is not simulated, and nothing of it runs.
+An effect without a model here is not modelled, and none of its code runs.
 """
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..water.light import relit
-from ..water.medium import SETTINGS, Medium
+from ..water.medium import Medium
 from ..water.network import WaterNetwork
-from .caustics import Illumination
-from .exposure import Exposure
+from .effect import EffectModel, InitialContext
+from .image_gain import apply_log_gains
 from .lamp import Lamp
+from .registry import MODELS, REGISTRY
 
 
 @dataclass
-class Simulated:
-    """Water and lamp act on the Gaussians (rasterize/render.py); exposure and caustics on the whole picture."""
+class SceneEffects:
+    """Models of the effects of a scene.
 
-    medium: Medium | WaterNetwork | None = None
-    lamp: Lamp | None = None
-    exposure: Exposure | None = None
-    caustics: Illumination | None = None
+    The medium and the lamp act on the Gaussians (rendering/render.py), image effects on the rendered image.
 
-    def owners(self) -> dict[str, Any]:
-        """Name -> effect, of those that are simulated."""
-        named = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: effect for name, effect in named.items() if effect is not None}
+    Attributes:
+        models: By key, in the order of the registry.
+    """
+
+    models: dict[str, EffectModel] = field(default_factory=dict)
+
+    @classmethod
+    def initial(
+        cls, medium: Medium | WaterNetwork | None, effects: frozenset[str], context: Mapping[str, InitialContext]
+    ) -> "SceneEffects":
+        """Make the models at the start of a run.
+
+        Args:
+            medium: The water, None without.
+            effects: Names of the effects that are modelled.
+            context: What initial values depend on, by effect.
+
+        Returns:
+            The models.
+        """
+        models: dict[str, EffectModel] = {} if medium is None else {"medium": medium}
+        for name, effect in REGISTRY.items():
+            if name in effects and effect.initial:
+                models[name] = effect.initial(context[name])
+        return cls(models)
+
+    @property
+    def medium(self) -> Medium | WaterNetwork | None:
+        """The water, None without."""
+        medium = self.models.get("medium")
+        assert medium is None or isinstance(medium, Medium | WaterNetwork)
+        return medium
+
+    @property
+    def lamp(self) -> Lamp | None:
+        """The lamp, None without."""
+        lamp = self.models.get("lamp")
+        assert lamp is None or isinstance(lamp, Lamp)
+        return lamp
 
     def parameters(self) -> dict[str, Tensor]:
-        """Name -> tensor of what is learned, as in "lamp.log_tau"."""
+        """Return what is learned by name, as in "lamp.log_tau"."""
         return {
-            f"{owner}.{name}": tensor
-            for owner, effect in self.owners().items()
-            for name, tensor in effect.parameters().items()
+            f"{key}.{name}": tensor for key, model in self.models.items() for name, tensor in model.parameters().items()
         }
 
-    def to(self, device: torch.device) -> "Simulated":
-        """Moves the tensors to a device, in place."""
-        for effect in self.owners().values():
-            for name, tensor in effect.parameters().items():
-                setattr(effect, name, tensor.to(device))
+    def learning_rates(self) -> dict[str, float]:
+        """Return Adam's step size at the start of the run by parameter name; that of the medium is the recipe's."""
+        return {name: MODELS[name.partition(".")[0]].learning_rate for name in self.parameters()}
+
+    def to(self, device: torch.device) -> "SceneEffects":
+        """Move the tensors to a device, in place."""
+        for model in self.models.values():
+            for name, tensor in model.parameters().items():
+                setattr(model, name, tensor.to(device))
         return self
 
-    def developed(self, picture: Tensor, name: str, amount: float = 1.0) -> Tensor:
-        """A picture (H, W, 3) of display values as the photograph of this name shows it; differentiable.
+    def apply_to_image(self, image: Tensor, name: str, amount: float = 1.0) -> Tensor:
+        """Apply the image effects to a rendered image.
 
-        amount: 0 (as it was rendered) to 1, the exponent of gain and light.
+        Args:
+            image: (H, W, 3) display values.
+            name: Name of the image; it need not be one that was trained on.
+            amount: 0 (the image as rendered) to 1, the exponent of the gains.
+
+        Returns:
+            (H, W, 3) display values as the camera would show them; differentiable.
         """
-        factor = None if self.exposure is None else self.exposure.of(name)
-        field = None if self.caustics is None else self.caustics.of(name, *picture.shape[:2])
-        if field is not None:
-            factor = field if factor is None else factor + field
-        return picture if factor is None or amount == 0 else relit(picture, amount * factor)
+        height, width = image.shape[:2]
+        gains = [
+            model.log_gain(name, height, width)  # type: ignore[attr-defined]  # models of image effects have it
+            for key, model in self.models.items()
+            if MODELS[key].acts_on == "image"
+        ]
+        return apply_log_gains(image, gains, amount)
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint's JSON needs beside the tensors of `parameters`."""
-        state: dict[str, Any] = {"medium": None}
-        if self.medium is not None:
-            state["medium"] = {name: getattr(self.medium, name, None) for name in SETTINGS}
-        if self.lamp is not None:
-            state["lamp"] = self.lamp.unit_range
-        for name in ("exposure", "caustics"):
-            if (effect := getattr(self, name)) is not None:
-                state[name] = list(effect.names)
-        return state
+        """Return what a checkpoint's JSON needs beside the tensors of `parameters`."""
+        return {key: model.settings() for key, model in self.models.items()}
 
     @classmethod
-    def from_checkpoint(cls, tensors: dict[str, Tensor], state: dict[str, Any]) -> "Simulated":
-        """The effects of a checkpoint's tensors and state."""
+    def from_checkpoint(cls, tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> "SceneEffects":
+        """Read the models of a checkpoint.
 
-        def found(owner: str) -> dict[str, Tensor]:
-            prefix = f"{owner}."
-            return {name[len(prefix) :]: t.clone() for name, t in tensors.items() if name.startswith(prefix)}
+        Args:
+            tensors: Tensors by name.
+            state: The checkpoint's JSON document.
 
-        simulated = cls()
-        if medium := found("medium"):
-            settings = state["medium"]
-            if "weights" in medium:
-                simulated.medium = WaterNetwork(**medium, unit_range=settings["unit_range"])
-            else:
-                known = (medium.get(field.name) for field in fields(Medium) if field.name not in SETTINGS)
-                simulated.medium = Medium(*known, **settings)  # type: ignore[arg-type]
-        if lamp := found("lamp"):
-            simulated.lamp = Lamp(**lamp, unit_range=state["lamp"])
-        if exposure := found("exposure"):
-            simulated.exposure = Exposure(**exposure, names=state["exposure"])
-        if caustics := found("caustics"):
-            simulated.caustics = Illumination(**caustics, names=state["caustics"])
-        return simulated
+        Returns:
+            The models, which share no memory with the arguments.
+        """
+        models = {}
+        for key, effect in MODELS.items():
+            prefix = f"{key}."
+            own = {name[len(prefix) :]: t.clone() for name, t in tensors.items() if name.startswith(prefix)}
+            if own and effect.load:
+                models[key] = effect.load(own, state[key])
+        return cls(models)

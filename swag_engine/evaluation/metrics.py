@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..base.transfer import srgb_to_linear
-from ..effects.scene_effects import Simulated
+from ..effects.scene_effects import SceneEffects
 from ..gaussians.cloud import GaussianCloud
 from ..rasterize.api import rasterize
 from ..rendering.render import render
@@ -43,7 +43,7 @@ def score_views(
     images: Sequence[TrainingImage],
     sh_degree: int,
     backend: str = "auto",
-    simulated: Simulated | None = None,
+    simulated: SceneEffects | None = None,
 ) -> list[ViewScore]:
     """Render every image's view and compare, at the size of the images, in 8 bits as both would be stored."""
     return [score_picture(image, picture(cloud, image.camera, sh_degree, backend, simulated)) for image in images]
@@ -55,16 +55,16 @@ def picture(
     camera: Camera,
     sh_degree: int,
     backend: str = "auto",
-    simulated: Simulated | None = None,
+    simulated: SceneEffects | None = None,
     amount: float = 1.0,
 ) -> Tensor:
     """What `camera` sees through `amount` (0..1) of all that is simulated: (H, W, 3) on the CPU in 0..1, rounded as in
     8 bits. A photograph that nothing was learned of gets the gain that its neighbours let expect, and even light."""
-    simulated = simulated or Simulated()
+    simulated = simulated or SceneEffects()
     color = render(
         cloud, camera, sh_degree, simulated.medium, amount=amount, backend=backend, lamp=simulated.lamp
     ).color
-    color = simulated.developed(color, camera.name, amount).cpu()
+    color = simulated.apply_to_image(color, camera.name, amount).cpu()
     return (color.clamp(0, 1) * 255).round() / 255
 
 

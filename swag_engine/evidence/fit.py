@@ -1,12 +1,12 @@
-"""Water, lamp and exposure of a scene from its sparse points: every family of terms, with the certainty of each.
+"""Fits of water, lamp and exposure to observations of sparse points: families of terms, with their certainty.
 
-A point seen from several ranges changes colour by the water between. Per channel, in linear light,
+A point seen from several ranges changes color by the water between. Per channel, in linear light,
 
     I = g [ J L(r) exp(-beta_D r) + B (1 - exp(-beta_B r)) ],   L(r) = (tau + r_bar^2) / (tau + r^2) with a lamp, else 1
 
-with a J of its own for every point, and a gain g of its own for every photograph that differs over it as the lens or a
-lamp's beam has it. J is projected out (variable projection, Golub and Pereyra 1973); the rest is searched on a grid and
-then refined by damped Gauss-Newton steps. Families of fewer terms are compared by the Bayesian information criterion.
+with a J for every point, and a gain g for every image that varies over it as the lens or the beam of a lamp does. J is
+projected out (variable projection, Golub and Pereyra 1973); the rest is searched on a grid and then refined by damped
+Gauss-Newton steps. Families of fewer terms are compared by the Bayesian information criterion.
 """
 
 from dataclasses import dataclass, replace
@@ -17,23 +17,27 @@ from scipy.sparse import csr_matrix
 from .observations import LEAST_VEIL, Observations
 
 OPEN_WATER_SD = 0.2
-"""Share by which B may differ from the light of what looks like open water."""
+"""Relative standard deviation of B from the light of what looks like open water."""
 MOST_SIGHTINGS = 6_000
-"""More tell nothing new: what is left then is no noise."""
+"""Observations that are fitted; more do not reduce the errors, which are no noise then."""
 USUAL_ERROR = 0.1
-"""Share by which a colour is off until a fit has shown it; weighs what is believed beforehand."""
+"""Relative error of a color until a fit has shown it; weighs the priors."""
 SEPARATION = 0.5
-"""Log ratio of beta_B and beta_D that is usual (Akkaynak and Treibitz 2018); only a long range shows it."""
+"""Usual log ratio of beta_B and beta_D (Akkaynak and Treibitz 2018); only a long range shows it."""
 GRID = np.geomspace(0.03, 4.0, 9)
-"""Coefficients times the median range that are tried first."""
+"""Coefficients times the median range from which the search starts."""
 LAMP_GRID = (0.1, 1.0, 10.0)
 """tau over the squared median range, likewise."""
 COEFFICIENTS = np.log((1e-3, 8.0))
+"""Bounds of the log of coefficients times the median range."""
 LAMPS = np.log((0.01, 1000.0))
-LENS, GAINS = slice(10, 15), 15
-"""Where the parameters of a fit have those of the photographs."""
+"""Bounds of the log of tau over the squared median range."""
+LENS = slice(10, 15)
+"""Place of the lens among the parameters of a fit."""
+GAINS = 15
+"""Place of the first log gain among the parameters of a fit."""
 PRIOR_SD = 2.0
-"""Of log gains and of the lens' fall-off: so wide that it only decides what the photographs leave open."""
+"""Standard deviation of log gains and lens terms: wide enough to decide only what the images leave open."""
 
 
 # Families of models ---------------------------------------------------------------------------------------------------
@@ -43,7 +47,13 @@ PRIOR_SD = 2.0
 class Family:
     """Which terms of the formula a fit has.
 
-    separate: beta_B is not beta_D. lens: light differs over each photograph. gains: and from one to the next.
+    Attributes:
+        attenuation: Light is lost with range.
+        backscatter: Light is added with range.
+        separate: beta_B is not beta_D.
+        lamp: Light falls off from the camera.
+        lens: Light varies over each image.
+        gains: Light varies from image to image.
     """
 
     attenuation: bool = False
@@ -56,11 +66,19 @@ class Family:
 
 @dataclass(frozen=True)
 class Fit:
-    """The values of a family that explain sightings best.
+    """The values of a family that explain observations best.
 
-    beta_D, beta_B (3,) per unit of the ranges, B (3,) linear light, tau in squared units (infinite without a lamp),
-    log_gains (V,) of the photographs with mean 0 and their covariance (V, V), lens (5,) as lens_terms takes them.
-    squares (3,): mean squared residual, weighted; residual (M, 3).
+    Attributes:
+        family: Its terms.
+        beta_D: (3,) per unit of the ranges.
+        beta_B: (3,) per unit of the ranges.
+        B: (3,) linear light.
+        tau: In squared units; infinite without a lamp.
+        log_gains: (V,) of the images, mean 0.
+        gain_covariance: (V, V) of the log gains.
+        lens: (5,) coefficients of lens_terms.
+        squares: (3,) mean squared weighted residual.
+        residual: (M, 3) weighted residual.
     """
 
     family: Family
@@ -76,6 +94,7 @@ class Fit:
 
     @property
     def parameters(self) -> int:
+        """Number of free parameters."""
         family = self.family
         return (
             3 * (family.attenuation + family.backscatter + family.separate)
@@ -85,15 +104,18 @@ class Fit:
         )
 
     def bic(self, count: float, independent: float = 3.0) -> float:
-        """Bayesian information criterion for `count` independent sightings of `independent` channels (1 to 3)."""
+        """Return the Bayesian information criterion for `count` independent observations of `independent` channels."""
         return float(count * independent / 3 * np.log(self.squares).sum() + self.parameters * np.log(count))
 
 
 class Sightings:
-    """Sightings made ready to be fitted: points and photographs numbered without gaps, ranges over their median `unit`.
+    """Observations prepared for fits: points and images numbered without gaps, ranges over their median `unit`.
 
-    weights (M, 3) make residuals shares of the channel's mean light; they are the same for all families. noise: the
-    mean squared residual that is to be expected. open_water (3,): light that B is believed to be near, if any.
+    Args:
+        observations: The observations.
+        weights: (M, 3) make residuals relative to the channel's mean light; the same for all families.
+        noise: Expected mean squared residual.
+        open_water: (3,) light that B is expected to be near, None without.
     """
 
     def __init__(
@@ -118,7 +140,7 @@ class Sightings:
         self.sums = csr_matrix((np.ones(len(rows)), (self.track, rows)))
 
     def without_outliers(self, fit: Fit) -> "Sightings":
-        """Without the tenth of the points that `fit` explains worst; single sightings that stand out weigh less."""
+        """Drop the tenth of the points that `fit` explains worst, and weigh single outliers less."""
         size = np.sqrt((fit.residual**2).mean(1))
         mean = np.bincount(self.track, size**2) / np.bincount(self.track)
         good = (mean <= np.quantile(mean, 0.9))[self.track]
@@ -128,8 +150,11 @@ class Sightings:
         return Sightings(self.observations.take(good), weights, noise, self.open_water)
 
     def half(self, random: np.random.Generator) -> "Sightings":
-        """A random half of the blocks of points: those seen first in the same third of the photographs and the same
-        quarter of the picture, for what is wrong with one surface (shine, blur) is wrong with all of its points."""
+        """Draw a random half of the blocks of points.
+
+        A block is what is seen first in the same third of the images and the same quarter of the image: what is wrong
+        with one surface (shine, blur) is wrong with all of its points.
+        """
         _, first = np.unique(self.track, return_index=True)
         third = self.image[first] * 3 // self.views
         blocks = third * 4 + (self.observations.place[first] > 0) @ [1, 2]
@@ -140,7 +165,16 @@ class Sightings:
     # -- one family ---------------------------------------------------------------------------------------------------
 
     def fit(self, family: Family, start: Fit | None = None, steps: int = 25) -> Fit:
-        """The values of `family` that leave the least squared residuals, from those of `start` or of a grid."""
+        """Fit a family by least squares.
+
+        Args:
+            family: Its terms.
+            start: Fit to start from; a grid without it.
+            steps: Gauss-Newton steps at most.
+
+        Returns:
+            The fit.
+        """
         values = self._start(family) if start is None else self._from(family, start)
         damping = 1e-3
         cost, gradient, curvature = self._linearised(family, values)
@@ -161,7 +195,7 @@ class Sightings:
         return self._result(family, values, curvature)
 
     # Parameters, in this order: log beta_D (3), log beta_B (3), B (3), log tau, lens (5), log gains (views). Ranges are
-    # in medians, so the first ten have size about 1. What a family has not is never moved.
+    # in medians, so the first ten have size about 1. Parameters that a family does not have stay.
 
     def _free(self, family: Family) -> np.ndarray:
         return np.concatenate(
@@ -323,8 +357,16 @@ class Sightings:
         return self._bounded(family, values)
 
     def resolution(self, fit: Fit, span: float, change: float) -> np.ndarray:
-        """Twice the standard error (3,) of the share of light that attenuation takes over `span`, were it `change`:
-        how well it would be known beside the terms of `fit`, a lens that falls off, and gains."""
+        """Estimate how well an attenuation would be known beside the terms of a fit, a lens and gains.
+
+        Args:
+            fit: Fit without attenuation.
+            span: Difference of range, in units of the ranges.
+            change: Fraction of light that the attenuation takes over that span.
+
+        Returns:
+            (3,) twice the standard error of that fraction.
+        """
         family = replace(fit.family, attenuation=True, lens=True)
         values = self._from(family, fit)
         values[:6] = np.log(-np.log1p(-change) / span * self.unit)
@@ -339,7 +381,7 @@ class Sightings:
         squares = np.maximum((residual**2).sum(0) / self.count, 1e-12)
         index = np.flatnonzero(self._free(family))
         covariance = np.zeros((len(values), len(values)))
-        # The channels of one sighting err alike: three of them are not three sightings.
+        # The channels of one observation err alike: three channels are not three observations.
         noise = squares.mean() * 3 / independent_channels(residual)
         covariance[np.ix_(index, index)] = noise * np.linalg.pinv(curvature[np.ix_(index, index)])
         centred = np.eye(self.views) - 1 / self.views  # only differences of gains mean anything
@@ -359,13 +401,15 @@ class Sightings:
 
 
 def lens_terms(place: np.ndarray) -> np.ndarray:
-    """(M, 5) what the log light over a photograph is made of, at places (M, 2): a lens' fall-off to the corners, or the
-    beam of a lamp that does not shine where the camera looks."""
+    """Return the terms (M, 5) of the log light over an image at places (M, 2): x, y, x^2, xy, y^2.
+
+    They stand for the fall-off of a lens to the corners, or the beam of a lamp that points elsewhere than the camera.
+    """
     x, y = place.T
     return np.stack([x, y, x * x, x * y, y * y], 1)
 
 
 def independent_channels(residual: np.ndarray) -> float:
-    """1 (channels that err alike, as grey photographs' do) to 3, of residuals (M, 3): the participation ratio."""
+    """Return the number of independent channels of residuals (M, 3), 1 to 3: their participation ratio."""
     moment = residual.T @ residual
     return float(np.trace(moment) ** 2 / max(np.sum(moment**2), 1e-300))

@@ -1,4 +1,4 @@
-"""The light in which each photograph shows the sparse points: what a scene's water, lamp and exposure are told from."""
+"""Observations: the linear light in which each image shows the sparse points."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,27 +12,34 @@ from ..scene.colmap import Points
 from ..scene.images import TrainingImage
 
 FIT_WIDTH = 640
-"""Pixels that the photographs should at least be wide."""
+"""Width that images should have at least, pixels."""
 FAR_WINDOW = 0.75
-"""Half the width in pixels of the patch that a colour is averaged over in the farthest view of a point."""
+"""Half the width of the patch that a color is averaged over in the farthest view of a point, pixels."""
 MAX_WINDOW = 40
+"""Half the width of a patch at most, pixels."""
 DARK_WINDOW = 9
-"""Pixels of the square that the darkest light around a point is taken from."""
+"""Side of the square that the darkest light around a point is taken from, pixels."""
 LEAST_OBSERVATIONS = 200
+"""Observations from which effects of range are examined."""
 LEAST_RANGE_RATIO = 1.15
-"""Of a point's farthest sighting to its nearest, that one point in twenty must have."""
+"""Farthest over nearest range of a point that one point in twenty must have."""
 LEAST_CHANGE = 0.10
-"""Share of its colour that the scene's range must take from a channel."""
+"""Fraction of its light that a channel must lose over the scene's range."""
 LEAST_VEIL = 0.02
-"""Light that the water must add at the far end of the scene."""
+"""Linear light that the water must add at the far end of the scene."""
 
 
 @dataclass(frozen=True)
 class Observations:
-    """M sightings of points: track (M,) index of the point, ranges (M,) in scene units, light (M, 3) linear.
+    """M observations of points.
 
-    image (M,) index of the photograph; place (M, 2) where in it, from its middle to the right and down, the corners
-    being at distance 1; darkest (M, 3) least light in a square of DARK_WINDOW pixels around the point.
+    Attributes:
+        track: (M,) index of the point.
+        ranges: (M,) scene units.
+        light: (M, 3) linear.
+        image: (M,) index of the image.
+        place: (M, 2) place in it, from its centre to the right and down; the corners are at distance 1.
+        darkest: (M, 3) least light in a square of DARK_WINDOW pixels around the point.
     """
 
     track: np.ndarray
@@ -44,25 +51,33 @@ class Observations:
 
     @property
     def radius(self) -> np.ndarray:
-        """(M,) distance from the photograph's middle, 1 at the corners."""
+        """(M,) distance from the image centre, 1 at the corners."""
         return np.linalg.norm(self.place, axis=1)
 
     def __len__(self) -> int:
         return len(self.track)
 
     def take(self, chosen: np.ndarray) -> "Observations":
-        """Those of an index or a mask (M,)."""
+        """Return the observations of an index or a mask (M,)."""
         return Observations(
             *(values[chosen] for values in (self.track, self.ranges, self.light, self.image, self.place, self.darkest))
         )
 
 
 def observe(images: Sequence[TrainingImage], point_indices: Sequence[np.ndarray], points: Points) -> Observations:
-    """Linear light of the points where each image saw them; point_indices (P,) an image: which points.
+    """Read the linear light of points where images see them.
 
-    A colour is the mean over a patch whose width goes with 1 / range, so that all views average the same part of the
-    world: a fixed window would wash far texture out and leave near texture, which looks like water. Points that fewer
-    than two images see, and patches that reach beyond the image or over invalid pixels, are left out.
+    A color is the mean over a patch whose width is proportional to 1 / range, so that all views average the same part
+    of the world: a fixed window would blur far texture and leave near texture, which looks like water. Points that
+    fewer than two images see, and patches that reach beyond the image or over invalid pixels, are dropped.
+
+    Args:
+        images: The images.
+        point_indices: (P,) for each image: which points it sees.
+        points: The sparse points.
+
+    Returns:
+        The observations.
     """
     located = [_project(image, indices, points) for image, indices in zip(images, point_indices, strict=True)]
     farthest = np.zeros(len(points.positions))
@@ -92,9 +107,12 @@ def _project(image: TrainingImage, indices: np.ndarray, points: Points) -> tuple
 
 
 def _patches(image: TrainingImage, pixels: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean linear light (P, 3) of squares of half width `half` (P,) around pixels (P, 2), the darkest (P, 3) around
-    them, and which squares (P,) lie whole in valid pixels. Pixels that a square covers in part count by that part:
-    squares of whole pixels miss the point by up to half of one, which is most of the error of far colours."""
+    """Mean linear light (P, 3) of squares of half width `half` (P,) around pixels (P, 2).
+
+    Also the darkest light (P, 3) around them, and which squares (P,) lie in valid pixels alone. Pixels that a square
+    covers in part count by that part: squares of whole pixels miss the point by up to half of one, which is most of
+    the error of far colors.
+    """
     height, width = image.valid.shape
     to_light = linear_of_bytes()
     planes = np.concatenate([to_light[image.pixels], image.valid[..., None]], axis=2)
@@ -114,7 +132,7 @@ def _patches(image: TrainingImage, pixels: np.ndarray, half: np.ndarray) -> tupl
 
 
 def track_ratio(observations: Observations) -> np.ndarray:
-    """Farthest over nearest range of each point that has sightings."""
+    """Return farthest over nearest range of each point that is observed."""
     _, track = np.unique(observations.track, return_inverse=True)
     nearest, farthest = np.full(track.max() + 1, np.inf), np.zeros(track.max() + 1)
     np.minimum.at(nearest, track, observations.ranges)

@@ -11,7 +11,7 @@ from ..base.errors import InputError
 from ..base.files import atomic_path
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..planning.plan import Plan, plan_scene
-from ..settings.effect_names import TOGETHER
+from ..settings.effect_names import EFFECTS, TOGETHER
 from ..settings.recipes import RECIPES, SWITCHES, has, recipe_of
 from ..settings.settings import TrainSettings
 from ..training.trainer import train
@@ -47,7 +47,7 @@ def rows(plan: Plan | None = None) -> list[Row]:
     """
     ours = recipe_of(OURS, "", plan.switches() if plan else None)
     table = [Row(name, name) for name in RECIPES]
-    for effect in (*TOGETHER, *SWITCHES):
+    for effect in (*TOGETHER, *EFFECTS, *SWITCHES):
         on = has(ours, TOGETHER.get(effect, (effect,))[0])
         state, word = ("off", "without") if on else ("on", "with")
         if recipe_of(OURS, f"{effect}={state}", plan.switches() if plan else None) != ours:

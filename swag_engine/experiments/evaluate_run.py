@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
-from ..effects.scene_effects import Simulated
+from ..effects.scene_effects import SceneEffects
 from ..evaluation.lpips import BACKBONES, load_lpips
 from ..evaluation.metrics import (
     comparable,
@@ -76,7 +76,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
             figures["restored"] = {"psnr": psnr, "delta_e": delta_e}
         scores.append(score)
         views[score.name] = figures
-        shown.append(compared(image, color, restored if simulated.owners() else None))
+        shown.append(compared(image, color, restored if simulated.models else None))
 
     test_psnr, test_ssim = mean_score(scores)
     summary = inspect_scene(scene)
@@ -202,7 +202,7 @@ def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) 
     return files
 
 
-def newest(folder: Path) -> tuple[GaussianCloud, Simulated, dict[str, Any]]:
+def newest(folder: Path) -> tuple[GaussianCloud, SceneEffects, dict[str, Any]]:
     """Gaussians and effects of a run's newest checkpoint, where they are rendered fastest, and its state."""
     loaded = load_checkpoint(folder)
     if loaded is None:

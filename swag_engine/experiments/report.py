@@ -60,7 +60,7 @@ def write_report(folder: Path) -> Path:
         shown = [
             picture(cloud, image.camera, settings.sh_degree, simulated=simulated, amount=amount) for amount in (1, 0)
         ]
-        pictures.append(compared(image, shown[0], shown[1] if simulated.owners() else None))
+        pictures.append(compared(image, shown[0], shown[1] if simulated.models else None))
 
     where = machine(cloud.means.device)
     parts = [

@@ -1,56 +1,43 @@
-"""Which effects a run simulates: each on, off or unknown, why, what it starts from, and what it costs.
-
-plan = plan_scene(Path("SCENE"), out=Path("FOLDER"))    writes FOLDER/plan.json
-print(describe(plan))
-"""
+"""The plan of a scene: each effect on, off or unknown, why, what training starts from, and what it costs."""
 
 import hashlib
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
 from ..base.strict_json import from_json, strict, to_json
-from ..effects.caustics import Illumination, illuminated
-from ..effects.depth_prior import depth_loss
-from ..effects.exposure import Exposure, exposed
-from ..effects.lamp import Lamp, lit
-from ..evidence import observations as water_observations
-from ..evidence.observations import FIT_WIDTH, observe
-from ..gaussians.init import gaussians_from_points
-from ..kernels.backends import device_for
-from ..priors.depth import depth_priors
-from ..priors.interpolate import admission, neighbour_pairs
-from ..scene.cameras import Camera
-from ..scene.colmap import Points, Scene, load_scene
+from ..effects.registry import REGISTRY
+from ..evidence.decision import Decision, State
+from ..evidence.observations import FIT_WIDTH
+from ..evidence.scene_evidence import DepthNetwork, FrameNetwork, SceneEvidence
+from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images, mask_of
 from ..scene.split import split_views
-from ..semantics.assign import EVERY, labels_in_view, semantic_loss
-from ..semantics.embed import DIMENSIONS
 from ..settings.effect_names import EFFECTS, parse_effects
-from ..water.medium import Medium, open_water, through_water
-from . import evidence
-from .evidence import Finding, State, WaterFindings
+from .costs import measured_costs
 
-DepthNetwork = Callable[[TrainingImage], np.ndarray]
-FrameNetwork = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
-TIMED_GAUSSIANS, TIMED_LABELS = 30_000, 8
-TIMINGS = 5
+PLAN_VERSION = 1
+"""Raised when decisions change so that stored plans of unchanged scenes are out of date."""
+STATES: dict[State, str] = {"on": "on", "off": "off", "unknown": "undetermined"}
+"""Words for the states."""
 
 
 @dataclass(frozen=True)
-class Effect:
+class PlannedEffect:
     """One line of the plan.
 
-    evidence: figures, each beside its threshold (NAME_least, NAME_most). cost_ms: of one iteration on this machine.
-    start: fitted values that training begins with. overruled: the user has decided, whatever the evidence says.
+    Attributes:
+        state: Whether the scene calls for the effect.
+        evidence: Figures, each beside its threshold (NAME_least, NAME_most).
+        reason: The decision in one sentence.
+        cost_ms: Cost of one iteration on this machine, ms.
+        start: Fitted values that training starts from.
+        overruled: Whether the user has decided, whatever the evidence says.
     """
 
     state: State
@@ -61,26 +48,36 @@ class Effect:
     overruled: bool = False
 
 
+NOT_EXAMINED = PlannedEffect("off", {}, "Not examined: the plan was made before this effect existed.", 0.0)
+"""An effect that a stored plan does not have."""
+
+
 @dataclass(frozen=True)
 class Plan:
-    """effects by name, in the order of EFFECTS; water: fitted beta_D, beta_B, B_inf with what they are `per` and in
-    which `light`, and their 95 % intervals; None where nothing was fitted. scene: what made_from gave for the scene."""
+    """Decisions about all effects of a scene.
 
-    effects: dict[str, Effect]
+    Attributes:
+        effects: By name, in the order of EFFECTS.
+        water: Fitted beta_D, beta_B, B_inf with what they are `per`, in which `light`, and their 95 % intervals; None
+            where nothing was fitted.
+        scene: Key of the scene, as `made_from` returned it.
+    """
+
+    effects: dict[str, PlannedEffect]
     water: dict[str, Any] | None
     scene: str
 
     def on(self, name: str) -> bool:
-        """Whether a run simulates the effect: what is unknown stays off, but what moves, which only a run can see."""
+        """Return whether a run models the effect."""
         state = self.effects[name].state
-        return state == "on" or (state == "unknown" and name == "moving_objects")
+        return state == "on" or (state == "unknown" and REGISTRY[name].on_when_unknown)
 
     def switches(self) -> dict[str, bool]:
-        """Whether a run simulates each effect, by name."""
+        """Return whether a run models each effect, by name."""
         return {name: self.on(name) for name in self.effects}
 
     def overruled(self, choices: Mapping[str, bool], reason: str = "The user's choice.") -> "Plan":
-        """The plan with choices, those of EFFECTS, in place of its own."""
+        """Return the plan with choices of the user in place of its own; names that are no effects are ignored."""
         changed = {
             name: replace(self.effects[name], state="on" if chosen else "off", reason=reason, overruled=True)
             for name, chosen in choices.items()
@@ -89,38 +86,37 @@ class Plan:
         return replace(self, effects=self.effects | changed)
 
     def to_json(self) -> dict[str, Any]:
-        """As plan.json has it."""
-        return {
-            "effects": {
-                name: {
-                    "state": effect.state,
-                    "evidence": effect.evidence,
-                    "reason": effect.reason,
-                    "cost_ms": effect.cost_ms,
-                    "start": effect.start,
-                    "overruled": effect.overruled,
-                }
-                for name, effect in self.effects.items()
-            },
-            "water": self.water,
-            "scene": self.scene,
-        }
+        """Return the document of plan.json."""
+        effects = {name: asdict(effect) for name, effect in self.effects.items()}
+        return {"effects": effects, "water": self.water, "scene": self.scene}
 
     @classmethod
     def from_json(cls, document: dict[str, Any]) -> "Plan":
-        """What to_json gave. Raises InputError for anything else."""
+        """Read the document of a plan.json; effects that it does not have are off.
+
+        Raises:
+            InputError: If the document is not a plan.
+        """
         try:
-            effects = {name: Effect(**document["effects"][name]) for name in EFFECTS}
-            wrong = sorted({str(effect.state) for effect in effects.values()} - set(STATES))
-            if wrong:
-                raise InputError(f"This is no plan: a state is {wrong[0]!r}, not one of {', '.join(STATES)}.")
-            return cls(effects, document["water"], str(document["scene"]))
-        except (KeyError, TypeError) as error:
-            raise InputError(f"This is no plan: {error} is missing or wrong; make it again.") from error
+            stored = {name: PlannedEffect(**effect) for name, effect in document["effects"].items()}
+            water, scene = document["water"], str(document["scene"])
+        except (AttributeError, KeyError, TypeError) as error:
+            raise InputError(f"This is not a plan: {error} is missing or wrong; make the plan again.") from error
+        if unknown := sorted(set(stored) - set(EFFECTS)):
+            raise InputError(f"This plan has an effect that is not known here, {unknown[0]}: make the plan again.")
+        if not set(stored) >= {"attenuation", "lamp"}:
+            raise InputError("This is not a plan: it has no decisions; make the plan again.")
+        if wrong := sorted({str(effect.state) for effect in stored.values()} - set(get_args(State))):
+            raise InputError(f"This is not a plan: a state is {wrong[0]!r}, not one of {', '.join(get_args(State))}.")
+        return cls({name: stored.get(name, NOT_EXAMINED) for name in EFFECTS}, water, scene)
 
 
 def read_plan(path: Path) -> Plan:
-    """The plan in a plan.json. Raises InputError when it cannot be read."""
+    """Read a plan.json.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
     try:
         document = from_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -131,20 +127,21 @@ def read_plan(path: Path) -> Plan:
         raise InputError(f"{path}: {error}") from error
 
 
+def write_plan(path: Path, plan: Plan) -> None:
+    """Write a plan.json, whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(to_json(plan.to_json(), indent=2) + "\n")
+
+
 def made_from(scene: Scene) -> str:
-    """A word that changes with the photographs, the masks, the cameras and points, and with the code that plans."""
-    hashed = hashlib.sha256()
+    """Compute the key of a scene: it changes with images, masks, cameras, points, and the version of the planner."""
+    hashed = hashlib.sha256(f"plan {PLAN_VERSION};".encode())
     for view in scene.views:
         for path in (view.path, mask_of(scene, view)):
             hashed.update(f"{view.name} {path and path.stat().st_size} {path and path.stat().st_mtime_ns};".encode())
         hashed.update(view.camera.world_to_camera.tobytes())
     hashed.update(scene.points.positions.tobytes())
-    for source in sorted((*Path(__file__).parent.glob("*.py"), Path(water_observations.__file__))):
-        hashed.update(source.read_bytes())
     return hashed.hexdigest()[:16]
-
-
-# Making it ------------------------------------------------------------------------------------------------------------
 
 
 def plan_scene(
@@ -157,35 +154,47 @@ def plan_scene(
     width: int = FIT_WIDTH,
     backend: str = "auto",
 ) -> Plan:
-    """Look at a scene and decide; written to out/plan.json where `out` is given.
+    """Plan a scene.
 
-    labels: the user wants names for things. depth and interpolator: as depth_priors and admission take them; without
-    them it stays unknown whether they would help.
-    Raises InputError as load_scene and load_images do.
+    Args:
+        scene_folder: Folder of the scene.
+        out: Folder for plan.json; not written without it.
+        labels: Whether the user wants labels.
+        depth: Depth network; without one the depth prior may remain unknown.
+        interpolator: Frame interpolation network; without one interpolation may remain unknown.
+        width: Width that will be trained at, at which costs are measured, pixels.
+        backend: What computes.
+
+    Returns:
+        The plan.
+
+    Raises:
+        InputError: If the scene cannot be read.
     """
     scene = load_scene(scene_folder)
     split = split_views([view.name for view in scene.views])
     seen = [view for view in scene.views if view.name not in set(split.test)]
     images = load_images(scene, seen, FIT_WIDTH)
-    plan = make_plan(
-        scene,
-        images,
-        labels=labels,
-        depth=depth,
-        interpolator=interpolator,
-        width=width,
-        backend=backend,
-    )
+    plan = make_plan(scene, images, labels=labels, depth=depth, interpolator=interpolator, width=width, backend=backend)
     if out is not None:
         write_plan(out / "plan.json", plan)
     return plan
 
 
 def plan_and_keep(scene_folder: Path, out: Path | None, effects: str, width: int = FIT_WIDTH) -> tuple[Plan, str]:
-    """The plan of a scene with the user's choices, as parse_effects takes them, and a sentence on where it was written:
-    to plan.json in `out`, else in the scene's folder, where training finds it.
+    """Plan a scene with the user's choices and keep the plan where training finds it.
 
-    Raises InputError as plan_scene does, for wrong choices, and where `out` cannot be written.
+    Args:
+        scene_folder: Folder of the scene.
+        out: Folder for plan.json; the scene's own folder without it.
+        effects: Choices as `parse_effects` takes them.
+        width: Width that will be trained at, pixels.
+
+    Returns:
+        The plan, and a sentence on where it was written.
+
+    Raises:
+        InputError: If the scene cannot be read, for wrong choices, and where `out` cannot be written.
     """
     choices = parse_effects(effects)
     plan = plan_scene(scene_folder, width=width).overruled(choices)
@@ -199,12 +208,6 @@ def plan_and_keep(scene_folder: Path, out: Path | None, effects: str, width: int
     return plan, f"Written to {path}."
 
 
-def write_plan(path: Path, plan: Plan) -> None:
-    """plan.json, whole or not at all."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(to_json(plan.to_json(), indent=2) + "\n")
-
-
 def make_plan(
     scene: Scene,
     images: Sequence[TrainingImage],
@@ -215,178 +218,59 @@ def make_plan(
     width: int = FIT_WIDTH,
     backend: str = "auto",
 ) -> Plan:
-    """Decide from photographs of the scene that are not for testing, FIT_WIDTH wide or as wide as they are.
-
-    width: pixels that training takes, which costs are measured at.
-    """
-    images = sorted(images, key=lambda image: image.camera.name)  # what is drawn at random is the same for all callers
-    names = [image.camera.name for image in images]
-    views = {view.name: view for view in scene.views}
-    observations = observe(images, [views[name].point_indices for name in names], scene.points)
-    centres = np.stack([image.camera.centre for image in images])
-    caustics = evidence.caustics_finding(observations, centres, scene.points.positions)
-    water = evidence.water_findings(observations, evidence.open_water_light(images, scene))
-    findings = water.effects | {"caustics": caustics}
-    separate = findings["separate_backscatter"]
-    if findings["backscatter"].state == "on" and separate.state == "off":
-        # Water has two coefficients (Akkaynak and Treibitz 2018) even where points cannot tell them apart, and one in
-        # place of two costs colours: delta E 13.6 against 10.8 on the demo.
-        findings["separate_backscatter"] = replace(
-            separate, state="on", reason=f"Water has two coefficients, and the second costs nothing. {separate.reason}"
-        )
-    findings["moving_objects"] = evidence.moving_objects_finding(
-        [name for name in names if mask_of(scene, views[name])]
-    )
-    findings["interpolation"] = _interpolation(scene, images, interpolator)
-    findings["semantics"] = evidence.semantics_finding(labels, images, scene, findings["backscatter"].state == "on")
-    findings["depth_prior"] = _depth_prior(scene, images, depth)
+    """Plan a scene from images that are not for testing, FIT_WIDTH wide or as wide as they are; see `plan_scene`."""
+    # Sorted, so that what is drawn at random is the same for all callers.
+    images = sorted(images, key=lambda image: image.camera.name)
+    evidence = SceneEvidence(scene, images, labels, depth, interpolator)
+    decisions = decide_all(evidence)
     trained = images[0].camera.resized(min(width, images[0].camera.width))
     costs = measured_costs(trained.width, trained.height, backend)
-    starts = _starts(water, names)
     effects = {
-        name: Effect(
-            findings[name].state,
-            strict(findings[name].evidence),
-            findings[name].reason,
+        name: PlannedEffect(
+            decision.state,
+            strict(decision.evidence),
+            decision.reason,
             round(costs[name], 3),
-            starts.get(name, {}),
+            REGISTRY[name].fitted(evidence) if decision.state == "on" else {},
         )
-        for name in EFFECTS
+        for name, decision in decisions.items()
     }
-    return Plan(effects, _water(water), made_from(scene))
+    return Plan(effects, _water(evidence), made_from(scene))
 
 
-def _interpolation(scene: Scene, images: Sequence[TrainingImage], network: FrameNetwork | None) -> Finding:
-    """The network is only asked where the photographs call for it: it takes seconds a frame."""
-    training = split_views([view.name for view in scene.views]).train
-    pairs = neighbour_pairs([view.name for view in scene.views], training)
-    finding = evidence.interpolation_finding(pairs, scene, None)
-    if network is None or finding.state != "unknown":
-        return finding
-    by_name = {image.camera.name: image for image in images}
-    return evidence.interpolation_finding(pairs, scene, admission(network, by_name, pairs))
+def decide_all(evidence: SceneEvidence) -> dict[str, Decision]:
+    """Decide about all effects, in the order of the registry."""
+    decisions: dict[str, Decision] = {}
+    for name, effect in REGISTRY.items():
+        decisions[name] = effect.decide(evidence, decisions)
+    return decisions
 
 
-def _depth_prior(scene: Scene, images: Sequence[TrainingImage], network: DepthNetwork | None) -> Finding:
-    finding = evidence.depth_prior_finding(images, scene, None)
-    if network is None or finding.state != "unknown":
-        return finding
-    _, alignments = depth_priors(network, images, scene)
-    accepted = float(np.mean([alignment.accepted for alignment in alignments.values()]))
-    return evidence.depth_prior_finding(images, scene, accepted)
-
-
-def _starts(water: WaterFindings, names: Sequence[str]) -> dict[str, dict[str, Any]]:
-    fit = water.fit
-    if fit is None:
-        return {}
-    starts: dict[str, dict[str, Any]] = {}
-    if water.effects["lamp"].state == "on":
-        starts["lamp"] = {"tau": fit.tau}
-    if water.effects["exposure"].state == "on":
-        gains = dict.fromkeys(names, 0.0)
-        gains.update(
-            {names[image]: round(float(gain), 5) for image, gain in zip(water.images, fit.log_gains, strict=True)}
-        )
-        starts["exposure"] = {"log_gains": gains}
-    return starts
-
-
-def _water(water: WaterFindings) -> dict[str, Any] | None:
-    fit = water.fit
-    if fit is None or not fit.family.attenuation:
+def _water(evidence: SceneEvidence) -> dict[str, Any] | None:
+    """The fitted water as plan.json has it."""
+    terms = evidence.water_terms
+    if terms is None or not terms.fit.family.attenuation:
         return None
-    values = {name: getattr(fit, name) for name in ("beta_D", "beta_B", "B")}
+    values = {name: getattr(terms.fit, name) for name in ("beta_D", "beta_B", "B")}
 
     def rounded(of: dict[str, np.ndarray]) -> dict[str, list[Any]]:
         names = {"B": "B_inf"}
         return {names.get(name, name): np.round(value.clip(min=0), 6).tolist() for name, value in of.items()}
 
-    return rounded(values) | {"light": "linear", "per": "unit", "intervals": rounded(water.intervals)}
-
-
-# What it costs --------------------------------------------------------------------------------------------------------
-
-
-def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, float]:
-    """Milliseconds that each effect adds to an iteration, forward and backward, at TIMED_GAUSSIANS Gaussians and
-    pictures of width x height, with TIMED_LABELS labels where things get names; 0 for what changes only which
-    photographs there are, or what is known already."""
-    device = device_for(backend)
-    generator = torch.Generator().manual_seed(0)
-
-    def random(*shape: int) -> Tensor:
-        return torch.rand(*shape, generator=generator).to(device).requires_grad_()
-
-    colors, picture, distances = random(TIMED_GAUSSIANS, 3), random(height, width, 3), random(height, width)
-    offsets = random(TIMED_GAUSSIANS, 3).detach() + 1
-    features, targets = random(TIMED_GAUSSIANS, DIMENSIONS), random(TIMED_GAUSSIANS, DIMENSIONS).detach()
-    weights = random(height, width, 3).detach()
-    medium = Medium.starting(2.0).to(device)
-    lamp, exposure = Lamp(torch.zeros((), device=device), 2.0), Exposure(torch.zeros(1, 1, device=device), [""])
-    illumination = Illumination.starting([""], width, height)
-    illumination.log_light = illumination.log_light.to(device)
-    for tensor in (*medium.parameters().values(), lamp.log_tau, exposure.raw, illumination.log_light):
-        tensor.requires_grad_()
-    camera = Camera("", width, height, width, width, width / 2, height / 2, np.eye(4))
-    viewmat, K = (
-        torch.as_tensor(matrix, dtype=torch.float32).to(device) for matrix in (camera.world_to_camera, camera.K)
-    )
-    solid = torch.ones(height, width, device=device)
-    places = np.random.default_rng(0).uniform(-1, 1, (TIMED_GAUSSIANS, 3)) * [1, height / width, 0.01] + [0, 0, 2]
-    unseen = np.zeros(len(places))
-    cloud = gaussians_from_points(
-        Points(places, np.zeros(places.shape, np.uint8), unseen, unseen), len(places), 0, 0, np.zeros(3)
-    ).to(device)
-    labels = np.arange(width) * TIMED_LABELS // width + np.ones((height, 1), int)
-
-    def names() -> Tensor:
-        return semantic_loss(features, targets, labels_in_view(cloud, camera, labels, backend) > 0)
-
-    def prior() -> Tensor:
-        return depth_loss(distances + 1, solid, solid * 0.5, 2.0)
-
-    work: dict[str, Callable[[], Tensor]] = {
-        "attenuation": lambda: through_water(colors, offsets, medium, backend=backend).sum(),
-        "backscatter": lambda: (open_water(medium, viewmat, K, width, height, backend=backend) * weights).sum(),
-        "lamp": lambda: lit(colors, offsets.norm(dim=1), lamp).sum(),
-        "exposure": lambda: (exposed(picture, exposure, "") * weights).sum(),
-        "caustics": lambda: (illuminated(picture, illumination, "") * weights).sum(),
-        "semantics": names,
-        "depth_prior": prior,
-    }
-    costs = dict.fromkeys(EFFECTS, 0.0) | {name: _milliseconds(once, device) for name, once in work.items()}
-    return costs | {"semantics": costs["semantics"] / EVERY}
-
-
-def _milliseconds(once: Callable[[], Tensor], device: torch.device) -> float:
-    """Least time of a forward and backward pass: what else the machine does is not the effect's."""
-    times = []
-    for _ in range(TIMINGS + 1):
-        started = time.perf_counter()
-        once().backward()
-        if device.type == "cuda":
-            torch.cuda.synchronize()
-        times.append(time.perf_counter() - started)
-    return 1000 * min(times[1:])
-
-
-# Showing it -----------------------------------------------------------------------------------------------------------
-
-STATES = {"on": "on", "off": "off", "unknown": "cannot tell"}
+    return rounded(values) | {"light": "linear", "per": "unit", "intervals": rounded(terms.intervals)}
 
 
 def describe(plan: Plan) -> str:
-    """The plan as a table for a terminal: effect, state, cost, reason; then the water that training starts from."""
+    """Return the plan as a table for a terminal: effect, state, cost, reason; then the water training starts from."""
     lines = []
     for name, effect in plan.effects.items():
         title = name.replace("_", " ")
-        lines.append(f"{title:<21}{STATES[effect.state]:<13}{effect.cost_ms:6.2f} ms  {effect.reason}")
+        lines.append(f"{title:<21}{STATES[effect.state]:<14}{effect.cost_ms:6.2f} ms  {effect.reason}")
     if plan.water and plan.on("attenuation"):
         lines.append("")
         titles = {"beta_D": "attenuation per unit"}
         if plan.on("backscatter"):
-            titles |= {"beta_B": "backscatter per unit", "B_inf": "open water"}
+            titles |= {"beta_B": "backscatter per unit", "B_inf": "background light"}
         for key, title in titles.items():
             figures = "  ".join(
                 f"{color} {value:.4f} ({low:.4f} to {high:.4f})"

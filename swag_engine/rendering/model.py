@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..effects.scene_effects import Simulated
+from ..effects.scene_effects import SceneEffects
 from ..gaussians.cloud import GaussianCloud
 
 CLOUD = "cloud."
@@ -23,7 +23,7 @@ class SceneModel:
     """
 
     cloud: GaussianCloud
-    effects: Simulated
+    effects: SceneEffects
 
     @classmethod
     def from_checkpoint(cls, tensors: dict[str, Tensor], stored: dict[str, Any]) -> "SceneModel":
@@ -36,7 +36,7 @@ class SceneModel:
         Returns:
             The model, which shares no memory with the arguments.
         """
-        return cls(cloud_from_checkpoint(tensors), Simulated.from_checkpoint(tensors, stored))
+        return cls(cloud_from_checkpoint(tensors), SceneEffects.from_checkpoint(tensors, stored))
 
     def to(self, device: torch.device) -> "SceneModel":
         """Return the model with its tensors on a device."""

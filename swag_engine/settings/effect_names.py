@@ -1,44 +1,55 @@
-"""The words that effects are switched by, the same in the plan, on the command line and in Blender."""
+"""Names of effects and of parts of the method, the same in the plan, on the command line and in Blender.
+
+EFFECTS is the registry of effects: each name is a file of swag_engine/effects/.
+"""
 
 from ..base.errors import InputError
 
 EFFECTS = {
-    "attenuation": "The water takes light, of one colour more than of another.",
+    "attenuation": "The water takes light, of one color more than of another.",
     "backscatter": "The water adds light of its own.",
-    "separate_backscatter": "That light grows with range by a coefficient of its own.",
+    "separate_backscatter": "The light that the water adds grows with range by a coefficient of its own.",
     "lamp": "A lamp at the camera: light falls off with the square of the range.",
-    "exposure": "Each photograph has a brightness of its own.",
+    "exposure": "Each photo has an exposure of its own.",
     "caustics": "Light that waves throw on the ground flickers.",
-    "moving_objects": "Fish, divers and other things that move are left out.",
-    "interpolation": "Frames are made between photographs that are far apart.",
-    "semantics": "Things get names.",
-    "depth_prior": "A network's depth helps where sparse points are few.",
+    "moving_objects": "Fish, divers and other moving objects are masked out.",
+    "interpolation": "Frames are interpolated between photos that are far apart.",
+    "semantics": "Gaussians get labels.",
+    "depth_prior": "Predicted depth helps where sparse points are few.",
 }
-"""What the plan decides for a scene, and what each is."""
+"""Effects that the plan decides about, in the order of decisions, with a sentence for the user."""
 PARTS = {
-    "stages": "Geometry and water are frozen at the end, and colours follow the square error.",
-    "dropout": "Gaussians are left out at random where photographs are learned by heart.",
-    "reallocation": "Gaussians move from where they show least to where the error is largest.",
-    "grey_world": "The place without water is grey on average.",
-    "smoothness": "Range is smooth where the photograph is.",
+    "stages": "Geometry and water are frozen at the end, and colors follow the squared error.",
+    "dropout": "Gaussians are dropped at random where the run overfits.",
+    "reallocation": "Gaussians are relocated from where they matter least to where the error is largest.",
+    "grey_world": "The scene without water is grey on average.",
+    "smoothness": "Range is smooth where the photo is.",
     "hinge": "The channels keep their order of attenuation.",
-    "salient_growth": "Gaussians of what stands out grow first.",
-    "salient_pixels": "Pixels of what stands out weigh more.",
+    "salient_growth": "Salient regions are densified first.",
+    "salient_pixels": "Pixels of salient regions weigh more.",
     "open_water": "Open water has no Gaussians of its own.",
-    "class_pruning": "Gaussians of water and haze are taken out.",
+    "class_pruning": "Gaussians of water and haze are removed.",
 }
-"""What a method has or has not, whatever the scene; the plan is silent about them."""
+"""Parts of a method that do not depend on the scene; the plan does not decide about them."""
 TOGETHER = {"water": ("attenuation", "backscatter")}
-"""Words for several effects at once."""
+"""Names for several effects at once."""
 NEEDS = {"backscatter": "attenuation", "separate_backscatter": "backscatter"}
-"""An effect that makes no sense without another."""
+"""Effects that make no sense without another."""
 
 
 def parse_effects(text: str) -> dict[str, bool]:
-    """What `--effects attenuation=off,lamp=on` says, by name, with what it implies; the last word on a name counts.
+    """Parse choices such as "attenuation=off,lamp=on".
 
-    Switching an effect on switches on what it needs, switching one off what needs it. Raises InputError naming the word
-    that is wrong, or two that contradict one another.
+    Switching an effect on switches on what it needs; switching one off switches off what needs it.
+
+    Args:
+        text: Choices between commas; the last one on a name counts.
+
+    Returns:
+        Whether each effect or part is on, by name, with what the choices imply.
+
+    Raises:
+        InputError: For an unknown name or state, or choices that contradict one another.
     """
     said: dict[str, bool] = {}
     for part in filter(None, (piece.strip() for piece in text.split(","))):

@@ -30,20 +30,8 @@ class Recipe:
 
     planned: bool = False
     """Let the scene's plan (effects/plan.py) say which effects to simulate; else only what the recipe names."""
-    attenuation: bool = False
-    """Model the water."""
-    backscatter: bool = False
-    """Let the water add light of its own."""
-    separate_backscatter: bool = False
-    """Let that light grow with range by a coefficient of its own, else by the attenuation's."""
-    lamp: bool = False
-    """Light that falls off from the camera (effects/lamp.py)."""
-    exposure: bool = False
-    """A gain for each photograph (effects/exposure.py)."""
-    caustics: bool = False
-    """A coarse field of light for each photograph (effects/caustics.py)."""
-    moving_objects: bool = False
-    """Leave out what moved between photographs, by what stays unexplained (effects/moving_objects.py)."""
+    effects: frozenset[str] = frozenset()
+    """Names of the effects that are modelled."""
 
     medium: Literal["analytic", "network"] = "analytic"
     """Coefficients of the whole scene (water/medium.py), or a network of direction and range (water/network.py)."""
@@ -80,8 +68,8 @@ class Recipe:
     """Most that an iteration leaves out at random, as a share of the Gaussians, where photographs are learned by heart
     (training/dropout.py)."""
 
-    depth: float = 0.0
-    """Weight of the depth prior at the start; falls to a tenth geometrically until stage two."""
+    depth_weight: float = 0.1
+    """Weight of the depth prior at the start, where it is on; falls to a tenth geometrically until stage two."""
     grey_world: float = 0.0
     """Weight of the restored picture being grey on average."""
     grey_world_target: Literal["mean", "middle"] = "mean"
@@ -95,11 +83,8 @@ class Recipe:
     """The order that the sparse points gave, or red over green over blue."""
     range_consistency: float = 0.0
     """Weight of the range that the network's transmission implies being the Gaussian's (recipe paper's L_ca)."""
-    interpolation: float = 0.0
-    """Weight of interpolated frames."""
-
-    semantics: bool = False
-    """Learn what each Gaussian is part of, and label the result (semantics/guidance.py). It changes no picture."""
+    frame_weight: float = 0.1
+    """Weight of interpolated frames, where they are on."""
     salient_growth: bool = False
     """Grow, and reallocate to, what stands out in the photographs more than the rest."""
     salient_pixels: bool = False
@@ -112,23 +97,28 @@ class Recipe:
     @property
     def uses_regions(self) -> bool:
         """Whether the photographs have to be parted into regions."""
-        return any((self.semantics, self.salient_growth, self.salient_pixels, self.open_water, self.class_pruning))
+        return "semantics" in self.effects or any(
+            (self.salient_growth, self.salient_pixels, self.open_water, self.class_pruning)
+        )
 
 
 PAPER_LOSS = Photometric(l1=(0.56, 0.96), ssim=0.2, l2=(0.0, 0.1))
 PAPER_LOSS_TWO = Photometric(l1=(0.7, 1.2), ssim=0.0, l2=(0.9, 0.9))
 
-WATER: dict[str, Any] = {"attenuation": True, "backscatter": True, "separate_backscatter": True}
+WATER = frozenset({"attenuation", "backscatter", "separate_backscatter"})
+"""Effects of methods that always model the water."""
 
 RECIPES: dict[str, Recipe] = {
     "swag": Recipe(planned=True, water_rate=1e-3, veil_rate=1e-2, stage_two_from=0.9, dropout=0.2),
     "3dgs": Recipe(),
-    "seasplat": Recipe(**WATER, light="srgb", water_from=0.33, veil_degrees_from=1.0, grey_world=0.02, smoothness=0.05),
-    "uw-gs": Recipe(**WATER, light="srgb", veil_degrees_from=1.0, depth=0.1, undimmed_growth=True),
-    "watersplatting": Recipe(**WATER, light="srgb", veil_degrees_from=0.0, relative=True),
-    "rusplatting": Recipe(**WATER, light="srgb", veil_degrees_from=1.0, smoothness=0.05, interpolation=0.1),
+    "seasplat": Recipe(
+        effects=WATER, light="srgb", water_from=0.33, veil_degrees_from=1.0, grey_world=0.02, smoothness=0.05
+    ),
+    "uw-gs": Recipe(effects=WATER | {"depth_prior"}, light="srgb", veil_degrees_from=1.0, undimmed_growth=True),
+    "watersplatting": Recipe(effects=WATER, light="srgb", veil_degrees_from=0.0, relative=True),
+    "rusplatting": Recipe(effects=WATER | {"interpolation"}, light="srgb", veil_degrees_from=1.0, smoothness=0.05),
     "paper": Recipe(
-        **WATER,
+        effects=WATER | {"depth_prior", "interpolation"},
         medium="network",
         light="srgb",
         photometric=PAPER_LOSS,
@@ -136,7 +126,6 @@ RECIPES: dict[str, Recipe] = {
         photometric_two=PAPER_LOSS_TWO,
         grow_until=0.4,
         reallocation="identical",
-        depth=0.1,
         grey_world=1.0,
         grey_world_target="middle",
         smoothness=0.05,
@@ -144,26 +133,10 @@ RECIPES: dict[str, Recipe] = {
         hinge=1e-3,
         hinge_order="oceanic",
         range_consistency=0.1,
-        interpolation=0.1,
     ),
 }
 
 SWITCHES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    **{
-        name: ({name: True}, {name: False})
-        for name in (
-            "attenuation",
-            "backscatter",
-            "separate_backscatter",
-            "lamp",
-            "exposure",
-            "caustics",
-            "moving_objects",
-        )
-    },
-    "interpolation": ({"interpolation": 0.1}, {"interpolation": 0.0}),
-    "semantics": ({"semantics": True}, {"semantics": False}),
-    "depth_prior": ({"depth": 0.1}, {"depth": 0.0}),
     "stages": ({"stage_two_from": 0.6}, {"stage_two_from": 1.0}),
     "dropout": ({"dropout": 0.2}, {"dropout": 0.0}),
     "reallocation": ({"reallocation": "balanced"}, {"reallocation": "off"}),
@@ -175,8 +148,8 @@ SWITCHES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "open_water": ({"open_water": 0.1}, {"open_water": 0.0}),
     "class_pruning": ({"class_pruning": True}, {"class_pruning": False}),
 }
-"""The recipe's values with an effect or a part, and without it."""
-assert set(SWITCHES) == {*EFFECTS, *PARTS}
+"""Values of the recipe with and without each part of the method."""
+assert set(SWITCHES) == set(PARTS)
 
 
 def recipe_of(name: str, effects: str = "", planned: Mapping[str, bool] | None = None) -> Recipe:
@@ -195,16 +168,27 @@ def recipe_of(name: str, effects: str = "", planned: Mapping[str, bool] | None =
 
 
 def switched(recipe: Recipe, choices: Mapping[str, bool]) -> Recipe:
-    """The recipe with effects and parts on or off by name; what is on already keeps its values."""
-    for effect, chosen in choices.items():
-        on, off = SWITCHES[effect]
-        if not chosen:
-            recipe = replace(recipe, **off)
-        elif not has(recipe, effect):
-            recipe = replace(recipe, **on)
+    """Switch effects and parts of a recipe.
+
+    Args:
+        recipe: The recipe.
+        choices: Whether each is on, by name; parts that are on already keep their values.
+
+    Returns:
+        The changed recipe.
+    """
+    for name, chosen in choices.items():
+        if name in EFFECTS:
+            recipe = replace(recipe, effects=recipe.effects | {name} if chosen else recipe.effects - {name})
+        elif not chosen:
+            recipe = replace(recipe, **SWITCHES[name][1])
+        elif not has(recipe, name):
+            recipe = replace(recipe, **SWITCHES[name][0])
     return recipe
 
 
-def has(recipe: Recipe, effect: str) -> bool:
-    """Whether the recipe has an effect or a part on."""
-    return any(getattr(recipe, field) != value for field, value in SWITCHES[effect][1].items())
+def has(recipe: Recipe, name: str) -> bool:
+    """Return whether a recipe has an effect or a part on."""
+    if name in EFFECTS:
+        return name in recipe.effects
+    return any(getattr(recipe, field) != value for field, value in SWITCHES[name][1].items())

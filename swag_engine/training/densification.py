@@ -82,7 +82,7 @@ class Densification:
         objective = self.selection.objective(recipe)
 
         def loss(color: Tensor, target: Target) -> Tensor:
-            shown = state.effects.developed(color, target.camera.name)
+            shown = state.effects.apply_to_image(color, target.camera.name)
             return objective.reconstruction(shown, target, fraction)
 
         views = [

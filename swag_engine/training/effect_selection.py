@@ -1,16 +1,14 @@
 """Which effects a run models, what they start from, and switching them while the run lasts."""
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 
-from ..effects.caustics import Illumination
-from ..effects.exposure import Exposure
-from ..effects.lamp import Lamp
-from ..effects.scene_effects import Simulated
+from ..effects.effect import InitialContext
+from ..effects.scene_effects import SceneEffects
 from ..gaussians.cloud import GaussianCloud
 from ..planning.plan import Plan
+from ..settings.effect_names import EFFECTS
 from ..settings.recipes import SWITCHES, Recipe, has, recipe_of, switched
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
@@ -19,9 +17,6 @@ from .inputs import RunInputs
 from .objective import Objective
 from .state import RunState
 from .trials import undetermined_effects
-
-RATES = {"lamp": 1e-2, "exposure": 5e-3, "caustics": 2e-2}
-"""Adam step sizes at the start of the run; they fall to 0 as a cosine."""
 
 
 class EffectSelection:
@@ -55,7 +50,7 @@ class EffectSelection:
         """Return the effects to try, all off."""
         return dict.fromkeys(self.to_try, False)
 
-    def initial_effects(self, recipe: Recipe, cloud: GaussianCloud) -> Simulated:
+    def initial_effects(self, recipe: Recipe, cloud: GaussianCloud) -> SceneEffects:
         """Make the effects that a run starts with, and take their water out of the cloud's colors, in place."""
         self._find_water(recipe, cloud)
         return self._initial(recipe, self.water.medium)
@@ -65,23 +60,23 @@ class EffectSelection:
         state.choices |= choices
         state.recipe = self.recipe(state.choices)
         medium = None
-        if state.recipe.attenuation:
+        if "attenuation" in state.recipe.effects:
             if state.effects.medium is None:
                 with torch.no_grad():
                     self._find_water(state.recipe, state.cloud)
             medium = state.effects.medium or self.water.medium
         effects = self._initial(state.recipe, medium)
-        for name, effect in state.effects.owners().items():
-            if getattr(effects, name) is not None:
-                setattr(effects, name, effect)
-        state.optimizer.simulated = effects
+        effects.models |= {name: model for name, model in state.effects.models.items() if name in effects.models}
+        state.optimizer.effects = effects
         state.optimizer.adopt()
         state.guarded.keep(state.optimizer)
 
     def switched_on(self, state: RunState) -> list[str]:
         """Return the effects and parts of the method that the run has on."""
         return [
-            name for name in SWITCHES if has(state.recipe, name) and (name != "moving_objects" or state.motion.masks)
+            name
+            for name in (*EFFECTS, *SWITCHES)
+            if has(state.recipe, name) and (name != "moving_objects" or state.motion.masks)
         ]
 
     def _find_water(self, recipe: Recipe, cloud: GaussianCloud) -> None:
@@ -89,26 +84,27 @@ class EffectSelection:
         if isinstance(self.water.medium, Medium) and self.plan:
             remove_water_from_colors(cloud, self.water.medium, self.inputs.training)
 
-    def _initial(self, recipe: Recipe, medium: Medium | WaterNetwork | None) -> Simulated:
+    def _initial(self, recipe: Recipe, medium: Medium | WaterNetwork | None) -> SceneEffects:
         """All effects of the recipe at their initial values: those of the plan, else neutral ones."""
-
-        def fitted(effect: str) -> dict[str, Any]:
-            return self.plan.effects[effect].start if self.plan else {}
-
         names = sorted(image.camera.name for image in self.inputs.training)
-        camera, unit_range = self.inputs.training[0].camera, self.inputs.median_range
-        tau, gains = fitted("lamp").get("tau"), fitted("exposure").get("log_gains")
-        known = gains if isinstance(gains, dict) else {}
-        return Simulated(
-            medium,
-            Lamp.starting(unit_range, float(tau) if isinstance(tau, int | float) else unit_range**2)
-            if recipe.lamp
-            else None,
-            Exposure.starting({name: float(known.get(name, 0.0)) for name in names}) if recipe.exposure else None,
-            Illumination.starting(names, camera.width, camera.height) if recipe.caustics else None,
-        ).to(self.inputs.device)
+        camera = self.inputs.training[0].camera
+        context = {
+            name: InitialContext(
+                self.plan.effects[name].start if self.plan else {},
+                names,
+                camera.width,
+                camera.height,
+                self.inputs.median_range,
+            )
+            for name in recipe.effects
+        }
+        return SceneEffects.initial(medium, recipe.effects, context).to(self.inputs.device)
 
     def learning_rates(self, state: RunState) -> dict[str, float]:
         """Return Adam's step size at the start of the run by parameter name, for all parameters of effects."""
-        rates = RATES | {"medium": state.recipe.water_rate, "medium.veil": state.recipe.veil_rate}
-        return {name: rates.get(name, rates.get(name.partition(".")[0], 0.0)) for name in state.effects.parameters()}
+        water = {
+            name: state.recipe.veil_rate if name == "medium.veil" else state.recipe.water_rate
+            for name in state.effects.parameters()
+            if name.startswith("medium.")
+        }
+        return state.effects.learning_rates() | water

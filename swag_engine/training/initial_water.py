@@ -58,7 +58,7 @@ def initial_water(inputs: RunInputs, recipe: Recipe, plan: Plan | None) -> Initi
         InputError: For an unknown water type, or one per metre where the scene has no scale.
     """
     settings = inputs.settings
-    if not recipe.attenuation:
+    if "attenuation" not in recipe.effects:
         return InitialWater(f"No water is modelled: {plan.effects['attenuation'].reason}" if plan else "")
     if recipe.medium == "network":
         network = WaterNetwork.starting(inputs.median_range, settings.seed)
@@ -78,9 +78,9 @@ def initial_water(inputs: RunInputs, recipe: Recipe, plan: Plan | None) -> Initi
     else:
         why = plan.effects["attenuation"].reason if plan else why
         medium = Medium.starting(inputs.median_range, recipe.light, B=dark_and_far_light(inputs, recipe))
-    if not recipe.separate_backscatter:
+    if "separate_backscatter" not in recipe.effects:
         medium.backscatter = None
-    if not recipe.backscatter:
+    if "backscatter" not in recipe.effects:
         medium.backscatter = medium.veil = None
     return InitialWater(f"Water is modelled: {why}", medium, order)
 

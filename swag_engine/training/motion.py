@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..effects.moving_objects import LEAST_IMAGES, moving_mask, residual, residuals_elsewhere, share_with_objects
-from ..effects.scene_effects import Simulated
+from ..effects.moving_objects import LEAST_IMAGES, fraction_with_objects, moving_mask, residual, residuals_elsewhere
+from ..effects.scene_effects import SceneEffects
 from ..evaluation.metrics import picture
 from ..gaussians.cloud import GaussianCloud
 from ..scene.images import TrainingImage
@@ -67,7 +67,7 @@ class MotionMasks:
 
 
 def find_motion(
-    cloud: GaussianCloud, effects: Simulated, images: Sequence[TrainingImage], sh_degree: int, backend: str
+    cloud: GaussianCloud, effects: SceneEffects, images: Sequence[TrainingImage], sh_degree: int, backend: str
 ) -> dict[str, np.ndarray]:
     """Find what the scene as it is learned now does not explain in single images.
 
@@ -90,6 +90,6 @@ def find_motion(
         image.camera.name: moving_mask(here, others, image.valid)
         for image, here, others in zip(images, residuals, elsewhere, strict=True)
     }
-    if share_with_objects(list(masks.values())) < LEAST_IMAGES:
+    if fraction_with_objects(list(masks.values())) < LEAST_IMAGES:
         return {}
     return {name: mask for name, mask in masks.items() if mask.any()}

@@ -37,7 +37,9 @@ class Objective:
 
     def needs_range(self, target: Target, fraction: float) -> bool:
         """Return whether the rendered image has to come with ranges."""
-        geometry = self.recipe.smoothness > 0 or (self.recipe.depth > 0 and target.inverse_range is not None)
+        geometry = self.recipe.smoothness > 0 or (
+            "depth_prior" in self.recipe.effects and target.inverse_range is not None
+        )
         return geometry and not self.in_stage_two(fraction)
 
     def needs_restored(self, medium: object, fraction: float) -> bool:
@@ -90,8 +92,8 @@ class Objective:
             return target.weight * loss
         if two:
             return loss
-        if recipe.depth and target.inverse_range is not None and picture.range is not None:
-            weight = recipe.depth * 0.1 ** (fraction / recipe.stage_two_from)
+        if "depth_prior" in recipe.effects and target.inverse_range is not None and picture.range is not None:
+            weight = recipe.depth_weight * 0.1 ** (fraction / recipe.stage_two_from)
             loss = loss + weight * depth_loss(picture.range, picture.alpha, target.inverse_range, self.median_range)
         if recipe.smoothness and picture.range is not None:
             guide = target.color if recipe.smoothness_edges == "photograph" else picture.color

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from ..effects.scene_effects import Simulated
+from ..effects.effect import EffectModel
+from ..effects.scene_effects import SceneEffects
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.densify import PER_GAUSSIAN
 from ..kernels.backends import kernels_for
@@ -23,7 +24,7 @@ class Optimizer:
 
     Args:
         cloud: The Gaussians; updated in place.
-        simulated: The effects; updated in place.
+        effects: The effects; updated in place.
         backend: What computes.
 
     Attributes:
@@ -31,17 +32,18 @@ class Optimizer:
         moments: First and second moment by parameter name.
     """
 
-    def __init__(self, cloud: GaussianCloud, simulated: Simulated, backend: str = "auto") -> None:
+    def __init__(self, cloud: GaussianCloud, effects: SceneEffects, backend: str = "auto") -> None:
         self.backend = backend
         self.cloud = cloud
-        self.simulated = simulated
+        self.effects = effects
         self.steps = 0
         self.moments: dict[str, tuple[Tensor, Tensor]] = {}
         self.adopt()
 
     def adopt(self) -> None:
-        """Include effects that were added to `simulated` and drop those that were removed; new moments are zero."""
-        for owner in (self.cloud, *self.simulated.owners().values()):
+        """Include effects that were added to `effects` and drop those that were removed; new moments are zero."""
+        owners: tuple[GaussianCloud | EffectModel, ...] = (self.cloud, *self.effects.models.values())
+        for owner in owners:
             for name, parameter in owner.parameters().items():
                 if not parameter.requires_grad:
                     setattr(owner, name, parameter.detach().contiguous().requires_grad_())
@@ -52,7 +54,7 @@ class Optimizer:
 
     def parameters(self) -> dict[str, Tensor]:
         """Return all parameters by name; those of effects begin with the effect's name, as in "medium.veil"."""
-        return self.cloud.parameters() | self.simulated.parameters()
+        return self.cloud.parameters() | self.effects.parameters()
 
     def step(self, rates: Mapping[str, float]) -> None:
         """Update the parameters that have a rate and a gradient once, and clear all gradients.
@@ -97,7 +99,7 @@ class Optimizer:
             values: Values by name, of as many Gaussians as they have; names of effects that are not modelled any more
                 are ignored.
         """
-        owners, known = self.simulated.owners() | {"": self.cloud}, self.parameters()
+        owners, known = self.effects.models | {"": self.cloud}, self.parameters()
         for name in values.keys() & known.keys():
             owner, _, own_name = name.rpartition(".")
             setattr(owners[owner], own_name, values[name].clone().requires_grad_())

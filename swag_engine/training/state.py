@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..effects.scene_effects import Simulated
+from ..effects.scene_effects import SceneEffects
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.densify import GrowthStatistics
 from ..rendering.model import SceneModel
@@ -101,9 +101,9 @@ class RunState:
         return self.optimizer.cloud
 
     @property
-    def effects(self) -> Simulated:
+    def effects(self) -> SceneEffects:
         """The effects that are modelled."""
-        return self.optimizer.simulated
+        return self.optimizer.effects
 
     def replace_cloud(self, cloud: GaussianCloud, source: Tensor) -> None:
         """Continue with another cloud, and with new statistics.

@@ -113,7 +113,7 @@ class AutogradStep:
             lamp=state.effects.lamp,
             kept=factors,
         )
-        picture.color = state.effects.developed(picture.color, target.camera.name)
+        picture.color = state.effects.apply_to_image(picture.color, target.camera.name)
         with part("losses"):
             loss = objective(picture, target, medium, fraction)
         penalty = strategy_of(state.recipe).regularisation(state.cloud, self.inputs.median_range)

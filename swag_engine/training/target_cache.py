@@ -59,7 +59,7 @@ class Targets:
                 Target.shrunk(state.motion.static_pixels(image), factor, device, self.depth.get(image.camera.name))
                 for image in self.inputs.training
             ]
-            made = [Target.shrunk(image, factor, device, None, state.recipe.interpolation) for image in self.frames]
+            made = [Target.shrunk(image, factor, device, None, state.recipe.frame_weight) for image in self.frames]
             if self.emphasis:
                 self.emphasis.emphasise(images)
             self._targets, self.factor, self._made_for = images + made, factor, state.motion

@@ -185,10 +185,10 @@ class Trainer:
         cloud = finite_part(cloud)
         depth: dict[str, np.ndarray] = {}
         frames: list[TrainingImage] = []
-        if recipe.depth:
+        if "depth_prior" in recipe.effects:
             note, depth = depth_of_images(scene, inputs.training, weights_dir)
             self.notes.append(note)
-        if recipe.interpolation:
+        if "interpolation" in recipe.effects:
             note, frames = interpolated_frames(scene, inputs.training, weights_dir)
             self.notes.append(note)
         guidance: Guidance | None = None
@@ -281,7 +281,7 @@ class Trainer:
             if not config.stage_two:
                 rate, fraction = config.learning_rates["means"], state.clock.fraction
                 self.densification.after_step(state, rate, self._sh_degree(fraction), self._water_degree(fraction))
-                if state.recipe.moving_objects and state.motion.search_due(fraction):
+                if "moving_objects" in state.recipe.effects and state.motion.search_due(fraction):
                     self._mask_motion()
         if self.guard.roll_back_if_bad(state.guarded, state.optimizer, state.iteration):
             state.reset_statistics()

@@ -10,15 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from ..effects.registry import REGISTRY
 from ..evaluation.metrics import ViewScore
-from ..planning.plan import Effect, Plan
+from ..planning.plan import Plan, PlannedEffect
 from .state import RunState
 
-TRIED_AT = {"lamp": 0.1, "exposure": 0.1, "caustics": 0.1}
-"""Fraction of the run at which each effect is tried. Water is not tried: it is modelled to be removed, and images can
-be reproduced as well without it (japanese_gardens: .4 dB better in the fork)."""
-NEED_RANGES = ("lamp",)
-"""Effects that images from such ranges cannot determine where the plan could not: left to the user."""
 PRECONDITIONS = ("range_ratio", "radius_correlation")
 """Figures that say whether an effect can be determined, not how strong it is."""
 LENGTH = 0.05
@@ -33,12 +29,16 @@ def undetermined_effects(plan: Plan | None) -> list[str]:
     """Return the effects to try: those that neither the plan nor the user decides with certainty."""
     if plan is None:
         return []
-    return [name for name in TRIED_AT if not plan.effects[name].overruled and _undetermined(name, plan.effects[name])]
+    return [
+        name
+        for name, effect in REGISTRY.items()
+        if effect.tried_at is not None and not plan.effects[name].overruled and _undetermined(name, plan.effects[name])
+    ]
 
 
-def _undetermined(name: str, effect: Effect) -> bool:
+def _undetermined(name: str, effect: PlannedEffect) -> bool:
     if effect.state == "unknown":
-        return name not in NEED_RANGES
+        return not REGISTRY[name].determined_by_ranges
     return 1 / NEAR < margin(effect.evidence) < NEAR
 
 
@@ -64,7 +64,8 @@ def margin(evidence: Mapping[str, Any]) -> float:
 def trials_due(state: RunState, to_try: Sequence[str]) -> list[str]:
     """Return the effects of `to_try` that are to be tried now."""
     tried = {trial["effect"] for trial in state.trials}
-    return [name for name in to_try if name not in tried and state.clock.fraction >= TRIED_AT[name]]
+    fraction = state.clock.fraction
+    return [name for name in to_try if name not in tried and fraction >= (REGISTRY[name].tried_at or 0.0)]
 
 
 def run_trials(

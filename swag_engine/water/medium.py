@@ -69,8 +69,12 @@ class Medium:
         moved = {name: tensor.to(device) for name, tensor in self.parameters().items()}
         return Medium(**moved, unit_range=self.unit_range, light=self.light)
 
+    def settings(self) -> dict[str, Any]:
+        """Return what a checkpoint needs beside the tensors."""
+        return {name: getattr(self, name) for name in SETTINGS}
+
     def parameters(self) -> dict[str, Tensor]:
-        """Name -> tensor of what is learned."""
+        """Return what is learned, by attribute name."""
         named = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in SETTINGS}
         return {name: tensor for name, tensor in named.items() if tensor is not None}
 

@@ -54,6 +54,10 @@ class WaterNetwork:
         moved = {name: tensor.to(device) for name, tensor in self.parameters().items()}
         return WaterNetwork(**moved, unit_range=self.unit_range)
 
+    def settings(self) -> dict[str, float]:
+        """Return what a checkpoint needs beside the tensors."""
+        return {"unit_range": self.unit_range}
+
     def parameters(self) -> dict[str, Tensor]:
         """Name -> tensor of what is learned."""
         return {"weights": self.weights, "attenuation": self.attenuation, "backscatter": self.backscatter}

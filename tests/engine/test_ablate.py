@@ -10,6 +10,7 @@ import pytest
 from swag_engine.base.errors import InputError
 from swag_engine.experiments import ablate as module
 from swag_engine.experiments.ablate import Row, ablate, rows, table
+from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.recipes import RECIPES, SWITCHES, recipe_of
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
@@ -28,7 +29,7 @@ def test_every_recipe_and_every_switch_has_a_row():
     table_rows = rows()
     assert {row.recipe for row in table_rows if not row.effects} == set(RECIPES)
     switched = {row.effects.partition("=")[0] for row in table_rows if row.effects}
-    assert switched == {"water", *SWITCHES}
+    assert switched == {"water", *EFFECTS, *SWITCHES}
     for row in table_rows:
         TrainSettings(recipe=row.recipe, effects=row.effects)
         assert not row.effects or recipe_of(row.recipe, row.effects) != RECIPES[row.recipe], row

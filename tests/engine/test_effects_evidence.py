@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swag_engine.effects import depth_prior, interpolation, semantics
+from swag_engine.effects.caustics import decide_by_flicker
+from swag_engine.effects.registry import REGISTRY
+from swag_engine.evidence.decision import Decision
 from swag_engine.evidence.fit import GAINS, LENS, Family, Sightings
+from swag_engine.evidence.image_cells import open_water_light
 from swag_engine.evidence.observations import FIT_WIDTH, Observations, observe
-from swag_engine.planning.evidence import (
-    caustics_finding,
-    depth_prior_finding,
-    interpolation_finding,
-    moving_objects_finding,
-    open_water_light,
-    semantics_finding,
-    water_findings,
-)
+from swag_engine.evidence.scene_evidence import SceneEvidence
+from swag_engine.evidence.water_terms import find_water_terms
+from swag_engine.planning.plan import decide_all
+from swag_engine.priors.depth import Alignment
 from swag_engine.priors.interpolate import Admission
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
@@ -66,6 +66,28 @@ def sightings(
     return Observations(track, ranges, light, image, place, darkest)
 
 
+WATER_EFFECTS = ("attenuation", "backscatter", "separate_backscatter", "lamp", "exposure")
+
+
+class Found:
+    """Water terms of observations, and the decisions that follow."""
+
+    def __init__(self, observations, open_water=None):
+        evidence = SceneEvidence(scene=None, images=())
+        evidence.observations = observations
+        enough = len(observations) >= 200
+        evidence.water_terms = find_water_terms(observations, open_water) if enough else None
+        if evidence.water_terms:
+            terms = evidence.water_terms
+            self.fit, self.images, self.intervals = terms.fit, terms.images, terms.intervals
+        self.effects = {}
+        for name in WATER_EFFECTS:
+            self.effects[name] = REGISTRY[name].decide(evidence, self.effects)
+
+
+water_findings = Found
+
+
 def states(observations):
     return {name: finding.state for name, finding in water_findings(observations).effects.items()}
 
@@ -100,7 +122,7 @@ def test_figures_come_with_their_thresholds_and_words():
             pair = {f"{name}_least", f"{name}_most"} & set(finding.evidence)
             assert pair or name.endswith(("_least", "_most")) or name == "ratio", name
         assert finding.reason.endswith(".")
-    assert "Red loses 4" in findings["attenuation"].reason and "10% at least" in findings["attenuation"].reason
+    assert "Red loses 4" in findings["attenuation"].reason and "threshold 10%" in findings["attenuation"].reason
 
 
 def test_values_and_intervals_hold_the_truth():
@@ -144,7 +166,7 @@ def test_gains_are_those_of_the_photographs():
     "scene, words",
     [
         ({**BLUE, "spread": 1.06}, "ranges of ratio 1.0"),
-        ({**BLUE, "count": 20}, "only 100 sightings"),
+        ({**BLUE, "count": 20}, "only 100 observations"),
     ],
 )
 def test_it_says_when_it_cannot_tell(scene, words):
@@ -159,7 +181,7 @@ def test_fall_off_to_the_corners_in_a_survey_cannot_be_told_from_water():
     light = observations.light * np.exp(-0.17 * straight_down.ranges[:, None])
     found = water_findings(replace(straight_down, light=light)).effects
     assert found["attenuation"].state == found["lamp"].state == "unknown"
-    assert "middle go together" in found["attenuation"].reason
+    assert "vary together" in found["attenuation"].reason
 
 
 def test_gains_are_told_in_a_straight_survey_through_a_lens_that_falls_off():
@@ -200,7 +222,7 @@ def test_what_one_surface_loses_is_not_water():
 def test_grey_loss_is_a_lamp():
     """Water has a colour: what all channels lose alike is the lamp's light, and water's share of it cannot be told."""
     found = water_findings(sightings(grey=True, tau=0.5, beta_D=(0.2, 0.2, 0.2)))
-    assert found.effects["lamp"].state == "on" and "no colour" in found.effects["lamp"].reason
+    assert found.effects["lamp"].state == "on" and "no color" in found.effects["lamp"].reason
     assert found.effects["attenuation"].state != "on" and found.fit.tau < np.inf
 
 
@@ -277,7 +299,7 @@ def flickering(strength, together=True, seed=0, shine=False):
 
 @pytest.mark.parametrize("strength, together, state", [(0.0, True, "off"), (0.3, True, "on"), (0.3, False, "off")])
 def test_caustics_are_light_that_flickers_on_whole_patches(strength, together, state):
-    finding = caustics_finding(*flickering(strength, together))
+    finding = decide_by_flicker(*flickering(strength, together))
     assert finding.state == state
     if state == "on":
         assert finding.evidence["flicker"] == pytest.approx(0.3, rel=0.5)
@@ -285,7 +307,7 @@ def test_caustics_are_light_that_flickers_on_whole_patches(strength, together, s
 
 def test_shine_is_no_caustics():
     """It changes too, and for whole patches, but the less the nearer the views."""
-    finding = caustics_finding(*flickering(0.3, shine=True))
+    finding = decide_by_flicker(*flickering(0.3, shine=True))
     assert finding.state == "off" and finding.evidence["flicker"] > finding.evidence["flicker_least"]
     assert finding.evidence["steadiness"] < finding.evidence["steadiness_least"]
 
@@ -294,7 +316,7 @@ def test_light_that_is_uneven_over_a_photograph_is_no_caustics():
     observations, centres, positions = flickering(0.0)
     beam = 0.3 * (-1.0) ** observations.image * observations.place[:, 0]
     lit = replace(observations, light=observations.light * np.exp(beam)[:, None])
-    assert caustics_finding(lit, centres, positions).state == "off"
+    assert decide_by_flicker(lit, centres, positions).state == "off"
 
 
 def test_contrast_that_a_telephone_evens_out_is_no_caustics():
@@ -302,19 +324,19 @@ def test_contrast_that_a_telephone_evens_out_is_no_caustics():
     observations, centres, positions = flickering(0.0)
     phase = 2.0 * observations.image[:, None] + observations.place * 8
     evened = replace(observations, light=observations.light * np.exp(0.2 * np.sin(phase).sum(1))[:, None])
-    assert caustics_finding(evened, centres, positions).state == "off"
+    assert decide_by_flicker(evened, centres, positions).state == "off"
 
 
 @pytest.mark.filterwarnings("error")
 def test_one_colour_does_not_flicker():
     observations, centres, positions = flickering(0.0)
-    finding = caustics_finding(replace(observations, light=np.full_like(observations.light, 0.3)), centres, positions)
+    finding = decide_by_flicker(replace(observations, light=np.full_like(observations.light, 0.3)), centres, positions)
     assert finding.state == "off" and finding.evidence["flicker"] == 0
 
 
 def test_caustics_cannot_be_told_without_near_views():
     observations, centres, positions = flickering(0.3)
-    assert caustics_finding(observations.take(observations.image == 0), centres, positions).state == "unknown"
+    assert decide_by_flicker(observations.take(observations.image == 0), centres, positions).state == "unknown"
 
 
 # -- whole photographs -------------------------------------------------------------------------------------------------
@@ -333,7 +355,7 @@ def test_the_demo_scene_has_water_and_nothing_else(reef):
     found.pop("separate_backscatter")
     assert found == EXPECTED | {"attenuation": "on", "backscatter": "on"}
     centres = np.stack([image.camera.centre for image in images])
-    assert caustics_finding(observations, centres, scene.points.positions).state == "off"
+    assert decide_by_flicker(observations, centres, scene.points.positions).state == "off"
 
 
 def test_the_demo_scene_gives_its_true_water(reef):
@@ -351,39 +373,53 @@ def test_the_demo_scene_gives_its_true_water(reef):
     np.testing.assert_allclose(veil, expected, atol=0.01)
 
 
-def test_open_water_calls_for_names(reef):
-    scene, images = reef
-    finding = semantics_finding(False, images, scene, True)
-    assert finding.state == "on" and 0.05 < finding.evidence["open_water"] < 0.4
-    assert semantics_finding(False, images, scene, False).state == "off"
-    assert semantics_finding(True, images, scene, False).state == "on"
+def decided(effect, scene, images, backscatter="off", **given):
+    """The decision of one effect that asks for whole images."""
+    earlier = {"backscatter": Decision(backscatter, {}, "")}
+    return effect.decide(SceneEvidence(scene, images, **given), earlier)
 
 
-def test_depth_is_only_asked_for_where_points_are_few(reef):
+def test_open_water_calls_for_labels(reef):
     scene, images = reef
-    assert depth_prior_finding(images, scene, None).state == "off"
+    decision = decided(semantics, scene, images, "on")
+    assert decision.state == "on" and 0.05 < decision.evidence["open_water"] < 0.4
+    assert decided(semantics, scene, images).state == "off"
+    assert decided(semantics, scene, images, labels_wanted=True).state == "on"
+
+
+def test_depth_is_only_asked_for_where_points_are_few(reef, monkeypatch):
+    scene, images = reef
+    assert decided(depth_prior, scene, images, depth=lambda image: pytest.fail("the network was asked")).state == "off"
     few = replace(scene, views=tuple(replace(view, point_indices=view.point_indices[::4]) for view in scene.views))
-    assert depth_prior_finding(images, few, None).state == "unknown"
-    assert depth_prior_finding(images, few, 0.9).state == "on"
-    assert depth_prior_finding(images, few, 0.5).state == "off"
+    assert decided(depth_prior, few, images).state == "unknown"
+    for accepted, state in ((9, "on"), (5, "off")):
+        judged = {k: Alignment(1.0, 0.0, 100, 0.9, k < accepted, "") for k in range(10)}
+        monkeypatch.setattr(depth_prior, "depth_priors", lambda *arguments, judged=judged: ({}, judged))
+        assert decided(depth_prior, few, images, depth=lambda image: None).state == state
 
 
-def test_made_frames_are_for_few_photographs_far_apart(reef):
-    scene, _ = reef
-    near = [("reef_001.jpg", "reef_002.jpg")]
-    far = [("reef_001.jpg", "reef_014.jpg")]
-    good = Admission(3, 27.0, 2.0, 0.9, True, "")
-    bad = Admission(3, 20.0, 2.0, 0.9, False, "Interpolated frames miss the photographs.")
-    assert interpolation_finding([], scene, good).state == "off"
-    assert interpolation_finding(near, scene, good).evidence["shared_points"] > 0.2
-    assert interpolation_finding(far, scene, None).state == "unknown"
-    assert interpolation_finding(far, scene, good).state == "on"
-    assert interpolation_finding(far, scene, bad).reason == bad.reason
+def test_interpolated_frames_are_for_few_images_far_apart(reef, monkeypatch):
+    scene, images = reef
+    far = replace(scene, views=scene.views[::3])
+    judged = Admission(3, 27.0, 2.0, 0.9, True, "")
+    monkeypatch.setattr(interpolation, "admission", lambda *arguments: judged)
+    near = decided(interpolation, scene, images)
+    assert near.evidence["shared_points"] > decided(interpolation, far, images).evidence["shared_points"] > 0
+    monkeypatch.setattr(interpolation, "MOST_SHARED", 0.9)
+    assert decided(interpolation, far, images).state == "unknown"
+    assert decided(interpolation, far, images, interpolator=lambda *frames: None).state == "on"
+    judged = Admission(3, 20.0, 2.0, 0.9, False, "Interpolated frames miss the images.")
+    assert decided(interpolation, far, images, interpolator=lambda *frames: None).reason == judged.reason
+    monkeypatch.setattr(interpolation, "neighbour_pairs", lambda *names: [])
+    assert decided(interpolation, far, images).state == "off"
 
 
-def test_moving_objects_wait_for_training_or_masks():
-    assert moving_objects_finding([]).state == "unknown"
-    assert moving_objects_finding(["a.jpg"]).state == "on"
+def test_every_effect_is_decided_in_words(reef):
+    scene, images = reef
+    decisions = decide_all(SceneEvidence(scene, images))
+    assert list(decisions) == list(REGISTRY)
+    assert all(decision.reason.endswith(".") for decision in decisions.values())
+    assert decisions["moving_objects"].state == "unknown"  # until training or masks show them
 
 
 # -- real scenes -------------------------------------------------------------------------------------------------------
@@ -409,4 +445,4 @@ def test_real_scenes(name, expected):
     found = water_findings(observations, open_water_light(images, scene)).effects
     assert {effect: found[effect].state for effect in expected} == expected
     centres = np.stack([image.camera.centre for image in images])
-    assert caustics_finding(observations, centres, scene.points.positions).state == "off"
+    assert decide_by_flicker(observations, centres, scene.points.positions).state == "off"

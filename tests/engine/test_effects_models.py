@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 import torch
 
-from swag_engine.effects.caustics import Illumination, illuminated
-from swag_engine.effects.exposure import Exposure, exposed
+from swag_engine.effects.caustics import Illumination
+from swag_engine.effects.exposure import Exposure
+from swag_engine.effects.image_gain import apply_log_gains
 from swag_engine.effects.lamp import Lamp, lit
-from swag_engine.effects.moving_objects import moving_mask, residual, residuals_elsewhere, share_with_objects
+from swag_engine.effects.moving_objects import fraction_with_objects, moving_mask, residual, residuals_elsewhere
 from swag_engine.scene.cameras import Camera
 from swag_engine.water.light import to_display, to_light
 from tests.scenes.clouds import make_cloud
@@ -19,6 +20,11 @@ def random(*shape, seed=0):
 
 
 # -- lamp --------------------------------------------------------------------------------------------------------------
+
+
+def shown(picture, model, name):
+    """The picture under one image effect, as training applies it."""
+    return apply_log_gains(picture, [model.log_gain(name, *picture.shape[:2])])
 
 
 def test_a_lamp_leaves_the_median_range_as_it_is_and_falls_off_with_its_square():
@@ -60,15 +66,15 @@ def test_gains_have_no_common_part():
     assert exposure.raw.shape == (3, 3)
     torch.testing.assert_close(exposure.log_gains.mean(0), torch.zeros(3))
     picture = random(4, 5, 3).float()
-    torch.testing.assert_close(exposed(picture, exposure, "b"), picture)
-    twice = to_light(exposed(picture, exposure, "c")) / to_light(picture)
+    torch.testing.assert_close(shown(picture, exposure, "b"), picture)
+    twice = to_light(shown(picture, exposure, "c")) / to_light(picture)
     torch.testing.assert_close(twice, torch.full_like(twice, 0.2).exp())
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_gradients_of_the_exposure(channels):
     def function(picture, raw):
-        return exposed(picture, Exposure(raw, list("abcd")), "b")
+        return shown(picture, Exposure(raw, list("abcd")), "b")
 
     inputs = (random(3, 4, 3), random(4, channels, seed=1))
     assert torch.autograd.gradcheck(function, [value.requires_grad_() for value in inputs])
@@ -78,13 +84,13 @@ def test_gains_are_learned():
     truth = torch.tensor([0.2, -0.3, 0.1])
     picture = random(8, 9, 3).float()
     known = Exposure.starting(dict(zip("abc", truth.tolist(), strict=True)))
-    photographs = [exposed(picture, known, name) for name in "abc"]
+    photographs = [shown(picture, known, name) for name in "abc"]
     exposure = Exposure.starting(dict.fromkeys("abc", 0.0))
     exposure.raw.requires_grad_()
     optimizer = torch.optim.Adam([exposure.raw], lr=0.03)
     for step in range(150):
         optimizer.zero_grad()
-        (exposed(picture, exposure, "abc"[step % 3]) - photographs[step % 3]).square().mean().backward()
+        (shown(picture, exposure, "abc"[step % 3]) - photographs[step % 3]).square().mean().backward()
         optimizer.step()
     torch.testing.assert_close(exposure.log_gains[:, 0].detach(), truth, atol=0.02, rtol=0)
 
@@ -96,18 +102,18 @@ def test_a_field_of_light_is_even_at_first_and_keeps_the_brightness():
     illumination = Illumination.starting(["a", "b"], 64, 36)
     assert illumination.log_light.shape == (2, 18, 32)
     picture = random(36, 64, 3).float() + 0.1
-    torch.testing.assert_close(illuminated(picture, illumination, "a"), picture)
+    torch.testing.assert_close(shown(picture, illumination, "a"), picture)
     illumination.log_light[1] += 0.5  # the exposure's, not the field's
-    torch.testing.assert_close(illuminated(picture, illumination, "b"), picture)
+    torch.testing.assert_close(shown(picture, illumination, "b"), picture)
     illumination.log_light[0, :, :16] += 1.0
-    ratio = to_light(illuminated(picture, illumination, "a")) / to_light(picture)
+    ratio = to_light(shown(picture, illumination, "a")) / to_light(picture)
     torch.testing.assert_close(ratio[:, 0].log(), torch.full((36, 3), 0.5))
     torch.testing.assert_close(ratio[:, -1].log(), torch.full((36, 3), -0.5))
 
 
 def test_gradients_of_the_field():
     def function(picture, log_light):
-        return illuminated(picture, Illumination(log_light, ["a", "b"]), "b")
+        return shown(picture, Illumination(log_light, ["a", "b"]), "b")
 
     inputs = (random(6, 8, 3), random(2, 3, 4, seed=1))
     assert torch.autograd.gradcheck(function, [value.requires_grad_() for value in inputs])
@@ -132,9 +138,9 @@ def test_flicker_stays_out_of_the_colours_that_are_learned():
         for step in range(400):
             for group, rate in zip(optimizer.param_groups, (5e-3, 2e-2), strict=True):
                 group["lr"] = rate * (1 - step / 400)
-            shown = illuminated(learned, field, str(step % 16)) if modelled else learned
+            seen = shown(learned, field, str(step % 16)) if modelled else learned
             optimizer.zero_grad()
-            (shown - photographs[step % 16]).abs().mean().backward()
+            (seen - photographs[step % 16]).abs().mean().backward()
             optimizer.step()
         ratio = to_light(learned.detach()) / to_light(wall)
         errors[modelled] = float((ratio / ratio.median()).log().std())
@@ -164,7 +170,7 @@ def test_a_fish_is_found_whole_and_noise_is_not():
     mask = mask_of(swum, picture, valid)
     assert (mask & (fish > 0)).sum() / fish.sum() > 0.95
     assert (mask & (fish > 0)).sum() / mask.sum() > 0.6
-    assert share_with_objects([mask, np.zeros_like(mask)]) == 0.5
+    assert fraction_with_objects([mask, np.zeros_like(mask)]) == 0.5
 
 
 def test_what_other_photographs_do_not_explain_either_is_no_object():

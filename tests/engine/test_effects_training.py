@@ -11,8 +11,7 @@ import torch
 from runs import train_with
 from tiny import make_tiny_scene
 
-from swag_engine.effects import caustics, exposure, lamp
-from swag_engine.effects import scene_effects as simulated
+from swag_engine.effects import caustics, exposure, image_gain, lamp
 from swag_engine.effects.exposure import Exposure
 from swag_engine.experiments.evaluate_run import render_run
 from swag_engine.planning import plan as planning
@@ -33,8 +32,8 @@ CODE = {
     "attenuation": (rendering, "through_water"),
     "backscatter": (rendering, "open_water"),
     "lamp": (rendering, "lit"),
-    "exposure": (exposure.Exposure, "of"),
-    "caustics": (caustics.Illumination, "of"),
+    "exposure": (exposure.Exposure, "log_gain"),
+    "caustics": (caustics.Illumination, "log_gain"),
     "moving_objects": (motion, "moving_mask"),
 }
 
@@ -90,7 +89,7 @@ def test_everything_on_is_learned_and_resumes_bit_equal(tiny_scene, tmp_path):
 def test_what_is_restored_has_none_of_it(tiny_scene, tmp_path, monkeypatch):
     train(tiny_scene, tmp_path / "run", replace(SETTINGS, iterations=10, effects="lamp=on,exposure=on,caustics=on"))
     used = []
-    monkeypatch.setattr(simulated, "relit", lambda *a: used.append("picture") or relit(*a))
+    monkeypatch.setattr(image_gain, "relit", lambda *a: used.append("picture") or relit(*a))
     monkeypatch.setattr(lamp, "relit", lambda colors, factor: used.append(float(factor.abs().max())) or colors)
     render_run(tmp_path / "run", tmp_path / "with", "view_02.png", 1.0)
     assert "picture" in used and max(value for value in used if value != "picture") > 0
@@ -127,10 +126,10 @@ def test_gains_come_out(unevenly_exposed, tmp_path):
 def test_a_held_out_gain_is_what_neighbours_let_expect():
     film = Exposure.starting({f"{k:02d}": 0.1 * k for k in range(10) if k != 5})
     known = film.log_gains[:, 0]
-    assert float(film.of("05")) == pytest.approx(float(known[4] + known[5]) / 2, rel=0.1)
+    assert float(film.log_gain("05")) == pytest.approx(float(known[4] + known[5]) / 2, rel=0.1)
     chance = Exposure.starting({f"{k:02d}": 0.3 * (-1) ** k for k in range(10)})
-    assert float(chance.of("045")) == 0  # neighbours say nothing
-    assert float(Exposure.starting({"a": 0.1, "c": 0.3}).of("b")) == 0
+    assert float(chance.log_gain("045")) == 0  # neighbours say nothing
+    assert float(Exposure.starting({"a": 0.1, "c": 0.3}).log_gain("b")) == 0
 
 
 # Trials ---------------------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ import pytest
 import torch
 from clouds import make_cloud
 
-from swag_engine.effects.scene_effects import Simulated
+from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
@@ -53,7 +53,7 @@ def test_the_cap_holds_for_the_start_too_and_is_seeded():
 
 
 def test_moments_follow_their_gaussians_and_start_at_zero_for_new_ones():
-    optimizer = Optimizer(make_cloud(6, dtype=torch.float32), Simulated())
+    optimizer = Optimizer(make_cloud(6, dtype=torch.float32), SceneEffects())
     optimizer.cloud.means.sum().backward()
     optimizer.step({"means": 1e-3})
     moments = optimizer.state_tensors()["adam.means.exp_avg"]

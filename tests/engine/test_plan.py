@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,9 @@ import pytest
 
 from swag_engine.base.errors import InputError
 from swag_engine.planning import plan as planning
-from swag_engine.planning.plan import Plan, describe, plan_scene, read_plan
+from swag_engine.planning.costs import measured_costs
+from swag_engine.planning.plan import Plan, describe, made_from, plan_scene, read_plan
+from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
 from swag_engine.settings.effect_names import EFFECTS, parse_effects
@@ -50,7 +53,7 @@ def test_costs_are_measured_on_this_machine(planned):
     measured = ("attenuation", "backscatter", "lamp", "exposure", "caustics", "semantics", "depth_prior")
     assert all(costs[name] > 0 for name in measured)
     assert costs["interpolation"] == costs["separate_backscatter"] == 0
-    small = planning.measured_costs(80, 45)
+    small = measured_costs(80, 45)
     assert small["exposure"] < costs["exposure"] and small["caustics"] < costs["caustics"]
 
 
@@ -70,6 +73,27 @@ def test_what_is_no_plan_is_said_to_be_none(tmp_path, content):
         read_plan(path)
     with pytest.raises(InputError, match="cannot be read"):
         read_plan(tmp_path / "absent.json")
+
+
+def test_a_plan_from_before_an_effect_existed_is_read_with_it_off(planned, tmp_path):
+    document = planned[0].to_json()
+    del document["effects"]["caustics"]
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(document))
+    plan = read_plan(path)
+    assert not plan.on("caustics") and "before this effect existed" in plan.effects["caustics"].reason
+    assert plan.effects["attenuation"] == planned[0].effects["attenuation"]
+    document["effects"]["fog"] = document["effects"]["lamp"]
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="not known here, fog: make the plan again"):
+        read_plan(path)
+
+
+def test_the_key_of_a_plan_is_the_scene_and_not_the_code(planned, tmp_path):
+    scene = load_scene(REEF)
+    assert made_from(scene) == planned[0].scene
+    moved = replace(scene, points=replace(scene.points, positions=scene.points.positions + 1))
+    assert made_from(moved) != planned[0].scene
 
 
 def test_no_test_view_is_looked_at(monkeypatch, tmp_path):
@@ -118,7 +142,7 @@ def test_it_can_be_read(planned):
     lines = text.splitlines()
     assert len(lines) == len(EFFECTS) + 4
     assert lines[0].startswith("attenuation") and "Red loses 7" in lines[0] and " ms " in lines[0]
-    assert any(line.startswith("moving objects") and "cannot tell" in line for line in lines)
+    assert any(line.startswith("moving objects") and "undetermined" in line for line in lines)
     assert lines[-3].startswith("attenuation per unit") and "red 0.1" in lines[-3]
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from clouds import make_cloud
 
-from swag_engine.effects.scene_effects import Simulated
+from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians import relocate as module
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.densify import PER_GAUSSIAN, share_opacity
@@ -35,7 +35,7 @@ def reef():
     views = [
         (image.camera, lambda c, t=target: (c - t).abs().mean()) for image, target in zip(images, targets, strict=True)
     ]
-    optimizer = Optimizer(cloud, Simulated())
+    optimizer = Optimizer(cloud, SceneEffects())
     rates = {"means": 1e-3, "quats": 2e-3, "log_scales": 1e-2, "opacity_logits": 5e-2, "sh0": 1e-2, "background": 1e-2}
     for step in range(200):
         camera, loss = views[step % len(views)]

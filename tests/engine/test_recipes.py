@@ -20,6 +20,7 @@ from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
 from swag_engine.settings import recipes
+from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.recipes import RECIPES, SWITCHES, Photometric, Recipe, recipe_of
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import network_priors
@@ -45,10 +46,11 @@ def test_the_settings_name_every_recipe():
 
 
 def test_switches_turn_parts_on_and_off():
-    water = {"attenuation": False, "backscatter": False, "separate_backscatter": False}
-    assert recipe_of("seasplat", "water=off") == replace(RECIPES["seasplat"], **water)
-    assert recipe_of("3dgs", "depth_prior=on, grey-world=on") == Recipe(depth=0.1, grey_world=0.02)
-    for effect in SWITCHES:
+    assert recipe_of("seasplat", "water=off") == replace(RECIPES["seasplat"], effects=frozenset())
+    assert recipe_of("3dgs", "depth_prior=on, grey-world=on") == Recipe(
+        effects=frozenset({"depth_prior"}), grey_world=0.02
+    )
+    for effect in (*EFFECTS, *SWITCHES):
         assert recipe_of("swag", f"{effect}=on,{effect}=off") == recipe_of("swag", f"{effect}=off")
 
 
@@ -80,7 +82,7 @@ def test_every_recipe_trains_and_resumes_bit_equal(recipe, tiny_scene, tmp_path)
 
 
 def test_stage_two_freezes_geometry_and_water_bit_by_bit(tiny_scene, tmp_path, monkeypatch):
-    trainer = trainer_of(tiny_scene, tmp_path, monkeypatch, **recipes.WATER, stage_two_from=0.5)
+    trainer = trainer_of(tiny_scene, tmp_path, monkeypatch, effects=recipes.WATER, stage_two_from=0.5)
     while trainer.state.iteration < 30:
         trainer.iterate()
     kept = {name: tensor.detach().clone() for name, tensor in trainer.state.optimizer.parameters().items()}
@@ -166,7 +168,7 @@ def test_stored_depth_becomes_the_prior_and_is_asked_for(tmp_path):
         truth = cv2.resize(stored, (160, image.valid.shape[0]), interpolation=cv2.INTER_NEAREST) / 1000
         error = np.abs(priors[image.camera.name] * truth - 1)[truth > 0]
         assert np.median(error) < 0.02
-    objective = Objective(Recipe(depth=0.1), 1.0, None, "torch")
+    objective = Objective(Recipe(effects=frozenset({"depth_prior"})), 1.0, None, "torch")
     with_prior = Target.shrunk(images[0], 2, torch.device("cpu"), priors[images[0].camera.name])
     assert with_prior.inverse_range.shape == with_prior.valid.shape
     assert objective.needs_range(with_prior, 0.1)
@@ -250,7 +252,7 @@ def test_frames_are_made_between_training_photographs_only_and_teach_colours_onl
         first, _, second = frame.camera.name.partition("@")[0].partition("+")
         assert order.index(second) == order.index(first) + 1 and {first, second} <= set(split.train)
 
-    trainer = trainer_of(scene_folder, tmp_path / "run", monkeypatch, interpolation=0.1)
+    trainer = trainer_of(scene_folder, tmp_path / "run", monkeypatch, effects=frozenset({"interpolation"}))
     weights = []
     add = trainer.state.statistics.add
     monkeypatch.setattr(trainer.state.statistics, "add", lambda *a: (weights.append(target.weight), add(*a)))

@@ -11,7 +11,7 @@ import torch
 from clouds import make_cloud
 from runs import train_with
 
-from swag_engine.effects.scene_effects import Simulated
+from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.formats.ply import read_ply
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
@@ -127,7 +127,7 @@ def test_a_run_that_was_rolled_back_resumes_bit_equal(tiny_scene, tmp_path):
 @pytest.fixture
 def optimizer():
     cloud = make_cloud(20, dtype=torch.float32)
-    made = Optimizer(cloud, Simulated())
+    made = Optimizer(cloud, SceneEffects())
     for parameter in made.parameters().values():
         parameter.grad = torch.ones_like(parameter)
     return made

@@ -264,7 +264,7 @@ def test_any_glb(tmp_path):
 
 # -- what a run can be asked for ---------------------------------------------------------------------------------------
 
-STATES = st.dictionaries(st.sampled_from(sorted(SWITCHES)), st.sampled_from(["on", "off"]), max_size=6)
+STATES = st.dictionaries(st.sampled_from(sorted([*EFFECTS, *SWITCHES])), st.sampled_from(["on", "off"]), max_size=6)
 ASKED = st.fixed_dictionaries(
     {
         "recipe": st.sampled_from(sorted(RECIPES)),

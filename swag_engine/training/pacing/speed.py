@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass
 
 import torch
 
-from ...effects.scene_effects import Simulated
+from ...effects.scene_effects import SceneEffects
 from ...gaussians.cloud import GaussianCloud
 from ...gaussians.densify import PER_GAUSSIAN
 from ...gaussians.init import gaussians_from_points
@@ -142,13 +142,13 @@ def _iteration(cloud: GaussianCloud, image: TrainingImage, factor: int, settings
 
     device = device_for(settings.backend)
     target = Target.shrunk(image, factor, device)
-    optimizer = Optimizer(cloud.to(device), Simulated(Medium.starting(1.0)).to(device), settings.backend)
+    optimizer = Optimizer(cloud.to(device), SceneEffects({"medium": Medium.starting(1.0)}).to(device), settings.backend)
     rates = dict.fromkeys(optimizer.parameters(), 0.0)
 
     def once() -> float:
         started = time.perf_counter()
         picture = render(
-            optimizer.cloud, target.camera, settings.sh_degree, optimizer.simulated.medium, backend=settings.backend
+            optimizer.cloud, target.camera, settings.sh_degree, optimizer.effects.medium, backend=settings.backend
         )
         loss = photometric(picture.color, target.color, target.valid, 0.8, 0.2, 0.0, False, settings.backend)
         loss.backward()
