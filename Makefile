@@ -1,19 +1,35 @@
-# `make demo` and `make test` are all that a newcomer needs; both make .venv first.
+# `make demo` and `make test` are all that a newcomer needs; both make .venv first. `make check` is what main must pass.
 PYTHON ?= python3.11
 VENV := .venv/bin/python
 
-.PHONY: demo test lint extension release clean
+.PHONY: demo test check search lint contracts extension release clean
 
 demo: .venv/ready
 	$(VENV) demo/run.py
 
+# Two workers; a file's tests stay together, so that its fixtures are made once.
+PYTEST := $(VENV) -m pytest tests --numprocesses 2 --dist loadfile
+
+# The quick tests: the engine's packages and one Blender version.
 test: .venv/ready
-	$(VENV) -m pytest tests
+	$(PYTEST) -m "quick and not search"
+	@echo "Left out: whole runs, other Blender versions, hard cases, other programs. 'make check' runs them."
+
+check: lint contracts extension
+	$(PYTEST)
+
+# Wide random searches, and what other Blender versions repeat.
+search: .venv/ready
+	$(PYTEST) -m search
 
 lint: .venv/ready
 	$(VENV) -m ruff check .
 	$(VENV) -m ruff format --check .
 	$(VENV) -m mypy
+
+# Which package may import which (.importlinter).
+contracts: .venv/ready
+	$(VENV) .ci/contracts.py
 
 # The extension's zip, with the kernels of this machine or of every platform.
 extension: .venv/ready

@@ -73,7 +73,7 @@ def steps():
     install()
     yield 1.0
     from bl_ext.user_default.swag_splatting.operators import train
-    from bl_ext.user_default.swag_splatting.swag_blender import scene_import
+    from bl_ext.user_default.swag_splatting.swag_blender import runs, scene_import
     from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply, write_ply
 
     window, _, _ = view3d()
@@ -85,7 +85,7 @@ def steps():
     path = Path(os.environ["SWAG_OUT"]) / "preview.ply"
     write_ply(path, made())
     scene = bpy.context.scene
-    train.show_splats(scene, read_ply(path), "run", "scene")
+    runs.show_splats(scene, read_ply(path), "run", "scene")
     yield 3.0
     yield from frames(lambda: None)
     summary("still")
@@ -96,7 +96,7 @@ def steps():
         """Show the splats that were read and start reading the next."""
         if reading:
             times = [time.perf_counter()]
-            for work in (lambda: train.show_splats(scene, reading.pop().result(), "run", "scene"), update_nodes):
+            for work in (lambda: runs.show_splats(scene, reading.pop().result(), "run", "scene"), update_nodes):
                 work()
                 times.append(time.perf_counter())
             own.append(np.diff(times))

@@ -10,6 +10,7 @@ from mathutils import Matrix
 
 from ..swag_blender import scene_import, splats
 from ..swag_blender.cameras import cameras_of
+from ..swag_blender.runs import RUN_KEY
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.cameras import Photograph, moved, write_cameras
 from ..swag_engine.formats.export import cameras_folder, with_water
@@ -20,7 +21,6 @@ from ..swag_engine.formats.select import Choice, label_ids, something
 from ..swag_engine.formats.water import placed
 from ..swag_engine.splats.splats import Splats, concatenate
 from ..swag_engine.splats.transform import transformed
-from .train import RUN_KEY
 
 SUFFIXES = (".ply", ".glb")
 # File to Blender world, for a PLY.

@@ -12,10 +12,10 @@ from bpy.props import BoolProperty, IntProperty, StringProperty
 from ..swag_blender import labels, splats
 from ..swag_blender.engine_process import Engine, EngineError, run_request
 from ..swag_blender.job import Job
+from ..swag_blender.runs import RUN_KEY
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.formats.run_folder import RunFolder
-from .train import RUN_KEY
 
 
 class _OnSplats:

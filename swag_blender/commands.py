@@ -14,7 +14,7 @@ import bpy
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.formats.run_folder import RunFolder, read_json
-from . import engine_process
+from . import engine_process, runs
 
 BAD_USAGE = 2
 PROG = "blender --background --command swag"
@@ -84,8 +84,6 @@ def import_(arguments: list[str]) -> int:
 
 def bring_in(path: Path) -> None:
     """What the path holds into the open scene. Raises InputError, or RuntimeError with an operator's report."""
-    from ..operators import train
-
     run = RunFolder(path.absolute())
     if path.suffix.lower() in (".ply", ".glb"):
         bpy.ops.swag.import_splats(filepath=str(path.absolute()))
@@ -96,8 +94,8 @@ def bring_in(path: Path) -> None:
         metrics = read_json(run.metrics, f"{path} holds no result yet: train it to an end first.")
         photographs = str(run.read_config()[0])
         bpy.ops.swag.import_scene(directory=photographs)
-        obj = train.show_splats(scene, read_ply(run.ply), str(run.path), photographs)
-        train.remember_training(obj, run, metrics)
+        obj = runs.show_splats(scene, read_ply(run.ply), str(run.path), photographs)
+        runs.remember_training(obj, run, metrics)
         bpy.ops.swag.prepare_render()
 
 

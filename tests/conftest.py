@@ -1,12 +1,32 @@
-"""What every test may use."""
+"""Fixtures of all tests, and which tests belong to which run.
+
+`make test` runs the quick ones: the packages of the engine, and one Blender version. `make check` runs all but the wide
+searches, which `make search` runs.
+"""
 
 import os
 import sys
 from pathlib import Path
 
+# With several workers each has one core: threads of numpy and torch would only wait for one another.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ["OMP_NUM_THREADS"] = "1"
+
 import pytest
 
 import swag_engine.base.threads  # noqa: F401
+
+MAIN_VERSION = "5.0"
+"""The Blender version that the quick tests run in: it is the package of this Python."""
+QUICK_BLENDER = ("test_scene_import", "test_extension", "test_panels")
+"""Files of tests/blender that belong to `make test`."""
+NOT_QUICK = (
+    "test_sanitizer", "test_command_line", "test_batch", "test_worker", "test_semantics_training", "test_demo_scene",
+    "test_dropout", "test_scene_sfm", "test_tradeoff", "test_semantics_run", "test_forecast", "test_ablate",
+    "test_semantics_real_networks", "test_training_water", "test_effects_training", "test_time_budget",
+    "test_interpolation", "test_cuda", "test_recipes", "test_evaluation", "test_report",
+)  # fmt: skip
+"""Files of tests/engine that take long: whole runs, processes, and kernels on slow stand-ins."""
 
 sys.path.insert(0, str(Path(__file__).parent / "scenes"))
 
@@ -22,3 +42,16 @@ def tiny_scene(tmp_path_factory):
     from tiny import make_tiny_scene
 
     return make_tiny_scene(tmp_path_factory.mktemp("tiny") / "wall of discs")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark the tests of `make test`, and what other Blender versions only repeat."""
+    for item in items:
+        version = getattr(item, "callspec", None) and item.callspec.params.get("installed")
+        if version not in (None, MAIN_VERSION) and item.get_closest_marker("main_version"):
+            item.add_marker(pytest.mark.search)
+        folder, name = item.path.parent.name, item.path.stem
+        in_blender = folder == "blender" and name in QUICK_BLENDER and version in (None, MAIN_VERSION)
+        if in_blender or (folder == "engine" and name not in NOT_QUICK):
+            item.add_marker(pytest.mark.quick)

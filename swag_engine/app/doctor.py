@@ -1,4 +1,4 @@
-"""What this machine has, and which backend a run would take. `python -m swag_engine.doctor` gives it as an event of
+"""What this machine has, and which backend a run would take. `python -m swag_engine.app.doctor` gives it as an event of
 the worker's protocol, also where the engine's packages are missing."""
 
 import json

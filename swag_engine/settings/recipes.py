@@ -29,7 +29,7 @@ class Recipe:
     """What a run computes beside plain Gaussian splatting (arXiv 2308.04079). A weight of 0 is not computed at all."""
 
     planned: bool = False
-    """Let the scene's plan (effects/plan.py) say which effects to simulate; else only what the recipe names."""
+    """Let the plan of the scene (planning/plan.py) decide which effects to model; else only what the recipe names."""
     effects: frozenset[str] = frozenset()
     """Names of the effects that are modelled."""
 

@@ -7,7 +7,7 @@ import json, sys, time
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import scene_import, splats
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
-from bl_ext.user_default.swag_splatting.swag_engine.gaussians.splats import Splats
+from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
 
 bpy.ops.wm.read_homefile(use_empty=True)
 scene = bpy.context.scene

@@ -11,7 +11,7 @@ import json, sys
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import labels, splats
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
-from bl_ext.user_default.swag_splatting.swag_engine.gaussians.splats import Splats
+from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
 
 bpy.ops.wm.read_homefile(use_empty=True)
 bpy.context.preferences.edit.use_global_undo = True

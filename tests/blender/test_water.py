@@ -76,6 +76,7 @@ np.save(sys.argv[-1] + "/render.npy", render)
     assert psnr(render, expected) > 55
 
 
+@pytest.mark.main_version
 def test_objects_stand_in_the_same_water(blender, sea, tmp_path):
     """A glowing and a lit wall, near and far: their light without water, taken through the engine's formula.
 

@@ -15,7 +15,7 @@ TESTS = ("test_rasterize.py", "test_losses.py", "test_optimizer.py", "test_sh.py
 RUN = """
 import ctypes, sys
 import pytest
-from swag_engine.rasterize import cpu, cpu_library
+from swag_engine.kernels import cpu, cpu_library
 kernels = ctypes.CDLL(sys.argv[1])
 cpu_library.library = cpu.library = lambda: kernels
 skipped = "instruction_set or fallback or without_kernels or build_compiles"
