@@ -7,8 +7,8 @@ VENV := .venv/bin/python
 demo: .venv/ready
 	$(VENV) demo/run.py
 
-# Two workers; a file's tests stay together, so that its fixtures are made once.
-PYTEST := $(VENV) -m pytest tests --numprocesses 2 --dist loadfile
+# Two workers; a file's tests stay together, so that its fixtures are made once. UTF-8, because bpy resets the locale.
+PYTEST := PYTHONUTF8=1 $(VENV) -m pytest tests --numprocesses 2 --dist loadfile
 
 # The quick tests: the engine's packages and one Blender version.
 test: .venv/ready

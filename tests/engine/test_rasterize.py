@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from swag_engine.base.errors import InputError
-from swag_engine.kernels import build, cpu_library
-from swag_engine.rasterize import projection
+from swag_engine.kernels import build, cpu_library, protocol
 from swag_engine.rasterize.api import contributions, rasterize
 from swag_engine.rasterize.projection import project
 
@@ -461,7 +460,7 @@ def test_needles_and_huge_gaussians_match_the_reference():
 
 
 def test_too_many_pairs_are_refused_before_memory_is_taken(monkeypatch):
-    monkeypatch.setattr(projection, "MAX_PAIRS", 1000)
+    monkeypatch.setattr(protocol, "MAX_PAIRS", 1000)
     run(changed(n=400), "cpu")
     with pytest.raises(InputError, match="too many or too large"):
         run(changed(n=600, scales=lambda s: s + 10), "cpu")

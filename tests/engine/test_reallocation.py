@@ -8,11 +8,11 @@ import torch
 from clouds import make_cloud
 
 from swag_engine.effects.scene_effects import SceneEffects
-from swag_engine.gaussians import relocate as module
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.densify import PER_GAUSSIAN, share_opacity
 from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.gaussians.relocate import divided, reallocate
+from swag_engine.rendering import importance as module
 from swag_engine.rendering.importance import scores
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera

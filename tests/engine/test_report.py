@@ -90,7 +90,7 @@ def test_parts_that_the_run_has_are_shown_and_others_left_out(run):
     evaluation = evaluate_run(run)
     page = page_of(run)
     assert "12,345" in page and "10,000 to 20,000" in page and ">no</td>" in page and "610" in page
-    assert all(text in page for text in ("depth prior", "cannot tell", "Too alike.", "gain 3.25 (at least 10)"))
+    assert all(text in page for text in ("depth prior", "undetermined", "Too alike.", "gain 3.25 (at least 10)"))
     assert f"{100 * evaluation['floater_mass']:.1f} %" in page
     change(run / "evaluation.json", iteration=7)  # of an earlier checkpoint
     assert "Floater mass" not in page_of(run)

@@ -21,7 +21,7 @@ from swag_engine.formats.export import export_run
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
 from swag_engine.kernels import cuda
-from swag_engine.planning import plan
+from swag_engine.planning import costs, plan
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import inputs
 from swag_engine.training import trainer as loop
@@ -95,7 +95,7 @@ def backend(request, monkeypatch):
         fibres = Fibres(request.config.cache.mkdir("cuda_fibres"))
         monkeypatch.setattr(cuda, "driver", lambda: fibres)
         monkeypatch.setattr(evaluation, "examine", lambda: {"packages": {}} | dict.fromkeys(EXAMINED, ""))
-        for module in (loop, inputs, evaluation, plan):
+        for module in (loop, inputs, evaluation, costs):
             monkeypatch.setattr(module, "device_for", lambda backend: torch.device("cpu"))
     return request.param
 
