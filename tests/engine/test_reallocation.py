@@ -8,11 +8,12 @@ import torch
 from clouds import make_cloud
 
 from swag_engine.effects.scene_effects import SceneEffects
+from swag_engine.gaussians import relocate as module
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.densify import PER_GAUSSIAN, share_opacity
 from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.gaussians.relocate import divided, reallocate
-from swag_engine.rendering import importance as module
+from swag_engine.rendering import importance
 from swag_engine.rendering.importance import scores
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
@@ -220,7 +221,7 @@ def test_far_structure_is_not_deleted_first_for_being_dimmed(monkeypatch):
         return far[torch.sort(S, stable=True).indices[:100]].double().mean().item()
 
     assert 0.35 < far_removed() < 0.65
-    monkeypatch.setattr(module, "visibility", lambda medium, offsets: torch.ones(len(offsets)))
+    monkeypatch.setattr(importance, "visibility", lambda medium, offsets: torch.ones(len(offsets)))
     assert far_removed() > 0.85
 
 

@@ -29,8 +29,11 @@ def test_kernels_stay_in_bounds(tmp_path):
     flags = ["-std=c++17", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     flags += ["-fno-omit-frame-pointer", "-ffp-contract=fast", "-fPIC", "-shared", "-DVW=8", "-mavx2", "-mfma"]
     subprocess.run(["g++", *flags, *build.SOURCES, "-o", str(library)], cwd=build.FOLDER, check=True)
-    asan = subprocess.run(["g++", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True).stdout
-    environment = os.environ | {"LD_PRELOAD": asan.strip(), "ASAN_OPTIONS": "detect_leaks=0", "PYTHONPATH": str(ROOT)}
+    # The C++ library comes first too, because the sanitizer looks for its exceptions when it starts.
+    names = ("libasan.so", "libstdc++.so.6")
+    found = [subprocess.run(["g++", f"-print-file-name={name}"], capture_output=True, text=True) for name in names]
+    preload = " ".join(path.stdout.strip() for path in found)
+    environment = os.environ | {"LD_PRELOAD": preload, "ASAN_OPTIONS": "detect_leaks=0", "PYTHONPATH": str(ROOT)}
     tests = [str(ROOT / "tests" / "engine" / name) for name in TESTS]
     command = [sys.executable, "-c", RUN, str(library), *tests]
     done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=600)
