@@ -10,5 +10,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def available_cores() -> int:
-    """Return how many processor cores this process may run on."""
+    """Return how many processor cores this process may use: OMP_NUM_THREADS where it is set, else all it may run on."""
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    if asked.isdecimal() and int(asked):
+        return int(asked)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
