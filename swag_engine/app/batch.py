@@ -10,7 +10,6 @@ from typing import Any
 
 from ..base.errors import InputError
 
-ON_SCENES = ("inspect", "plan", "train")
 ON_RUNS = ("evaluate", "render", "label", "export")
 STATES = {0: "done", 2: "not usable", 130: "interrupted"}
 

@@ -5,14 +5,14 @@ An effect without a model here is not modelled, and none of its code runs.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
-from .effect import EffectModel, InitialContext
+from .effect import EffectModel, ImageModel, InitialContext
 from .image_gain import apply_log_gains
 from .lamp import Lamp
 from .registry import MODELS, REGISTRY
@@ -94,7 +94,7 @@ class SceneEffects:
         """
         height, width = image.shape[:2]
         gains = [
-            model.log_gain(name, height, width)  # type: ignore[attr-defined]  # models of image effects have it
+            cast(ImageModel, model).log_gain(name, height, width)
             for key, model in self.models.items()
             if MODELS[key].acts_on == "image"
         ]

@@ -132,7 +132,7 @@ class WaterTerm:
         color: Fraction by which one color fades beside another.
         sure_color: Lower 95 % bound of it.
         grey: Relative difference of beta_D between channels.
-        colored: Whether the loss has a color for sure.
+        colored: Whether it is certain that the loss has a color.
         sure: Whether background light and BIC alone show the water.
         strongest: Channel that loses most.
         interval: Half of the 95 % interval of its beta_D, as a fraction of it; NaN without attenuation.

@@ -65,7 +65,7 @@ class Recipe:
     identical copies."""
 
     dropout: float = 0.0
-    """Most that an iteration leaves out at random, as a share of the Gaussians, where photographs are learned by heart
+    """Largest fraction of the Gaussians that an iteration drops at random where the run overfits
     (training/dropout.py)."""
 
     depth_weight: float = 0.1

@@ -90,7 +90,7 @@ class GuardedState:
 
     @property
     def training_failed(self) -> bool:
-        """Whether the learning rates have become too small for training to go on."""
+        """Whether the learning rates have become too small for training to continue."""
         return self.record.rate_factor < LEAST_RATE_FACTOR
 
     def keep(self, optimizer: Optimizer) -> None:
