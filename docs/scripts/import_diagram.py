@@ -21,10 +21,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from generated import ROOT, filled, update
 
-sys.path.insert(0, str(ROOT / ".ci"))
-
-from contracts import copied
-
 TOP = ["operators", "swag_blender"]
 """Packages above the engine, from the top."""
 PICTURE = ROOT / "docs" / "images" / "imports.svg"
@@ -64,21 +60,25 @@ def below_torch(parser: configparser.ConfigParser) -> set[str]:
 def imports(names: Sequence[str]) -> Imports:
     """Read the imports between packages from the code, deferred and TYPE_CHECKING ones too."""
     with tempfile.TemporaryDirectory() as folder:
-        copied(Path(folder))
+        # The extension has no name of its own: Blender gives it one.
+        package = Path(folder, "swag_splatting")
+        package.mkdir()
+        for name in ("__init__.py", "swag_engine", *TOP):
+            (package / name).symlink_to(ROOT / name)
         sys.path.insert(0, folder)
         try:
             graph = grimp.build_graph("swag_splatting", cache_dir=None)
         finally:
             sys.path.remove(folder)
 
-    def package(module: str) -> str:
+    def package_of(module: str) -> str:
         parts = module.split(".")[1:]
         return parts[1] if parts[0] == "swag_engine" and len(parts) > 1 else parts[0]
 
     found: dict[str, set[str]] = {name: set() for name in names}
     for importer in graph.modules - {"swag_splatting"}:
         for imported in graph.find_modules_directly_imported_by(importer) - {"swag_splatting"}:
-            pair = package(importer), package(imported)
+            pair = package_of(importer), package_of(imported)
             if pair[0] != pair[1] and set(pair) <= set(names):
                 found[pair[0]].add(pair[1])
     return found

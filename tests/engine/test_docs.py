@@ -21,7 +21,6 @@ def copy(tmp_path):
     shutil.copytree(ROOT / "benchmarks" / "results", root / "benchmarks" / "results")
     for name in ("README.md", "__init__.py", ".importlinter"):
         shutil.copy(ROOT / name, root)
-    shutil.copytree(ROOT / ".ci", root / ".ci")
     for name in ("swag_engine", "swag_blender", "operators"):
         ignored = shutil.ignore_patterns("lib", "__pycache__", "*.c*", "*.h")
         shutil.copytree(ROOT / name, root / name, ignore=ignored)
