@@ -31,10 +31,11 @@ lint: .venv/ready
 contracts: .venv/ready
 	$(VENV) .ci/contracts.py
 
-# The documentation: tables and import diagram must be those of the results and of the code; the site goes to site/.
+# The documentation: what is made from results and code must be current; the site goes to site/.
 docs: .venv/ready
 	$(VENV) docs/scripts/tables.py --check
 	$(VENV) docs/scripts/import_diagram.py --check
+	$(VENV) docs/scripts/command_line.py --check
 	NO_MKDOCS_2_WARNING=1 $(VENV) -m mkdocs build --strict --quiet --site-dir site
 
 # The extension's zip, with the kernels of this machine or of every platform.

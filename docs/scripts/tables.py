@@ -645,7 +645,7 @@ def caustics() -> str:
 
 # Labels
 
-PARTS = ("salient_growth", "salient_pixels", "open_water", "class_pruning", "reallocation")
+PARTS = ("salient_densification", "salient_pixels", "open_water", "class_pruning", "reallocation")
 """Switches by which regions act on training."""
 
 
