@@ -6,6 +6,7 @@ import bpy
 
 from . import EXTENSION, engine_process, labels, splats
 from .properties import SETTINGS, sparkline, time_text
+from .splat_formats import FORMATS
 
 MAIN_SETTINGS = ("recipe", "preset", "time_budget")
 """Settings that are always visible; the others are in the closed panel below them."""
@@ -199,8 +200,9 @@ class SWAG_PT_export(SwagPanel, bpy.types.Panel):
         column = layout.column(align=True)
         chosen = any(splats.is_splats(obj) for obj in context.selected_objects)
         column.enabled = chosen
-        for label, suffix in (("PLY (3DGS)", ".ply"), ("glTF (GLB)", ".glb")):
-            column.operator("swag.export_splats", text=label, icon="EXPORT").filepath = f"splats{suffix}"
+        for format in FORMATS.values():
+            button = column.operator("swag.export_splats", text=format.title, icon="EXPORT")
+            button.filepath = f"splats{format.suffix}"
         if not chosen:
             draw_wrapped(layout, "Select an object with splats first.", context.region.width, icon="INFO")
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..priors.depth import InverseDepth, StoredDepth, depth_priors
-from ..priors.interpolate import Interpolator, admission, interpolated_pose, neighbour_pairs
+from ..priors.interpolate import Interpolator, interpolated_pose, interpolation_test, neighbour_pairs
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage
 from ..weights.registry import find
@@ -72,8 +72,8 @@ def interpolated_frames(
     pairs = neighbour_pairs([view.camera.name for view in scene.views], images)
     try:
         interpolator = Interpolator(find(FRAME_NETWORK, weights_dir))
-        judged = admission(interpolator, images, pairs)
-        if not judged.admitted:
+        judged = interpolation_test(interpolator, images, pairs)
+        if not judged.accepted:
             return f"No interpolated frames: {judged.reason}", []
         frames = []
         for first, second in ((images[a], images[b]) for a, b in pairs):

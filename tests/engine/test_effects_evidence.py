@@ -18,7 +18,7 @@ from swag_engine.evidence.scene_evidence import SceneEvidence
 from swag_engine.evidence.water_terms import find_water_terms
 from swag_engine.planning.plan import decide_all
 from swag_engine.priors.depth import Alignment
-from swag_engine.priors.interpolate import Admission
+from swag_engine.priors.interpolate import InterpolationTest
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
@@ -401,14 +401,14 @@ def test_depth_is_only_asked_for_where_points_are_few(reef, monkeypatch):
 def test_interpolated_frames_are_for_few_images_far_apart(reef, monkeypatch):
     scene, images = reef
     far = replace(scene, views=scene.views[::3])
-    judged = Admission(3, 27.0, 2.0, 0.9, True, "")
-    monkeypatch.setattr(interpolation, "admission", lambda *arguments: judged)
+    judged = InterpolationTest(3, 27.0, 2.0, 0.9, True, "")
+    monkeypatch.setattr(interpolation, "interpolation_test", lambda *arguments: judged)
     near = decided(interpolation, scene, images)
     assert near.evidence["shared_points"] > decided(interpolation, far, images).evidence["shared_points"] > 0
     monkeypatch.setattr(interpolation, "MOST_SHARED", 0.9)
     assert decided(interpolation, far, images).state == "unknown"
     assert decided(interpolation, far, images, interpolator=lambda *frames: None).state == "on"
-    judged = Admission(3, 20.0, 2.0, 0.9, False, "Interpolated frames miss the images.")
+    judged = InterpolationTest(3, 20.0, 2.0, 0.9, False, "Interpolated frames miss the images.")
     assert decided(interpolation, far, images, interpolator=lambda *frames: None).reason == judged.reason
     monkeypatch.setattr(interpolation, "neighbour_pairs", lambda *names: [])
     assert decided(interpolation, far, images).state == "off"

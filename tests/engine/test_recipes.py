@@ -14,7 +14,7 @@ from tiny import make_tiny_scene
 from swag_engine.base.errors import InputError
 from swag_engine.evaluation.ssim import ssim
 from swag_engine.formats.run_folder import RunFolder
-from swag_engine.priors.interpolate import Admission
+from swag_engine.priors.interpolate import InterpolationTest
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
@@ -235,8 +235,8 @@ def test_frames_are_made_between_training_photographs_only_and_teach_colours_onl
 
     monkeypatch.setattr(network_priors, "find", lambda name, folder: tmp_path)
     monkeypatch.setattr(network_priors, "Interpolator", lambda path: blend)
-    admitted = Admission(3, 30.0, 5.0, 1.0, True, "")
-    monkeypatch.setattr(network_priors, "admission", lambda *arguments: admitted)
+    admitted = InterpolationTest(3, 30.0, 5.0, 1.0, True, "")
+    monkeypatch.setattr(network_priors, "interpolation_test", lambda *arguments: admitted)
     scene = load_scene(scene_folder)
     split = split_views(view.camera.name for view in scene.views)
     images = {image.camera.name: image for image in load_images(scene, scene.views, 64)}
