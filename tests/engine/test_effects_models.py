@@ -10,8 +10,8 @@ from swag_engine.effects.exposure import Exposure
 from swag_engine.effects.image_gain import apply_log_gains
 from swag_engine.effects.lamp import Lamp, lit
 from swag_engine.effects.moving_objects import fraction_with_objects, moving_mask, residual, residuals_elsewhere
+from swag_engine.kernels.reference.transfer import to_display, to_light
 from swag_engine.scene.cameras import Camera
-from swag_engine.water.light import to_display, to_light
 from tests.scenes.clouds import make_cloud
 
 

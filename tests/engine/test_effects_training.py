@@ -14,6 +14,7 @@ from tiny import make_tiny_scene
 from swag_engine.effects import caustics, exposure, image_gain, lamp
 from swag_engine.effects.exposure import Exposure
 from swag_engine.experiments.evaluate_run import render_run
+from swag_engine.kernels.reference.transfer import to_display, to_light
 from swag_engine.planning import plan as planning
 from swag_engine.rendering import render as rendering
 from swag_engine.scene.colmap import load_scene
@@ -23,7 +24,7 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import motion, trials
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
-from swag_engine.water.light import relit, to_display, to_light
+from swag_engine.water.light import apply_gain
 from swag_engine.water.medium import Medium, through_water
 
 SETTINGS = TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1)
@@ -89,8 +90,8 @@ def test_everything_on_is_learned_and_resumes_bit_equal(tiny_scene, tmp_path):
 def test_what_is_restored_has_none_of_it(tiny_scene, tmp_path, monkeypatch):
     train(tiny_scene, tmp_path / "run", replace(SETTINGS, iterations=10, effects="lamp=on,exposure=on,caustics=on"))
     used = []
-    monkeypatch.setattr(image_gain, "relit", lambda *a: used.append("picture") or relit(*a))
-    monkeypatch.setattr(lamp, "relit", lambda colors, factor: used.append(float(factor.abs().max())) or colors)
+    monkeypatch.setattr(image_gain, "apply_gain", lambda *a: used.append("picture") or apply_gain(*a))
+    monkeypatch.setattr(lamp, "apply_gain", lambda colors, factor: used.append(float(factor.abs().max())) or colors)
     render_run(tmp_path / "run", tmp_path / "with", "view_02.png", 1.0)
     assert "picture" in used and max(value for value in used if value != "picture") > 0
     used.clear()
@@ -199,9 +200,9 @@ def test_what_moves_is_found_without_being_asked_for_and_nothing_else(tiny_scene
 def test_light_is_scaled_exactly_and_differentiably():
     display = torch.linspace(0, 1.2, 400, dtype=torch.float64)[:, None]
     factor = torch.linspace(-3, 3, 31, dtype=torch.float64)
-    torch.testing.assert_close(relit(display, factor), to_display(to_light(display) * factor.exp()))
+    torch.testing.assert_close(apply_gain(display, factor), to_display(to_light(display) * factor.exp()))
     inputs = (torch.tensor([[0.01, 0.05, 0.5], [0.9, 0.02, 0.3]]).double(), torch.tensor([[0.7], [-1.5]]).double())
-    assert torch.autograd.gradcheck(relit, [value.requires_grad_() for value in inputs])
+    assert torch.autograd.gradcheck(apply_gain, [value.requires_grad_() for value in inputs])
 
 
 def test_water_that_only_attenuates_has_no_veil():

@@ -6,7 +6,6 @@ import torch
 
 from swag_engine.base.timing import Ledger
 from swag_engine.evaluation.ssim import ssim
-from swag_engine.kernels import cpu
 from swag_engine.training.losses import attenuation_order, grey_world, photometric, smoothness
 
 SIZES = [(1, 1), (4, 7), (11, 11), (23, 41), (9, 330)]  # the last one is wider than a block of the kernel
@@ -100,11 +99,10 @@ def test_same_bits_for_any_number_of_threads():
     assert all(r[0] == results[0][0] and torch.equal(r[1], results[0][1]) for r in results)
 
 
-def test_torch_path_agrees_when_there_are_no_kernels(monkeypatch):
+def test_torch_path_agrees_with_the_kernels():
     image, target = (x.float() for x in images(45, 70))
-    expected = value_and_gradient(lambda x: photometric(x, target, None), image)
-    monkeypatch.setattr(cpu, "library", lambda: None)
-    value, gradient = value_and_gradient(lambda x: photometric(x, target, None), image)
+    expected = value_and_gradient(lambda x: photometric(x, target, None, backend="cpu"), image)
+    value, gradient = value_and_gradient(lambda x: photometric(x, target, None, backend="torch"), image)
     assert value == pytest.approx(expected[0], rel=1e-5)
     np.testing.assert_allclose(gradient, expected[1], atol=1e-5 * expected[1].abs().max().item())
 

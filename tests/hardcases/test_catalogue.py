@@ -20,7 +20,8 @@ from swag_engine.experiments import evaluate_run as evaluation
 from swag_engine.formats.export import export_run
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
-from swag_engine.kernels import cuda
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels.cuda import CudaKernels
 from swag_engine.planning import costs, plan
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import inputs
@@ -93,7 +94,7 @@ def backend(request, monkeypatch):
         from tests.engine.cuda_fibres import Fibres
 
         fibres = Fibres(request.config.cache.mkdir("cuda_fibres"))
-        monkeypatch.setattr(cuda, "driver", lambda: fibres)
+        monkeypatch.setitem(KERNELS, "cuda", CudaKernels(lambda: fibres))
         monkeypatch.setattr(evaluation, "examine", lambda: {"packages": {}} | dict.fromkeys(EXAMINED, ""))
         for module in (loop, inputs, evaluation, costs):
             monkeypatch.setattr(module, "device_for", lambda backend: torch.device("cpu"))

@@ -3,7 +3,6 @@
 import json
 import sys
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -15,7 +14,9 @@ from torch.overrides import TorchFunctionMode
 from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
 from swag_engine.formats.ply import read_ply
-from swag_engine.kernels import cuda, cuda_driver
+from swag_engine.kernels import cuda_driver
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels.cuda import CudaKernels
 from swag_engine.kernels.protocol import TooManyPairs
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
@@ -96,7 +97,7 @@ def card(request, monkeypatch, tmp_path):
 
     monkeypatch.setattr(cuda_driver, "ptx_path", lambda: tmp_path / "kernels.ptx")
     (tmp_path / "kernels.ptx").write_text("")
-    monkeypatch.setattr(cuda, "driver", cache(cuda.driver.__wrapped__))
+    monkeypatch.setitem(KERNELS, "cuda", CudaKernels())
     for module in (loop, inputs):
         monkeypatch.setattr(module, "device_for", lambda backend: torch.device("cpu"))
     fibres = Fibres(request.config.cache.mkdir("cuda_fibres"))
