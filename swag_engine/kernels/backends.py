@@ -36,8 +36,9 @@ def device_for(backend: str) -> torch.device:
     """Where a run with this backend keeps its tensors. Raises InputError when "cuda" is asked for and cannot run."""
     if backend == "cuda" and (reason := cuda.reason()):
         raise InputError(f"The cuda backend cannot run here: {reason}")
-    if backend == "cuda" or (backend == "auto" and cuda.reason() is None):
-        return torch.device("cuda")
+    launcher = cuda.driver()
+    if backend in ("auto", "cuda") and not isinstance(launcher, str):
+        return torch.device(launcher.device_type)
     if backend == "torch" and torch.accelerator.is_available():
         return torch.accelerator.current_accelerator() or torch.device("cpu")
     return torch.device("cpu")
