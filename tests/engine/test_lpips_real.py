@@ -1,5 +1,6 @@
 """LPIPS with the published weights: the figures of the original package, zero for equal images, growth with blur."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from swag_engine.app.cli import main
 from swag_engine.evaluation.lpips import BACKBONES, Lpips, load_lpips
 from tests.engine.lpips_weights import weights_folder
 
@@ -81,3 +83,14 @@ def test_weights_are_found_in_the_folder_given_and_in_the_cache_folder(weights, 
     found, notes = load_lpips(tmp_path / "elsewhere")
     assert list(found) == ["alex"]
     assert len(notes) == 1 and "VGG16" in notes[0]
+
+
+def test_evaluation_reports_lpips_by_view_and_backbone(finished_run, weights, tmp_path, capsys):
+    run = shutil.copytree(finished_run, tmp_path / "run")
+    assert main(["evaluate", str(run), "--weights-dir", str(weights), "--json"]) == 0
+    evaluation = json.loads(capsys.readouterr().out)
+    assert evaluation["notes"] == []
+    for name in BACKBONES:
+        by_view = [view["lpips"][name] for view in evaluation["views"].values()]
+        assert all(0 < value < 1 for value in by_view)
+        assert evaluation["test_lpips"][name] == pytest.approx(np.mean(by_view))

@@ -22,7 +22,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="kills processes in t
 
 
 @linux
-def test_killed_runs_lose_nothing():
+def test_killed_runs_resume_bit_equal():
     """Twenty of the hundred that `python tests/hardcases/killed_runs.py` kills."""
     command = [sys.executable, "tests/hardcases/killed_runs.py", "--kills", "20", "--seed", "1"]
     done = subprocess.run(
@@ -34,7 +34,7 @@ def test_killed_runs_lose_nothing():
     assert "Traceback" not in done.stderr
 
 
-def test_bytes_reach_the_disk_before_names_do(tmp_path, monkeypatch):
+def test_a_file_is_flushed_before_it_is_renamed(tmp_path, monkeypatch):
     done = []
     fsync, replace = os.fsync, os.replace
     monkeypatch.setattr(os, "fsync", lambda f: (done.append(Path(os.readlink(f"/proc/self/fd/{f}"))), fsync(f))[1])
