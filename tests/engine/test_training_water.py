@@ -1,6 +1,7 @@
 """Runs with water: coefficients, restored colors, renders with less water, and resuming."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -72,6 +73,8 @@ def test_the_amount_of_water_can_be_chosen(runs, tmp_path):
 def test_a_resumed_run_keeps_its_water(runs, tmp_path):
     asked = iter(range(10**9))
     settings = TrainSettings(**{**SETTINGS.to_json(), "recipe": "swag"})
+    (tmp_path / "run").mkdir()
+    shutil.copy(runs / "swag" / "plan.json", tmp_path / "run")  # saves making it again
     train(REEF, tmp_path / "run", settings, should_stop=lambda: next(asked) >= 60)
     train(REEF, tmp_path / "run", settings, resume=True)
     expected, _ = load_checkpoint(runs / "swag")
