@@ -64,7 +64,7 @@ def forecast_scene(
     looks = []
     for number, size in enumerate((FIRST_LOOK, SECOND_LOOK)):
         progress("First looks", number / 2)
-        sized = replace(settings, preset="draft", time_budget="", **asdict(size))
+        sized = replace(settings, preset="draft", time_budget="", **size.numbers())
         psnr, training, seconds = _look(scene_folder, sized)
         looks.append(psnr)
     speed, beside = corrected_speed(speed, _predicted(speed, extent, sized), training, seconds)
@@ -207,7 +207,7 @@ def _expected(
         spread = 0.5 * spread + SPREAD_DB if errors else spread
         psnr = [round(likely_psnr + sign * spread, 2) for sign in (-1, 0, 1)]
     return {
-        **asdict(size),
+        **size.numbers(),
         "seconds": [round(guess * ratio, 2) for ratio in (least, likely, most)],
         "psnr": psnr,
         "memory_mb": round(_memory_mb(extent, size)),

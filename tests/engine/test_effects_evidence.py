@@ -421,7 +421,7 @@ def test_frames_are_interpolated_for_few_images_far_apart(reef):
     accepted = decided(interpolation, far, images, interpolator=true_frame)
     assert accepted.state == "on" and accepted.evidence["shared_points"] == 0
     black = decided(interpolation, far, images, interpolator=lambda a, b, t: np.zeros_like(a))
-    assert black.state == "off" and "frames miss the images" in black.reason
+    assert black.state == "off" and "frames differ from the images" in black.reason
     assert decided(interpolation, replace(far, views=far.views[:1]), images).state == "off"
 
 
