@@ -11,18 +11,16 @@ from mathutils import Matrix
 from ..swag_blender import scene_import, splats
 from ..swag_blender.cameras import cameras_of
 from ..swag_blender.runs import RUN_KEY
+from ..swag_blender.splat_formats import COLMAP_UP, FILE_FILTER, SUFFIXES, find_format, menu_text
 from ..swag_engine.base.errors import InputError
-from ..swag_engine.formats.cameras import Photograph, moved, write_cameras
+from ..swag_engine.formats.cameras import PosedImage, transform_camera, write_cameras
 from ..swag_engine.formats.export import cameras_folder, with_water
-from ..swag_engine.formats.gltf import COLMAP_UP, glb_size, turn_to_y_up, write_glb
-from ..swag_engine.formats.ply import ply_size, write_ply
 from ..swag_engine.formats.run_folder import RunFolder, read_json, write_json
-from ..swag_engine.formats.select import Choice, label_ids, something
-from ..swag_engine.formats.water import placed
+from ..swag_engine.formats.select import SplatSelection, label_ids, require_splats
+from ..swag_engine.formats.water import transform_water
 from ..swag_engine.splats.splats import Splats, concatenate
-from ..swag_engine.splats.transform import transformed
+from ..swag_engine.splats.transform import rotation_to_y_up, transformed
 
-SUFFIXES = (".ply", ".glb")
 # File to Blender world, for a PLY.
 FRAMES = {
     "UPRIGHT": splats.FILE_FRAME,
@@ -42,7 +40,7 @@ class SWAG_OT_export_splats(bpy.types.Operator, ExportHelper):
     bl_options = {"REGISTER", "PRESET"}
 
     filename_ext = ".ply"
-    filter_glob: StringProperty(default="*.ply;*.glb", options={"HIDDEN"})
+    filter_glob: StringProperty(default=FILE_FILTER, options={"HIDDEN"})
     check_existing: BoolProperty(default=True, options={"HIDDEN"})
     use: EnumProperty(
         name="Objects",
@@ -100,7 +98,7 @@ class SWAG_OT_export_splats(bpy.types.Operator, ExportHelper):
         return super().invoke(context, event)
 
     def check(self, context: bpy.types.Context) -> bool:
-        # Either suffix is good; ExportHelper would put .ply after .glb.
+        # The suffix of any format is good; ExportHelper would put .ply after .glb.
         known = Path(self.filepath).suffix.lower() in SUFFIXES
         changed = not known and super().check(context)
         return self._foresee(context) or changed
@@ -138,32 +136,27 @@ class SWAG_OT_export_splats(bpy.types.Operator, ExportHelper):
         self.forecast_of = of
         try:
             together, up, _ = self._together(context, path, as_they_are=True)
-            size = glb_size(path, together, up) if path.suffix.lower() == ".glb" else ply_size(path, together)
+            size = find_format(path).size(path, together, up, ())
             self.forecast = f"{len(together)} splats, {size / 1e6:.1f} MB"
         except InputError as error:
             self.forecast = str(error)
         return True
 
     def _save(self, context: bpy.types.Context, path: Path) -> int:
-        if path.suffix.lower() not in SUFFIXES:
-            raise InputError(f"{path.name} cannot be saved: give the file a name that ends in .ply or .glb.")
-        is_glb = path.suffix.lower() == ".glb"
+        format = find_format(path)
         together, up, into_file = self._together(context, path)
         seen = []
         if self.cameras:
             chosen = self._chosen(context)
-            seen = [moved(camera, into_file) for camera in cameras_of(context, _roots(chosen))]
+            seen = [transform_camera(camera, into_file) for camera in cameras_of(context, _roots(chosen))]
             if not seen:
                 raise InputError("There are no cameras to save: import the scene, add a camera, or leave them out.")
-        if is_glb:
-            write_glb(path, together, up, seen)
-        else:
-            write_ply(path, together)
+        format.write(path, together, up, seen)
         if seen:
             turn = np.eye(4)
-            if is_glb:
-                turn[:3, :3] = turn_to_y_up(up)
-            photographs = [Photograph.through_pinhole(moved(camera, turn)) for camera in seen]
+            if "up" not in format.options:
+                turn[:3, :3] = rotation_to_y_up(up)
+            photographs = [PosedImage.from_camera(transform_camera(camera, turn)) for camera in seen]
             nowhere = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
             for note in write_cameras(cameras_folder(path), photographs, *nowhere)[1]:
                 self.report({"WARNING"}, note)
@@ -178,7 +171,7 @@ class SWAG_OT_export_splats(bpy.types.Operator, ExportHelper):
             linear = (into_file @ np.array(obj.matrix_world, np.float64))[:3, :3]
             scale = float(np.cbrt(np.linalg.det(linear)))
             in_metres = bool(metres) or self.metres_per_unit != 1.0
-            write_json(path, placed(medium, linear / scale, scale, metres, in_metres))
+            write_json(path, transform_water(medium, linear / scale, scale, metres, in_metres))
 
     def _chosen(self, context: bpy.types.Context) -> list[bpy.types.Object]:
         if self.use == "VISIBLE":
@@ -208,14 +201,14 @@ class SWAG_OT_export_splats(bpy.types.Operator, ExportHelper):
                 raise InputError(f"{chosen[0].name} hangs from no imported scene: save it upright.")
             frame, up = root.matrix_world, scene_import.up_of(root)
         else:
-            frame = FRAMES["UPRIGHT" if path.suffix.lower() == ".glb" else self.frame]
+            frame = FRAMES[self.frame if "up" in find_format(path).options else "UPRIGHT"]
         into_file = np.diag([self.metres_per_unit] * 3 + [1.0]) @ np.linalg.inv(np.array(frame, np.float64))
         depsgraph = context.evaluated_depsgraph_get()
         # Evaluated: parents, constraints and animation count.
         places = [np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64) for obj in chosen]
         parts = []
         for obj, place in zip(chosen, places, strict=True):
-            kept = self._choice(obj, place).of(splats.read_modified_splats(obj))
+            kept = self._choice(obj, place).apply(splats.read_modified_splats(obj))
             if as_they_are:
                 parts.append(kept)
                 continue
@@ -224,15 +217,15 @@ class SWAG_OT_export_splats(bpy.types.Operator, ExportHelper):
                 if not roots:
                     raise InputError(f"{obj.name} hangs from no imported scene, so its water is not known.")
                 from_root = np.linalg.inv(np.array(roots[0].matrix_world, np.float64))
-                seen = [moved(camera, from_root) for camera in cameras_of(context, roots)]
+                seen = [transform_camera(camera, from_root) for camera in cameras_of(context, roots)]
                 if not seen:
                     raise InputError(f"The scene of {obj.name} has no cameras left, so its water cannot be shown.")
                 medium, metres = _water(obj)
                 kept = with_water(kept, medium, seen, self.water, metres)
             parts.append(transformed(kept, into_file @ place))
-        return something(concatenate(parts)), up, into_file
+        return require_splats(concatenate(parts)), up, into_file
 
-    def _choice(self, obj: bpy.types.Object, place: np.ndarray) -> Choice:
+    def _choice(self, obj: bpy.types.Object, place: np.ndarray) -> SplatSelection:
         """What to keep of the object that stands at `place`."""
         words = [word.strip() for word in self.labels.split(",") if word.strip()]
         names = Path(bpy.path.abspath(obj.get(RUN_KEY, ""))) / "labels.json"
@@ -242,7 +235,8 @@ class SWAG_OT_export_splats(bpy.types.Operator, ExportHelper):
             if cropping is None:
                 raise InputError(f"There is no object {self.crop_object} to crop by: choose another or none.")
             box = _to_unit_box(cropping) @ place
-        return Choice(label_ids(words, names) if words else None, box, self.min_opacity, self.sh_degree, self.extras)
+        labels = label_ids(words, names) if words else None
+        return SplatSelection(labels, box, self.min_opacity, self.sh_degree, self.extras)
 
 
 def _roots(chosen: list[bpy.types.Object]) -> list[bpy.types.Object]:
@@ -270,7 +264,7 @@ def _to_unit_box(obj: bpy.types.Object) -> np.ndarray:
 
 
 def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    menu.layout.operator(SWAG_OT_export_splats.bl_idname, text="Gaussian Splats (.ply, .glb)")
+    menu.layout.operator(SWAG_OT_export_splats.bl_idname, text=menu_text(), translate=False)
 
 
 def register() -> None:

@@ -6,11 +6,8 @@ import bpy
 from bpy.props import CollectionProperty, EnumProperty, IntProperty, StringProperty
 
 from ..swag_blender import scene_import, splats
+from ..swag_blender.splat_formats import COLMAP_UP, FILE_ENDINGS, FILE_FILTER, find_format, menu_text
 from ..swag_engine.base.errors import InputError
-from ..swag_engine.formats.gltf import read_glb
-from ..swag_engine.formats.ply import read_ply
-
-READERS = {".ply": read_ply, ".glb": read_glb}
 
 
 class SWAG_OT_import_splats(bpy.types.Operator):
@@ -23,7 +20,7 @@ class SWAG_OT_import_splats(bpy.types.Operator):
     filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE"})
-    filter_glob: StringProperty(default="*.ply;*.glb", options={"HIDDEN"})
+    filter_glob: StringProperty(default=FILE_FILTER, options={"HIDDEN"})
 
     frame: EnumProperty(
         name="Place",
@@ -67,13 +64,11 @@ class SWAG_OT_import_splats(bpy.types.Operator):
         return {"FINISHED"}
 
     def _open(self, context: bpy.types.Context, path: Path) -> bpy.types.Object:
-        if path.suffix.lower() not in READERS:
-            raise InputError(f"{path.name or 'Nothing'} is no splat file: choose a file that ends in .ply or .glb.")
+        format = find_format(path)
         root = scene_import.active_root(context) if self.frame == "SCENE" else None
         if self.frame == "SCENE" and root is None:
             raise InputError(f"{path.name} has no scene to stand in: import its COLMAP scene, or place it upright.")
-        up = {"up": scene_import.up_of(root)} if root and path.suffix.lower() == ".glb" else {}
-        loaded = READERS[path.suffix.lower()](path, **up)
+        loaded = format.read(path, scene_import.up_of(root) if root else COLMAP_UP)
         loaded.sh = loaded.sh[:, : (self.sh_degree + 1) ** 2]
         obj = splats.new_splat_object(path.stem, loaded, context.collection, root)
         if root is None:
@@ -87,7 +82,7 @@ class SWAG_FH_splats(bpy.types.FileHandler):
     bl_idname = "SWAG_FH_splats"
     bl_label = "Gaussian Splats"
     bl_import_operator = SWAG_OT_import_splats.bl_idname
-    bl_file_extensions = ".ply;.glb"
+    bl_file_extensions = FILE_ENDINGS
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
@@ -95,7 +90,7 @@ class SWAG_FH_splats(bpy.types.FileHandler):
 
 
 def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    menu.layout.operator(SWAG_OT_import_splats.bl_idname, text="Gaussian Splats (.ply, .glb)")
+    menu.layout.operator(SWAG_OT_import_splats.bl_idname, text=menu_text(), translate=False)
 
 
 def register() -> None:

@@ -5,7 +5,11 @@ import textwrap
 import bpy
 
 from . import EXTENSION, engine_process, labels, splats
-from .properties import sparkline, time_text
+from .properties import SETTINGS, sparkline, time_text
+from .splat_formats import FORMATS
+
+MAIN_SETTINGS = ("recipe", "preset", "time_budget")
+"""Settings that are always visible; the others are in the closed panel below them."""
 
 
 class SwagPanel:
@@ -79,7 +83,7 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in ("recipe", "preset", "time_budget"):
+        for name in MAIN_SETTINGS:
             column.prop(swag, name)
         try:
             engine_process.engine_python()
@@ -129,10 +133,7 @@ class SWAG_PT_train_more(SwagPanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in (
-            *("iterations", "width", "max_gaussians", "stop_when_flat", "effects", "words", "masks", "water_type"),
-            *("metres_per_unit", "sh_degree", "seed", "backend", "run_folder"),
-        ):
+        for name in (*(name for name in SETTINGS if name not in MAIN_SETTINGS), "run_folder"):
             column.prop(swag, name)
 
 
@@ -199,8 +200,9 @@ class SWAG_PT_export(SwagPanel, bpy.types.Panel):
         column = layout.column(align=True)
         chosen = any(splats.is_splats(obj) for obj in context.selected_objects)
         column.enabled = chosen
-        for label, suffix in (("PLY (3DGS)", ".ply"), ("glTF (GLB)", ".glb")):
-            column.operator("swag.export_splats", text=label, icon="EXPORT").filepath = f"splats{suffix}"
+        for format in FORMATS.values():
+            button = column.operator("swag.export_splats", text=format.title, icon="EXPORT")
+            button.filepath = f"splats{format.suffix}"
         if not chosen:
             draw_wrapped(layout, "Select an object with splats first.", context.region.width, icon="INFO")
 
