@@ -34,7 +34,7 @@ from swag_engine.settings.recipes import RECIPES, SWITCHES
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
-from tests.hardcases.test_damaged_files import some_splats
+from tests.hardcases.changed_files import some_splats
 
 EXAMPLES = int(os.environ.get("SWAG_EXAMPLES", 0))
 
