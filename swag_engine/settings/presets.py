@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, field
+from typing import Any
 
 from ..base.errors import InputError
 
@@ -22,7 +23,7 @@ class Size:
     max_gaussians: int
     description: str = field(default="", compare=False)
 
-    def numbers(self) -> dict[str, int]:
+    def numbers(self) -> dict[str, Any]:
         """Return the numbers by the names of the settings that they stand for."""
         return {name: getattr(self, name) for name in SIZES}
 
