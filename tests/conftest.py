@@ -25,8 +25,9 @@ NOT_QUICK = (
     "test_dropout", "test_scene_sfm", "test_tradeoff", "test_semantics_run", "test_forecast", "test_ablate",
     "test_semantics_real_networks", "test_training_water", "test_effects_training", "test_time_budget",
     "test_interpolation", "test_cuda", "test_recipes", "test_evaluation", "test_report",
+    "test_lpips_real",
 )  # fmt: skip
-"""Files of tests/engine that take long: whole runs, processes, and kernels on slow stand-ins."""
+"""Files of tests/engine that take long or download: whole runs, processes, kernels on slow stand-ins, real weights."""
 
 sys.path.insert(0, str(Path(__file__).parent / "scenes"))
 

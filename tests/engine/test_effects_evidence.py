@@ -225,7 +225,8 @@ def test_grey_attenuation_without_veiling_light_is_a_lamp():
 def test_grey_attenuation_is_determined_by_the_veiling_light():
     turbid = {"beta_D": (0.16, 0.16, 0.16), "beta_B": (0.12, 0.12, 0.12)}
     veiled = observations_of(**turbid, B=(0.2, 0.2, 0.2), count=1500)
-    assert states(veiled)["attenuation"] == states(veiled)["backscatter"] == "on"
+    found = states(veiled)
+    assert found["attenuation"] == found["backscatter"] == "on"
     assert states(replace(veiled, darkest=np.zeros_like(veiled.darkest)))["attenuation"] != "on"
 
 
