@@ -30,9 +30,9 @@ LEAST_GAIN, MOST_GAIN = 0.05, 2.0
 """Bounds of the gain, so that its logarithm stays finite whatever is learned."""
 LEAST_FALLOFF = 0.1
 """Fraction of light lost from the centre to the corners; trials decide where it is within a factor 1.5 of this."""
-LEAST_RADIAL = 0.7
-"""Fraction of the variance of the fitted light over the images that is radial: a lens gives 0.9 and more, shine, waves
-and errors of the fit 0.3 and less (on generated scenes)."""
+LEAST_RADIAL = 0.5
+"""Fraction of the variance of the fitted light over the images that is radial: on generated scenes a lens gives 0.8 and
+more; shine, waves and errors of the fit give 0.4 and less."""
 LEAST_BIC = 100.0
 """BIC gain by light that varies over the images: shine and phone processing gain some tens by it."""
 MOST_RADIUS_CORRELATION = 0.9
@@ -124,7 +124,7 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
         return too_few_observations(evidence)
     camera = terms.camera
     measured = Falloff.of(evidence.observations, camera.lens_fit.lens)
-    falloff = float(-np.expm1(measured.log_corner))
+    falloff = max(0.0, float(-np.expm1(measured.log_corner)))
     figures = {
         "falloff": falloff,
         "falloff_least": LEAST_FALLOFF,
@@ -148,10 +148,10 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
             "Cannot be distinguished from light that changes with range: range and distance from the image centre vary "
             f"together (correlation {measured.radius_correlation:.2f}, {MOST_RADIUS_CORRELATION} at most)."
         )
-    if found and terms.lamp.found:
+    if found and terms.lamp.tied:
         return decision.undetermined(
-            f"Cannot be distinguished from the beam of the lamp: light falls off by {falloff:.1%} from the centre of "
-            "the photos to their corners."
+            f"Cannot be distinguished from the beam of a lamp at the camera: light falls off by {falloff:.1%} from the "
+            "centre of the photos to their corners."
         )
     return decision
 

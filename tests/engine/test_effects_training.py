@@ -11,7 +11,7 @@ import torch
 from runs import train_with
 from tiny import make_tiny_scene
 
-from swag_engine.effects import caustics, exposure, image_gain, lamp
+from swag_engine.effects import caustics, exposure, image_gain, lamp, vignetting
 from swag_engine.effects.exposure import Exposure
 from swag_engine.experiments.evaluate_run import render_run
 from swag_engine.planning import plan as planning
@@ -27,12 +27,13 @@ from swag_engine.water.light import relit, to_display, to_light
 from swag_engine.water.medium import Medium, through_water
 
 SETTINGS = TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1)
-OFF = "water=off,lamp=off,exposure=off,caustics=off,moving_objects=off"
+OFF = "water=off,lamp=off,exposure=off,vignetting=off,caustics=off,moving_objects=off"
 CODE = {
     "attenuation": (rendering, "through_water"),
     "backscatter": (rendering, "open_water"),
     "lamp": (rendering, "lit"),
     "exposure": (exposure.Exposure, "log_gain"),
+    "vignetting": (vignetting.Vignetting, "log_gain"),
     "caustics": (caustics.Illumination, "log_gain"),
     "moving_objects": (motion, "moving_mask"),
 }
@@ -81,7 +82,8 @@ def test_everything_on_is_learned_and_resumes_bit_equal(tiny_scene, tmp_path):
     train(tiny_scene, tmp_path / "parts", chosen, resume=True)
     expected, got = (load_checkpoint(tmp_path / name)[0] for name in ("whole", "parts"))
     assert expected.keys() == got.keys() and all(torch.equal(expected[name], got[name]) for name in expected)
-    assert {"lamp.log_tau", "exposure.raw", "caustics.log_light", "medium.veil"} <= expected.keys()
+    learned = {"lamp.log_tau", "exposure.raw", "vignetting.coefficients", "caustics.log_light", "medium.veil"}
+    assert learned <= expected.keys() and expected["vignetting.coefficients"].abs().min() > 0
     assert expected["exposure.raw"].std() > 0 and expected["caustics.log_light"].std() > 0
     assert float(expected["lamp.log_tau"]) != 0
 
