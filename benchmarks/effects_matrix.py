@@ -227,9 +227,9 @@ def color_errors(passes, settings, fit) -> dict[str, float]:
 def effect_sizes(passes, settings, truth: dict) -> dict[str, float]:
     """Measure how much each effect changes the pixels (8-bit display values, 95th percentile).
 
-    Each is compared with the effect held at its value at the median range (vignetting: in the image centre): a change
-    that is constant over range and images cannot be distinguished from the scene itself. Exposure is everything that scales one image as a whole:
-    gain, the gain of a phone's white balance, and the mean of the caustics over the image.
+    Each is compared with the effect held at its value at the median range, vignetting with that at the image centre: a
+    change that is constant over range and images cannot be distinguished from the scene itself. Exposure is everything
+    that scales one image as a whole: gain, the gain of a phone's white balance, and the mean of the caustics over it.
     """
     from tests.scenes.make_scene import (
         caustic_pattern,
