@@ -9,6 +9,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..effects.registry import REGISTRY
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..planning.plan import Plan, plan_scene
 from ..settings.effect_names import EFFECTS, TOGETHER
@@ -18,7 +19,7 @@ from ..training.trainer import train
 from .evaluate_run import evaluate_run
 
 OURS = "swag"
-ALL = "separate_backscatter=on,lamp=on,exposure=on,caustics=on,moving_objects=on"
+ALL = ",".join(f"{name}=on" for name, effect in REGISTRY.items() if not effect.needs_network)
 """Every effect that needs no network."""
 FIGURES = {
     "psnr": "validation PSNR",

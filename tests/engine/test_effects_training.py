@@ -18,6 +18,7 @@ from swag_engine.effects.exposure import Exposure
 from swag_engine.effects.lamp import lit
 from swag_engine.effects.moving_objects import moving_mask
 from swag_engine.effects.scene_effects import SceneEffects
+from swag_engine.effects.vignetting import Vignetting
 from swag_engine.evaluation.metrics import picture
 from swag_engine.experiments.evaluate_run import newest, render_run
 from swag_engine.kernels.reference.transfer import to_display, to_light
@@ -33,12 +34,13 @@ from swag_engine.water.light import apply_gain
 from swag_engine.water.medium import Medium, open_water, through_water
 
 SETTINGS = TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1)
-OFF = "water=off,lamp=off,exposure=off,caustics=off,moving_objects=off"
+OFF = "water=off,lamp=off,exposure=off,vignetting=off,caustics=off,moving_objects=off"
 CODE = {
     "attenuation": through_water,
     "backscatter": open_water,
     "lamp": lit,
     "exposure": Exposure.log_gain,
+    "vignetting": Vignetting.log_gain,
     "caustics": Illumination.log_gain,
     "moving_objects": moving_mask,
 }
@@ -89,7 +91,8 @@ def test_everything_on_is_learned_and_resumes_bit_equal(tiny_scene, tmp_path):
     train(tiny_scene, tmp_path / "parts", chosen, resume=True)
     expected, got = (load_checkpoint(tmp_path / name)[0] for name in ("whole", "parts"))
     assert expected.keys() == got.keys() and all(torch.equal(expected[name], got[name]) for name in expected)
-    assert {"lamp.log_tau", "exposure.raw", "caustics.log_light", "medium.veil"} <= expected.keys()
+    learned = {"lamp.log_tau", "exposure.raw", "vignetting.coefficients", "caustics.log_light", "medium.veil"}
+    assert learned <= expected.keys() and expected["vignetting.coefficients"].abs().min() > 0
     assert expected["exposure.raw"].std() > 0 and expected["caustics.log_light"].std() > 0
     assert float(expected["lamp.log_tau"]) != 0
 
