@@ -4,6 +4,7 @@ makes a .blend in this one."""
 import argparse
 import contextlib
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -32,6 +33,8 @@ def run(arguments: list[str]) -> int:
         errors = None if "--json" in arguments else subprocess.STDOUT
         environment = engine_process.clean_environment() | {"SWAG_PROG": PROG}
         child = subprocess.Popen(command, env=environment, stderr=errors)
+        # A service may stop Blender alone; the child then keeps what exists, and its exit code becomes Blender's.
+        signal.signal(signal.SIGTERM, lambda number, frame: child.terminate())
     except (engine_process.EngineError, OSError) as error:
         print(error, file=sys.stderr)
         return BAD_USAGE

@@ -3,11 +3,9 @@
 import functools
 import operator
 import os
-import signal
 import sys
-import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,19 +14,20 @@ import tyro
 
 from ..base import threads  # noqa: F401
 from ..base.errors import InputError
-from ..base.strict_json import to_json
 from ..experiments.grid import Grid
 from ..formats.export import ExportOptions, export_run
 from ..formats.export import describe as describe_export
 from ..formats.registry import FormatName
 from ..settings.field import settings_of
 from ..settings.settings import TrainSettings
+from .answers import refuse, refuse_missing, show
+from .interrupts import interrupts
 
-INTERRUPTED = 130
 DESCRIPTION = """Underwater photographs to 3D Gaussian splats. COMMAND --help says what a command takes.
 
-Exit codes: 0 done, 1 a bug, 2 bad input or usage, 130 interrupted with what exists kept. Progress and errors go to
-stderr; with --json stdout carries one JSON document and nothing else."""
+Exit codes: 0 done, 1 a bug, 2 bad input or usage; with what exists kept, 130 interrupted by Ctrl-C and 143 by SIGTERM.
+Progress and errors go to stderr; with --json stdout carries one JSON document and nothing else."""
+STOPPING = "Stopping after this iteration; press Ctrl-C again to stop at once."
 STARTED = time.monotonic()
 """What a time budget counts from: starting Python and its packages is the user's time too."""
 
@@ -149,10 +148,9 @@ class Train:
         from ..experiments.train_and_report import train_and_report
         from .progress import training_progress
 
-        should_stop = stop_on_interrupt()
-        with training_progress() as on_event:
+        with interrupts.deferred(STOPPING), training_progress() as on_event:
             result = train_and_report(
-                self.scene, self.out, self.settings, self.resume, on_event, should_stop,
+                self.scene, self.out, self.settings, self.resume, on_event, interrupts.should_stop,
                 weights_dir=self.weights_dir, started=STARTED,
             )  # fmt: skip
         metrics = result["metrics"]
@@ -171,7 +169,7 @@ class Train:
             f"{chr(10) + 'Report: ' + result['report'] if result['report'] else ''}"
         )
         show(result, self.json, text)
-        return INTERRUPTED if result["interrupted"] else 0
+        return interrupts.exit_code if result["interrupted"] else 0
 
 
 @dataclass(frozen=True)
@@ -239,13 +237,16 @@ class Ablate:
 
         settings = TrainSettings(iterations=self.iterations, width=self.width, max_gaussians=self.max_gaussians)
 
-        def told(name: str, seed: int, figures: dict[str, Any]) -> None:
+        def print_run(name: str, seed: int, figures: dict[str, Any]) -> None:
             quality = "not a number" if figures["test_psnr"] is None else f"{figures['test_psnr']:.2f} dB"
             print(f"{name}, seed {seed}: test PSNR {quality}, {figures['seconds']:.0f} s", file=sys.stderr, flush=True)
 
-        document = ablate(self.scene, self.out, self.seeds, settings, self.weights_dir, told, stop_on_interrupt())
+        with interrupts.deferred(STOPPING):
+            document = ablate(
+                self.scene, self.out, self.seeds, settings, self.weights_dir, print_run, interrupts.should_stop
+            )
         show(document, self.json, table(document))
-        return INTERRUPTED if document["interrupted"] else 0
+        return interrupts.exit_code if document["interrupted"] else 0
 
 
 @dataclass(frozen=True)
@@ -270,19 +271,20 @@ class Tradeoff:
     def run(self) -> int:
         from ..experiments.tradeoff import describe, tradeoff
 
-        def told(name: str, row: dict[str, Any]) -> None:
+        def print_run(name: str, row: dict[str, Any]) -> None:
             print(f"{name}: {row['seconds']:.0f} s, PSNR {row['psnr']:.2f} dB", file=sys.stderr, flush=True)
 
-        document = tradeoff(
-            self.scene, self.out, self.grid, self.score_width, self.weights_dir, told, stop_on_interrupt()
-        )
+        with interrupts.deferred(STOPPING):
+            document = tradeoff(
+                self.scene, self.out, self.grid, self.score_width, self.weights_dir, print_run, interrupts.should_stop
+            )
         text = (
             f"{describe(document)}\nPage: {self.out / 'tradeoff.html'}"
             if document["rows"]
             else "Nothing has ended yet."
         )
         show(document, self.json, text)
-        return INTERRUPTED if document["interrupted"] else 0
+        return interrupts.exit_code if document["interrupted"] else 0
 
 
 @dataclass(frozen=True)
@@ -443,28 +445,10 @@ class Batch:
     def run(self, options: Sequence[str] = ()) -> int:
         from .batch import batch, describe
 
-        document = batch(self.command, self.folder, self.out, options, stop_on_interrupt())
+        with interrupts.deferred(STOPPING):
+            document = batch(self.command, self.folder, self.out, options, interrupts)
         show(document, self.json, describe(document))
         return document["exit_code"]
-
-
-def stop_on_interrupt() -> Callable[[], bool]:
-    """Whether Ctrl-C was pressed; pressed again, it ends the program at once."""
-    stop = threading.Event()
-
-    def interrupt(signum: int, frame: object) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-        print("Stopping after this iteration; press Ctrl-C again to stop at once.", file=sys.stderr)
-
-    signal.signal(signal.SIGINT, interrupt)
-    return stop.is_set
-
-
-def show(document: dict[str, Any], as_json: bool, text: str) -> None:
-    """The answer on stdout: JSON or plain text."""
-    print(to_json(document, indent=2) if as_json else text)
 
 
 @dataclass(frozen=True)
@@ -489,19 +473,19 @@ COMMANDS = (
 )  # fmt: skip
 
 
-def refused(sentence: str, arguments: list[str]) -> int:
-    """Say why a command was not carried out, as `arguments` ask for it, and return the exit code."""
-    if "--json" in arguments:
-        print(to_json({"error": sentence}))
-    print(sentence, file=sys.stderr)
-    return 2
-
-
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command and return its exit code."""
+    """Run one command.
+
+    Args:
+        arguments: Words of the command line; those of the process without it.
+
+    Returns:
+        The exit code.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     named = [Annotated[command, tyro.conf.subcommand(name=command.__name__.lower())] for command in COMMANDS]
     union: Any = functools.reduce(operator.or_, named)
+    interrupts.install()
     try:
         # Blender's own command line has the same words behind other ones.
         prog = os.environ.get("SWAG_PROG", "python -m swag_engine")
@@ -511,21 +495,21 @@ def main(arguments: list[str] | None = None) -> int:
             return command.run(options)
         return parse().run()
     except InputError as error:
-        return refused(str(error), arguments)
+        return refuse(str(error), arguments)
     except (MemoryError, RuntimeError) as error:
         from ..training.pacing.memory import TOO_LITTLE, is_shortage
 
         if not is_shortage(error):
             raise
-        return refused(TOO_LITTLE, arguments)
+        return refuse(TOO_LITTLE, arguments)
     except ModuleNotFoundError as error:
-        if not error.name or error.name.partition(".")[0] == __package__.partition(".")[0]:
-            raise
-        print(f"{sys.executable} lacks the package {error.name}; see requirements.txt.", file=sys.stderr)
-        return 2
+        return refuse_missing(error, arguments)
+    except SystemExit as usage:  # tyro has said what is wrong
+        if usage.code and "--json" in arguments:
+            return refuse("The command line is not valid; the lines before this one say why.", arguments)
+        raise
     except KeyboardInterrupt:
-        print("Interrupted.", file=sys.stderr)
-        return INTERRUPTED
+        return refuse("Interrupted.", arguments, interrupts.exit_code, interrupted=True)
 
 
 if __name__ == "__main__":

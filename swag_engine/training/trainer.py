@@ -106,6 +106,8 @@ def make_trainer(
     """Make the trainer of a new run, or of one as far as it came; arguments and errors as of `train` and `Trainer`."""
     longer = False
     if resume:
+        if not run.config.exists():
+            raise InputError(f"There is no run in {run.path} to continue: start one without --resume.")
         settings, longer = run.resumed_settings(scene_folder, settings)
     elif run.config.exists():
         raise InputError(

@@ -2,6 +2,8 @@
 
 import sys
 
+import pytest
+
 RUN = """
 import json, sys, bpy
 from bl_ext.user_default.swag_splatting.swag_blender import commands
@@ -61,3 +63,23 @@ run("ALL", "--help")
     assert "usage: blender --background --command swag import" in printed and blender.json_after("HELP", printed) == 0
     assert "In Blender there is also" in printed and blender.json_after("ALL", printed) == 7
     assert not list(tmp_path.glob("*.blend")) and "Traceback" not in printed
+
+
+@pytest.mark.main_version
+def test_sigterm_is_passed_on_and_keeps_what_exists(blender, tiny_scene, tmp_path):
+    printed = blender.run(
+        RUN
+        + f"""
+import os, pathlib, signal, threading, time
+def stop():
+    while not pathlib.Path(here, "run", "config.json").exists():
+        time.sleep(0.1)
+    os.kill(os.getpid(), signal.SIGTERM)
+threading.Thread(target=stop).start()
+run("ENDED", "train", {str(tiny_scene)!r}, "--out", here + "/run", "--iterations", "100000", "--width", "64")
+""",
+        tmp_path,
+        SWAG_ENGINE_PYTHON=sys.executable,
+    )
+    assert blender.json_after("ENDED", printed) == 143
+    assert (tmp_path / "run" / "result.ply").exists() and "Traceback" not in printed

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.lpips_weights import weights_folder
 from swag_engine.app.cli import main
 from swag_engine.evaluation.lpips import BACKBONES, Lpips, load_lpips
-from tests.engine.lpips_weights import weights_folder
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck" / "images"
 TRIES = 3

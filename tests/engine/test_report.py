@@ -146,15 +146,26 @@ def test_every_door_leaves_a_report_and_none_is_spoiled_by_it(tiny_scene, tmp_pa
     assert worker("b")["report"] == str(tmp_path / "b" / "report.html")
     capsys.readouterr()
 
-    monkeypatch.setattr(module, "new_plots", lambda *a: 1 / 0)
+    monkeypatch.setattr(module, "write_report", refuse)
     assert main(command("c")) == 0
     printed = capsys.readouterr()
     assert "Done" in printed.out and "Report" not in printed.out
-    assert "its report could not be written: division by zero" in printed.err and "Traceback" not in printed.err
+    assert "its report could not be written: Cannot write report.html: no space." in printed.err
+    assert "Traceback" not in printed.err
     assert not (tmp_path / "c" / "report.html").exists()
     result = worker("d")
     assert result["event"] == "result" and result["report"] is None
     assert "its report could not be written" in capsys.readouterr().err
+
+
+def refuse(folder):
+    raise InputError("Cannot write report.html: no space.")
+
+
+def test_a_bug_in_the_report_is_not_hidden(run, monkeypatch):
+    monkeypatch.setattr(module, "new_plots", lambda *a: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        module.try_write_report(run)
 
 
 def test_report_is_a_command(run, capsys):

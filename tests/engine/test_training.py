@@ -109,7 +109,7 @@ def test_resume_refuses_other_settings_and_scenes(tiny_scene, tmp_path):
     other = shutil.copytree(tiny_scene, tmp_path / "other")
     with pytest.raises(InputError, match="belongs to the scene"):
         train(other, run, SETTINGS, resume=True)
-    with pytest.raises(InputError, match="is not a training run"):
+    with pytest.raises(InputError, match="There is no run in .* to continue"):
         train(tiny_scene, tmp_path / "nothing", SETTINGS, resume=True)
 
 
