@@ -1,0 +1,18 @@
+"""Check the types of the whole extension with mypy, under the package name that contracts.py explains."""
+
+import os
+import subprocess
+import sys
+
+from contracts import ROOT, package_folder
+
+
+def main() -> int:
+    with package_folder() as folder:
+        command = [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml")]
+        command += ["--cache-dir", str(ROOT / ".mypy_cache" / "extension"), "--package", "swag_splatting", *sys.argv[1:]]
+        return subprocess.run(command, cwd=folder, env=os.environ, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
