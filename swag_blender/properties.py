@@ -5,7 +5,7 @@ import json
 import os
 import typing
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
@@ -274,6 +274,16 @@ def sparkline(values: list[float]) -> str:
 
 def _absolute(folder: str) -> str:
     return os.path.abspath(bpy.path.abspath(folder)) if folder else ""
+
+
+def swag_of(scene: bpy.types.Scene | None) -> SwagScene:
+    """What a scene remembers."""
+    return cast(Any, scene).swag
+
+
+def status_of(context: bpy.types.Context) -> SwagStatus:
+    """The job that runs now."""
+    return cast(Any, context.window_manager).swag
 
 
 _CLASSES = (SwagScene, SwagStatus)

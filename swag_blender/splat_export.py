@@ -1,0 +1,215 @@
+"""Splat objects as files for other programs: 3DGS PLY, or glTF with KHR_gaussian_splatting."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..swag_engine.base.errors import InputError
+from ..swag_engine.formats.cameras import Photograph, moved, write_cameras
+from ..swag_engine.formats.export import cameras_folder, with_water
+from ..swag_engine.formats.gltf import COLMAP_UP, glb_size, turn_to_y_up, write_glb
+from ..swag_engine.formats.ply import ply_size, write_ply
+from ..swag_engine.formats.run_folder import RunFolder, read_json, write_json
+from ..swag_engine.formats.select import Choice, label_ids, something
+from ..swag_engine.formats.water import placed
+from ..swag_engine.scene.cameras import Camera
+from ..swag_engine.splats.splats import Splats, concatenate
+from ..swag_engine.splats.transform import transformed
+from . import scene_import, splats
+from .blender_types import present
+from .cameras import cameras_of
+from .runs import RUN_KEY
+
+SUFFIXES = (".ply", ".glb")
+FRAMES = {
+    "UPRIGHT": splats.FILE_FRAME,
+    "Y_UP": Matrix.Rotation(np.radians(90), 4, "X"),
+    "Z_UP": Matrix.Identity(4),
+}
+"""Axes of a PLY: the matrix from file to Blender world."""
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What the export dialog asks.
+
+    Attributes:
+        use: "SELECTED" or "VISIBLE" splat objects.
+        frame: a key of FRAMES, or "SCENE" for the COLMAP frame; a GLB is always "UPRIGHT" or "SCENE".
+        metres_per_unit: length of a Blender unit in metres; the file is in metres.
+        water: fraction of the fitted water in the colours, 0 to 1.
+        labels: names or numbers of the labels to write, separated by commas; "" for all.
+        crop_object: name of the object whose bounding box crops the splats; "" for none.
+        min_opacity: lowest opacity to write, 0 to 1.
+        sh_degree: highest degree of spherical harmonics, 0 to 3.
+        extras: whether to write labels and other properties of the splats.
+        cameras: whether to write the cameras too.
+    """
+
+    use: str
+    frame: str
+    metres_per_unit: float
+    water: float
+    labels: str
+    crop_object: str
+    min_opacity: float
+    sh_degree: int
+    extras: bool
+    cameras: bool
+
+
+def save_splats(context: bpy.types.Context, path: Path, options: ExportOptions) -> tuple[int, list[str]]:
+    """Write splat objects as one file, and their cameras beside it where `options` ask for them.
+
+    Returns:
+        The number of splats, and sentences about what a format cannot hold.
+
+    Raises:
+        InputError: nothing to save, wrong options, or a file that cannot be written.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path.name} cannot be saved: give the file a name that ends in .ply or .glb.")
+    objects = _chosen_objects(context, options)
+    to_file, up = _file_frame(objects, path, options)
+    parts = []
+    for obj, placement, part in _selected_splats(context, objects, options):
+        if options.water and len(part):
+            part = _add_water(context, obj, part, options.water)
+        parts.append(transformed(part, to_file @ placement))
+    joined = something(concatenate(parts))
+    cameras = []
+    if options.cameras:
+        cameras = [moved(camera, to_file) for camera in cameras_of(context, _roots(objects))]
+        if not cameras:
+            raise InputError("There are no cameras to save: import the scene, add a camera, or turn Cameras off.")
+    is_glb = path.suffix.lower() == ".glb"
+    if is_glb:
+        write_glb(path, joined, up, cameras)
+    else:
+        write_ply(path, joined)
+    if not cameras:
+        return len(joined), []
+    turn = np.eye(4)
+    if is_glb:
+        turn[:3, :3] = turn_to_y_up(up)
+    folder = cameras_folder(path)
+    notes = _save_cameras(folder, [moved(camera, turn) for camera in cameras])
+    _save_water(objects[0], turn @ to_file, folder / "water.json", options.metres_per_unit)
+    return len(joined), notes
+
+
+def expected_size(context: bpy.types.Context, path: Path, options: ExportOptions) -> str:
+    """Number of splats and size of the file that save_splats would write, or why it would refuse, in words."""
+    try:
+        objects = _chosen_objects(context, options)
+        _, up = _file_frame(objects, path, options)
+        # Frame and water change values, not their number: the size is found without them, which is quick.
+        joined = something(concatenate([part for _, _, part in _selected_splats(context, objects, options)]))
+    except InputError as error:
+        return str(error)
+    size = glb_size(path, joined, up) if path.suffix.lower() == ".glb" else ply_size(path, joined)
+    return f"{len(joined)} splats, {size / 1e6:.1f} MB"
+
+
+def _chosen_objects(context: bpy.types.Context, options: ExportOptions) -> list[bpy.types.Object]:
+    visible = options.use == "VISIBLE"
+    candidates = context.visible_objects if visible else context.selected_objects
+    chosen = [obj for obj in candidates if splats.is_splats(obj)]
+    if not chosen:
+        raise InputError(
+            "No splats are visible: show the splat objects to save."
+            if visible
+            else "No splats are selected: select the splat objects to save."
+        )
+    return chosen
+
+
+def _file_frame(objects: list[bpy.types.Object], path: Path, options: ExportOptions) -> tuple[np.ndarray, np.ndarray]:
+    """The matrix (4, 4) from Blender's world to the file, and the file's up vector (3,), which a GLB needs."""
+    up = np.array(COLMAP_UP)
+    if options.frame == "SCENE":
+        root = scene_import.find_root(objects[0])
+        if root is None:
+            raise InputError(f"{objects[0].name} belongs to no imported scene: choose the axes Upright.")
+        frame, up = root.matrix_world, scene_import.up_of(root)
+    else:
+        frame = FRAMES["UPRIGHT" if path.suffix.lower() == ".glb" else options.frame]
+    return np.diag([options.metres_per_unit] * 3 + [1.0]) @ np.linalg.inv(np.array(frame, np.float64)), up
+
+
+def _selected_splats(
+    context: bpy.types.Context, objects: list[bpy.types.Object], options: ExportOptions
+) -> Iterator[tuple[bpy.types.Object, np.ndarray, Splats]]:
+    """Each object with its matrix (4, 4) to Blender's world and, in its own frame, the splats to write of it."""
+    depsgraph = context.evaluated_depsgraph_get()
+    words = [word.strip() for word in options.labels.split(",") if word.strip()]
+    for obj in objects:
+        # The evaluated matrix has parents, constraints and animation in it.
+        placement = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)
+        names = Path(bpy.path.abspath(obj.get(RUN_KEY, ""))) / "labels.json"
+        labels = label_ids(words, names) if words else None
+        box = _crop_box(context, options.crop_object) @ placement if options.crop_object else None
+        choice = Choice(labels, box, options.min_opacity, options.sh_degree, options.extras)
+        yield obj, placement, choice.of(splats.read_modified_splats(obj))
+
+
+def _add_water(context: bpy.types.Context, obj: bpy.types.Object, dry: Splats, amount: float) -> Splats:
+    """The splats of an object with that fraction of its run's water in their colours."""
+    roots = _roots([obj])
+    if not roots:
+        raise InputError(f"{obj.name} belongs to no imported scene, so its water is not known.")
+    from_root = np.linalg.inv(np.array(roots[0].matrix_world, np.float64))
+    cameras = [moved(camera, from_root) for camera in cameras_of(context, roots)]
+    if not cameras:
+        raise InputError(f"The scene of {obj.name} has no cameras left, so its water cannot be shown.")
+    medium, metres_per_unit = _water_of_run(obj)
+    return with_water(dry, medium, cameras, amount, metres_per_unit)
+
+
+def _save_cameras(folder: Path, cameras: list[Camera]) -> list[str]:
+    """Write cameras without sparse points to `folder`; returns sentences about what a format cannot hold."""
+    images = [Photograph.through_pinhole(camera) for camera in cameras]
+    return write_cameras(folder, images, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))[1]
+
+
+def _save_water(obj: bpy.types.Object, to_file: np.ndarray, path: Path, metres_per_unit: float) -> None:
+    """Write the coefficients of the object's water, where it has one, in the file's axes and scale."""
+    medium, metres = _water_of_run(obj)
+    if medium:
+        training_to_file = (to_file @ np.array(obj.matrix_world, np.float64))[:3, :3]
+        scale = float(np.cbrt(np.linalg.det(training_to_file)))
+        in_metres = bool(metres) or metres_per_unit != 1.0
+        write_json(path, placed(medium, training_to_file / scale, scale, metres, in_metres))
+
+
+def _roots(objects: list[bpy.types.Object]) -> list[bpy.types.Object]:
+    """The roots of the imported scenes that the objects belong to, each once."""
+    return list(dict.fromkeys(root for obj in objects if (root := scene_import.find_root(obj))))
+
+
+def _water_of_run(obj: bpy.types.Object) -> tuple[dict[str, Any] | None, float]:
+    """The water of the run that the object is the result of, None where there is none, and its metres per unit."""
+    run = RunFolder(Path(bpy.path.abspath(obj.get(RUN_KEY, ""))))
+    if obj.get(RUN_KEY) is None or not run.water.exists():
+        return None, 0.0
+    return read_json(run.water, ""), run.read_config()[1].metres_per_unit
+
+
+def _crop_box(context: bpy.types.Context, name: str) -> np.ndarray:
+    """Matrix (4, 4) from Blender's world to a space in which the object's bounding box reaches from -1 to 1."""
+    obj = present(context.scene).objects.get(name)
+    if obj is None:
+        raise InputError(f"There is no object {name} to crop by: choose another or none.")
+    corners = np.array(obj.bound_box)
+    if obj.type == "EMPTY":
+        corners = np.array([[-1.0] * 3, [1.0] * 3]) * obj.empty_display_size
+    lower, upper = corners.min(axis=0), corners.max(axis=0)
+    # A flat object has no extent along an axis; the matrix must be invertible.
+    half = np.diag([*np.maximum((upper - lower) / 2, 1e-9), 1.0])
+    half[:3, 3] = (lower + upper) / 2
+    return np.linalg.inv(np.array(obj.matrix_world, np.float64) @ half)
