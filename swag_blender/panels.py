@@ -4,8 +4,11 @@ import bpy
 
 from . import EXTENSION, engine_process, label_list, splats
 from .blender_types import present, set_button
-from .properties import status_of, swag_of, time_text
+from .properties import SETTINGS, status_of, swag_of, time_text
 from .sidebar import SwagPanel, draw_job, draw_outcome, draw_wrapped
+
+MAIN_SETTINGS = ("recipe", "preset", "time_budget")
+"""Settings that are always visible; the others are in the closed panel below them."""
 
 
 class SWAG_PT_scene(SwagPanel):
@@ -85,7 +88,7 @@ class SWAG_PT_train(SwagPanel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in ("recipe", "preset", "time_budget"):
+        for name in MAIN_SETTINGS:
             column.prop(swag, name)
         try:
             engine_process.engine_python()
@@ -138,10 +141,7 @@ class SWAG_PT_train_more(SwagPanel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in (
-            *("iterations", "width", "max_gaussians", "stop_when_flat", "effects", "words", "masks", "water_type"),
-            *("metres_per_unit", "sh_degree", "seed", "backend", "run_folder"),
-        ):
+        for name in (*(name for name in SETTINGS if name not in MAIN_SETTINGS), "run_folder"):
             column.prop(swag, name)
 
 

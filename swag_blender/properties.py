@@ -1,9 +1,7 @@
 """What a scene remembers (saved in the .blend) and what Blender shows of the job that runs (not kept)."""
 
-import dataclasses
 import json
 import os
-import typing
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,32 +11,39 @@ from bpy.types import PropertyGroup
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.run_folder import RunFolder
+from ..swag_engine.settings.field import Setting, settings_of
 from ..swag_engine.settings.settings import TrainSettings
 from . import effects
 
-SETTINGS = tuple(field.name for field in dataclasses.fields(TrainSettings))
+SETTINGS = tuple(name for name, _, _ in settings_of(TrainSettings))
 
 
-def _mirrored(name: str, label: str, description: str) -> Any:
-    """A property for one field of the engine's TrainSettings; the engine knows its limits and its default."""
-    default = getattr(TrainSettings(), name)
+def setting_property(default: Any, described: Setting) -> Any:
+    """Make the property of one setting of the engine.
+
+    Args:
+        default: Default value; its type chooses the kind of property.
+        described: Label, help, range and choices.
+
+    Returns:
+        What Blender takes as a property's annotation.
+    """
+    words: dict[str, Any] = {"name": described.label, "description": described.description, "default": default}
+    if described.choices:
+        return EnumProperty(items=[(choice, choice, text) for choice, text in described.choices.items()], **words)
     if isinstance(default, bool):
-        return BoolProperty(name=label, description=description, default=default)
+        return BoolProperty(**words)
+    if isinstance(default, str):
+        return StringProperty(subtype="DIR_PATH" if described.is_folder else "NONE", **words)
+    words["min"] = 0 if described.zero else described.least
+    words["max"] = described.most
     if isinstance(default, int):
-        return IntProperty(name=label, description=description, default=default, min=0)
-    if isinstance(default, float):
-        return FloatProperty(name=label, description=description, default=default, min=0, precision=4)
-    kind = TrainSettings.__dataclass_fields__[name].type
-    if kind is str:
-        return StringProperty(name=label, description=description, default=default)
-    choices = typing.get_args(kind)
-    return EnumProperty(
-        name=label, description=description, items=[(choice, choice, "") for choice in choices], default=default
-    )
+        return IntProperty(subtype="PIXEL" if described.unit == "px" else "NONE", **words)
+    return FloatProperty(precision=4, **words)
 
 
 class SwagScene(PropertyGroup):
-    """`scene.swag`: where the photographs and the run are, the settings of the next run, figures of the last one."""
+    """`scene.swag`: folders of the photos and of the run, settings of the next run, figures of the last one."""
 
     scene_folder: StringProperty(
         name="Photographs",
@@ -54,57 +59,7 @@ class SwagScene(PropertyGroup):
     found: StringProperty(description="What the folder of photographs holds, in words")
 
     plan: PointerProperty(type=effects.SwagPlan)
-    recipe: _mirrored(
-        "recipe",
-        "Method",
-        "swag takes the water away, 3dgs shows the place as photographed; the others follow published methods",
-    )
-    effects: _mirrored("effects", "Effects", "Parts of the method switched by hand, as in water=off,lamp=on")
-    water_type: _mirrored(
-        "water_type",
-        "Water",
-        "auto asks the photographs; or a Jerlov type (I IA IB II III 1C 3C 5C 7C 9C), or the attenuation of red, green "
-        "and blue per metre as in 0.3,0.1,0.06",
-    )
-    words: _mirrored(
-        "words",
-        "Words",
-        "What to label while training with semantics=on, as in coral, wreck, open water; needs networks",
-    )
-    masks: _mirrored(
-        "masks",
-        "Masks",
-        "Folder of masks to label by instead; without both, the scene's own folder labels, or what stands out",
-    )
-    metres_per_unit: _mirrored(
-        "metres_per_unit", "Metres per Unit", "Metres that one unit of the COLMAP scene is; 0 where that is not known"
-    )
-    preset: _mirrored(
-        "preset", "Quality", "draft to see whether it works, standard, or high for the result that you keep"
-    )
-    time_budget: _mirrored(
-        "time_budget",
-        "Time Budget",
-        "Time that the training may take, as in 90s, 10m or 1h30m; empty: as long as the quality needs",
-    )
-    iterations: _mirrored(
-        "iterations",
-        "Iterations",
-        "Number of optimisation steps, each looks at one photograph; 0: as the quality has it",
-    )
-    width: _mirrored("width", "Width", "Width in pixels that the photographs are trained at; 0: as the quality has it")
-    max_gaussians: _mirrored(
-        "max_gaussians", "Max Gaussians", "Most Gaussians that the scene may grow to; 0: as the quality has it"
-    )
-    stop_when_flat: _mirrored(
-        "stop_when_flat",
-        "Stop When Flat",
-        "End early when more time brings next to nothing on the validation photographs",
-    )
-    sh_degree: _mirrored("sh_degree", "SH Degree", "How finely colour may change with the view: 0 (not at all) to 3")
-    seed: _mirrored("seed", "Seed", "The same seed on the same machine gives the same result")
-    backend: _mirrored("backend", "Backend", "What draws the Gaussians during training")
-
+    # The settings of the next run are added below the class, one for each field of TrainSettings.
     forecast: StringProperty(description="What the qualities would take, as JSON, with what was asked")
 
     water: FloatProperty(
@@ -192,6 +147,11 @@ class SwagScene(PropertyGroup):
         self.result_seconds = metrics["seconds"]
         self.result_water = " ".join([metrics["water"], *metrics["notes"]]).strip()
         self.result_interrupted = event["interrupted"]
+
+
+SwagScene.__annotations__ |= {
+    name: setting_property(default, described) for name, default, described in settings_of(TrainSettings)
+}
 
 
 class SwagStatus(PropertyGroup):

@@ -117,9 +117,6 @@ GERMAN = {
     "Either name a Python that has the packages of requirements.txt:": (
         "Entweder ein Python nennen, das die Pakete von requirements.txt hat:"
     ),
-    "End early when more time brings next to nothing on the validation photographs": (
-        "Früher enden, wenn mehr Zeit an den Prüffotos fast nichts mehr bessert"
-    ),
     "Engine": "Renderer",
     "Every splat is in its depth among other objects, and splats of other objects": (
         "Jeder Splat steht in seiner Tiefe zwischen anderen Objekten und deren Splats"
@@ -132,9 +129,6 @@ GERMAN = {
         "Splats nach Worten finden: schreibt swag:similarity und wählt, was über der Schwelle liegt"
     ),
     "Folder": "Ordner",
-    ("Folder of masks to label by instead; without both, the scene's own folder labels, or what stands out"): (
-        "Stattdessen ein Ordner mit Masken; ohne beides der Ordner labels der Szene, oder was hervorsticht"
-    ),
     "Folder of the masks": "Ordner der Masken",
     "Folder of the run that the names are from": "Ordner des Laufs, aus dem die Namen sind",
     "Folder of the run; left empty: that of the splats": "Ordner des Laufs; leer: der der Splats",
@@ -160,9 +154,6 @@ GERMAN = {
     ),
     "Hold the training where it is, or let a held one go on; its result is the same as without": (
         "Das Training anhalten oder ein angehaltenes fortsetzen; das Ergebnis ist dasselbe wie ohne"
-    ),
-    "How finely colour may change with the view: 0 (not at all) to 3": (
-        "Wie fein sich Farbe mit dem Blick ändern darf: 0 (gar nicht) bis 3"
     ),
     "How long the last run took": "Wie lange der letzte Lauf dauerte",
     "How much of the fitted water is shown: 0 none, 1 as photographed; it can be animated": (
@@ -218,23 +209,14 @@ GERMAN = {
     "Masks": "Masken",
     "Merge": "Vereinen",
     "Merge Splats": "Splats vereinen",
-    "Metres that one unit of the COLMAP scene is; 0 where that is not known": (
-        "Meter, die eine Einheit der COLMAP-Szene misst; 0, wo das nicht bekannt ist"
-    ),
     "Milliseconds that the effect adds to an iteration here": (
         "Millisekunden, die der Effekt hier zu einem Schritt hinzufügt"
     ),
     "Mix the colour of its label into each splat": "Jedem Splat die Farbe seines Etiketts beimischen",
-    "Most Gaussians that the scene may grow to; 0: as the quality has it": (
-        "Höchstzahl der Gaußglocken, auf die die Szene wachsen darf; 0: wie es die Güte vorsieht"
-    ),
     "Move the selected splats to an object of their own": "Die gewählten Splats in ein eigenes Objekt verschieben",
     "Name": "Name",
     "Networks that find what you name in the photographs": "Netze, die in den Fotos finden, was man nennt",
     "Node Groups as Assets": "Knotengruppen als Assets",
-    "Number of optimisation steps, each looks at one photograph; 0: as the quality has it": (
-        "Zahl der Schritte, jeder betrachtet ein Foto; 0: wie es die Güte vorsieht"
-    ),
     "Objects": "Objekte",
     "Of Selected": "Der Auswahl",
     "Of the Scene": "Der Szene",
@@ -262,9 +244,6 @@ GERMAN = {
         "PLY mit y oben, für Programme, die ein PLY zeigen, wie es ist; ein GLB hat y immer oben"
     ),
     "PSNR on photographs that the training never saw, in dB": "PSNR an Fotos, die das Training nie sah, in dB",
-    "Parts of the method switched by hand, as in water=off,lamp=on": (
-        "Von Hand geschaltete Teile des Verfahrens, wie in water=off,lamp=on"
-    ),
     "Pick Two Points": "Zwei Punkte wählen",
     "Place": "Ort",
     "Put into the Water": "Ins Wasser setzen",
@@ -328,9 +307,6 @@ GERMAN = {
     "The photographs tell which effects training should simulate.": (
         "Die Fotos sagen, welche Effekte das Training simulieren soll."
     ),
-    "The same seed on the same machine gives the same result": (
-        "Derselbe Startwert gibt auf demselben Rechner dasselbe Ergebnis"
-    ),
     "The scene's own masks, where it has some in its folder labels, else what stands out": (
         "Die Masken der Szene, wo sie welche im Ordner labels hat, sonst was hervorsticht"
     ),
@@ -339,9 +315,6 @@ GERMAN = {
     "The value of swag:label": "Der Wert von swag:label",
     "This plan is of other photographs: plan again.": "Dieser Plan ist von anderen Fotos: neu planen.",
     "Threshold": "Schwelle",
-    "Time that the training may take, as in 90s, 10m or 1h30m; empty: as long as the quality needs": (
-        "Zeit, die das Training brauchen darf, wie in 90s, 10m oder 1h30m; leer: so lange, wie die Güte braucht"
-    ),
     "Train first, or open a splat file below.": "Zuerst trainieren, oder unten eine Splat-Datei öffnen.",
     ("Train for some seconds and say what each quality would take on this machine: time, PSNR, memory; Escape stops"): (
         "Einige Sekunden trainieren und sagen, was jede Güte auf diesem Rechner bräuchte: Zeit, PSNR, Speicher; "
@@ -356,7 +329,6 @@ GERMAN = {
     "Upright": "Aufrecht",
     "Visible": "Sichtbar",
     "What Stands Out": "Was hervorsticht",
-    "What draws the Gaussians during training": "Was die Gaußglocken im Training zeichnet",
     "What renders": "Was rendert",
     "What the folder of photographs holds, in words": "Was der Ordner der Fotos enthält, in Worten",
     "What the last run found of the water": "Was der letzte Lauf vom Wasser fand",
@@ -366,9 +338,6 @@ GERMAN = {
     ),
     "What the qualities would take, as JSON, with what was asked": "Was jede Güte bräuchte, als JSON, mit der Frage",
     "What the splats are labelled by": "Wonach die Splats etikettiert werden",
-    ("What to label while training with semantics=on, as in coral, wreck, open water; needs networks"): (
-        "Was beim Training mit semantics=on zu etikettieren ist, wie in coral, wreck, open water; braucht Netze"
-    ),
     "What to label, as in coral, wreck, open water": "Was zu etikettieren ist, wie in coral, wreck, open water",
     "What to look for, such as coral": "Was zu suchen ist, etwa coral",
     "What to look for; left empty: what stands in the panel": "Was zu suchen ist; leer: was im Feld steht",
@@ -376,9 +345,6 @@ GERMAN = {
         "Wo die Splats der Datei trainiert wurden, in der importierten Szene, zu der sie gehören"
     ),
     "Whether training simulates this effect": "Ob das Training diesen Effekt simuliert",
-    "Width in pixels that the photographs are trained at; 0: as the quality has it": (
-        "Breite in Pixeln, mit der die Fotos trainiert werden; 0: wie es die Güte vorsieht"
-    ),
     "Something is running: wait for its end, or cancel it": "Etwas läuft: sein Ende abwarten oder abbrechen",
     "No environment has been made": "Es gibt keine Umgebung",
     "Select objects with materials, in a scene whose splats have a water": (
@@ -410,21 +376,80 @@ GERMAN = {
         "Eigene Maskenbilder: ein Ordner je Etikett, mit einem Bild für jedes Foto"
     ),
     "Z Up": "Z oben",
-    (
-        "auto asks the photographs; or a Jerlov type (I IA IB II III 1C 3C 5C 7C 9C), or the attenuation of red, "
-        "green and blue per metre as in 0.3,0.1,0.06"
-    ): (
-        "auto fragt die Fotos; oder ein Jerlov-Typ (I IA IB II III 1C 3C 5C 7C 9C), oder die Dämpfung von Rot, "
-        "Grün und Blau je Meter wie in 0.3,0.1,0.06"
-    ),
-    "draft to see whether it works, standard, or high for the result that you keep": (
-        "draft, um zu sehen, ob es geht, standard, oder high für das Ergebnis, das bleibt"
-    ),
     "or make one, into the extension's own folder; half a gigabyte, with CUDA three:": (
         "oder eins machen, im Ordner der Erweiterung; ein halbes Gigabyte, mit CUDA drei:"
     ),
-    ("swag takes the water away, 3dgs shows the place as photographed; the others follow published methods"): (
-        "swag nimmt das Wasser weg, 3dgs zeigt den Ort wie fotografiert; die anderen folgen veröffentlichten Verfahren"
+    "Water Type": "Wassertyp",
+    "Which method trains the scene (docs/recipes.md)": "Welches Verfahren die Szene trainiert (docs/recipes.md)",
+    "Models the water and the effects that the scene calls for, and removes them": (
+        "Modelliert das Wasser und die Effekte, die die Szene verlangt, und entfernt sie"
+    ),
+    "Plain Gaussian splatting: the scene as photographed": ("Einfaches Gaussian Splatting: die Szene wie fotografiert"),
+    "Follows SeaSplat": "Folgt SeaSplat",
+    "Follows UW-GS": "Folgt UW-GS",
+    "Follows WaterSplatting": "Folgt WaterSplatting",
+    "Follows RUSplatting": "Folgt RUSplatting",
+    "Follows SWAGSplatting as published": "Folgt SWAGSplatting wie veröffentlicht",
+    "How long to train and at which size": "Wie lange und in welcher Größe trainiert wird",
+    "To see whether a scene works": "Um zu sehen, ob eine Szene geht",
+    "A good result in moderate time": "Ein gutes Ergebnis in mäßiger Zeit",
+    "For a result to keep": "Für ein Ergebnis, das bleibt",
+    (
+        "Time that the whole run may take, such as 90s, 10m or 1h30m; the size is then chosen by measuring this "
+        "machine, in place of a preset"
+    ): (
+        "Zeit, die der ganze Lauf brauchen darf, wie 90s, 10m oder 1h30m; die Größe wird dann durch Messen auf "
+        "diesem Rechner gewählt statt nach der Güte"
+    ),
+    "Number of optimisation steps, each on one image; 0: as many as the preset has": (
+        "Zahl der Optimierungsschritte, jeder mit einem Bild; 0: so viele, wie die Güte vorsieht"
+    ),
+    "Width in pixels of the training images; smaller images keep their size; 0: as the preset has it": (
+        "Breite der Trainingsbilder in Pixeln; kleinere Bilder behalten ihre Größe; 0: wie es die Güte vorsieht"
+    ),
+    "Largest number of Gaussians that densification may reach; 0: as many as the preset has": (
+        "Größte Zahl an Gaußglocken, bis zu der verdichtet wird; 0: so viele, wie die Güte vorsieht"
+    ),
+    "End early when a fifth of the run has improved the validation PSNR by less than 0.05 dB": (
+        "Früher enden, wenn ein Fünftel des Laufs das PSNR der Prüffotos um weniger als 0,05 dB verbessert hat"
+    ),
+    "Effects and parts of the method to switch by hand, such as water=off,lamp=on (docs/recipes.md lists them)": (
+        "Effekte und Teile des Verfahrens, die von Hand geschaltet werden, wie water=off,lamp=on (docs/recipes.md"
+        " listet sie auf)"
+    ),
+    "What to label while training with semantics=on, such as coral, wreck, open water; needs pretrained networks": (
+        "Was beim Training mit semantics=on zu etikettieren ist, wie coral, wreck, open water; braucht "
+        "vortrainierte Netze"
+    ),
+    (
+        "Folder of mask images to label by instead of words; without both, masks in the scene's folder labels are"
+        " used, or else saliency"
+    ): (
+        "Ordner mit Maskenbildern statt Worten; ohne beides gelten Masken im Ordner labels der Szene, sonst die "
+        "Auffälligkeit"
+    ),
+    (
+        "Initial attenuation of the water: auto fits it to the photos; or a Jerlov type (I IA IB II III 1C 3C 5C "
+        "7C 9C), or three numbers per metre for red, green and blue, such as 0.3,0.1,0.06"
+    ): (
+        "Anfangswert der Dämpfung des Wassers: auto bestimmt ihn aus den Fotos; oder ein Jerlov-Typ (I IA IB II "
+        "III 1C 3C 5C 7C 9C), oder drei Zahlen je Meter für Rot, Grün und Blau, wie 0.3,0.1,0.06"
+    ),
+    "Length in metres of one unit of the scene's coordinates; 0: unknown": (
+        "Länge einer Einheit der Szenenkoordinaten in Metern; 0: unbekannt"
+    ),
+    "Degree of the spherical harmonics, which let color change with the viewing direction": (
+        "Grad der Kugelflächenfunktionen, durch die sich Farbe mit der Blickrichtung ändern kann"
+    ),
+    "Seed of everything random: the same seed on the same machine gives the same result": (
+        "Startwert für alles Zufällige: Derselbe Startwert gibt auf demselben Rechner dasselbe Ergebnis"
+    ),
+    "What computes": "Was rechnet",
+    "The fastest that runs on this machine": "Das Schnellste, was auf diesem Rechner läuft",
+    "Native code on the processor": "Maschinencode auf dem Prozessor",
+    "Native code on an NVIDIA graphics card": "Maschinencode auf einer NVIDIA-Grafikkarte",
+    "PyTorch without native code: slow, the reference for the others": (
+        "PyTorch ohne Maschinencode: langsam, der Maßstab für die anderen"
     ),
 }
 

@@ -20,6 +20,7 @@ from ..base.strict_json import to_json
 from ..experiments.grid import Grid
 from ..formats.export import ExportOptions, export_run
 from ..formats.export import describe as describe_export
+from ..settings.field import settings_of
 from ..settings.settings import TrainSettings
 from .protocol import ExportFormat
 
@@ -30,6 +31,18 @@ Exit codes: 0 done, 1 a bug, 2 bad input or usage, 130 interrupted with what exi
 stderr; with --json stdout carries one JSON document and nothing else."""
 STARTED = time.monotonic()
 """What a time budget counts from: starting Python and its packages is the user's time too."""
+
+
+def describe_options(options: type) -> None:
+    """Show the help and the choices of a dataclass of settings (settings/field.py) on the command line."""
+    for name, default, described in settings_of(options):
+        kind: Any = Literal[tuple(described.choices)] if described.choices else type(default)
+        sentences = "".join(f" {choice}: {text}." for choice, text in described.choices.items())
+        help_text = tyro.conf.arg(help=f"{described.description}.{sentences}")
+        options.__annotations__[name] = Annotated[kind, help_text]
+
+
+describe_options(TrainSettings)
 
 
 @dataclass(frozen=True)

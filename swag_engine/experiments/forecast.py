@@ -177,7 +177,7 @@ def _look(scene_folder: Path, settings: TrainSettings) -> tuple[float | None, fl
 
 def _predicted(speed: Speed, extent: Extent, settings: TrainSettings) -> float:
     size = Size(settings.iterations, settings.width, settings.max_gaussians)
-    return predicted_seconds(speed, extent, size, recipe_of(settings.recipe, settings.effects).grow_until)
+    return predicted_seconds(speed, extent, size, recipe_of(settings.recipe, settings.effects).densify_until)
 
 
 def _expected(

@@ -25,7 +25,7 @@ PARTS = {
     "grey_world": "The scene without water is grey on average.",
     "smoothness": "Range is smooth where the photo is.",
     "hinge": "The channels keep their order of attenuation.",
-    "salient_growth": "Salient regions are densified first.",
+    "salient_densification": "Salient regions are densified first.",
     "salient_pixels": "Pixels of salient regions weigh more.",
     "open_water": "Open water has no Gaussians of its own.",
     "class_pruning": "Gaussians of water and haze are removed.",

@@ -123,9 +123,9 @@ class Guidance:
         lengths = features.norm(dim=1)
         return torch.where((lengths > SURE) & (cosines > SURE * lengths), best + 1, 0)
 
-    def growth_weights(self, cloud: GaussianCloud) -> Tensor | None:
+    def densification_weights(self, cloud: GaussianCloud) -> Tensor | None:
         """Return factors (N,) float32 on the scores of densification and relocation by salience; None without."""
-        if not self.recipe.salient_growth:
+        if not self.recipe.salient_densification:
             return None
         return self.weights.to(cloud.features)[self.labels_of(cloud.features)]
 

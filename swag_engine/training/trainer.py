@@ -304,7 +304,7 @@ class Trainer:
         return min(self.inputs.settings.sh_degree, joined)
 
     def _water_degree(self, fraction: float) -> int:
-        return MAX_DEGREE if fraction >= self.state.recipe.veil_degrees_from else 0
+        return MAX_DEGREE if fraction >= self.state.recipe.B_inf_degrees_from else 0
 
     def _learning_rates(self, fraction: float) -> dict[str, float]:
         """Adam's step size by parameter name, `fraction` (0..1) of the way through the run."""
@@ -364,7 +364,7 @@ class Trainer:
         """Skip to the last stage once the curve is flat and the Gaussians have had time to settle."""
         clock, recipe = self.state.clock, self.state.recipe
         last = recipe.stage_two_from
-        if recipe.grow_until + FLAT_FRACTION <= clock.fraction < last and is_flat(self.state.curve):
+        if recipe.densify_until + FLAT_FRACTION <= clock.fraction < last and is_flat(self.state.curve):
             self.notes.append(
                 f"Finished early: the last {FLAT_FRACTION:.0%} of the run gained less than {FLAT_DB} dB in validation."
             )

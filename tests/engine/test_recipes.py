@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import typing
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,10 +38,6 @@ def trainer_of(scene, folder, monkeypatch, **values):
     """A trainer of the plain recipe with `values` changed."""
     monkeypatch.setitem(RECIPES, "3dgs", replace(Recipe(), **values))
     return Trainer(load_scene(scene), RunFolder(folder), replace(SETTINGS, recipe="3dgs"), lambda event: None, None)
-
-
-def test_the_settings_name_every_recipe():
-    assert set(typing.get_args(TrainSettings.__dataclass_fields__["recipe"].type)) == set(RECIPES)
 
 
 def test_switches_turn_parts_on_and_off():
@@ -125,7 +120,9 @@ def test_weights_follow_the_paper_over_time():
 
 
 def test_a_reallocation_keeps_the_number_and_ends_before_stage_two(tiny_scene, tmp_path, monkeypatch):
-    trainer = trainer_of(tiny_scene, tmp_path, monkeypatch, reallocation="balanced", grow_until=0.4, stage_two_from=0.8)
+    trainer = trainer_of(
+        tiny_scene, tmp_path, monkeypatch, reallocation="balanced", densify_until=0.4, stage_two_from=0.8
+    )
     moved = []
     replace_cloud = trainer.state.replace_cloud
 
@@ -191,7 +188,7 @@ def test_damaged_depth_is_left_out_and_named(tmp_path):
         ({"water_type": "IX", "metres_per_unit": 1.0}, "not known: use one of I, IA"),
         ({"water_type": "-1,0,0", "metres_per_unit": 1.0}, "from 0 to 10"),
         ({"water_type": "II"}, "scene's scale is needed"),
-        ({"metres_per_unit": -1.0}, "must be a positive number"),
+        ({"metres_per_unit": -1.0}, "must be a number from"),
     ],
 )
 def test_presets_that_make_no_sense_are_one_sentence(values, message):

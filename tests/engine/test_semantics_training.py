@@ -30,7 +30,7 @@ from swag_engine.training.targets import Target
 from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=100, width=64, max_gaussians=400, sh_degree=1)
-ALL_ON = "salient-growth=on,salient-pixels=on,open-water=on,class-pruning=on,reallocation=on"
+ALL_ON = "salient-densification=on,salient-pixels=on,open-water=on,class-pruning=on,reallocation=on"
 NAMES = ("open water", "coral")
 TRAINED = tuple(f"view_{number:02d}.png" for number in (2, 3, 4, 5, 6, 7))
 
@@ -239,7 +239,7 @@ def test_pixels_of_what_stands_out_count_more(scene: Path) -> None:
 
 
 def test_growth_prefers_and_pruning_drops_by_the_features_of_gaussians(scene: Path) -> None:
-    found = guidance(scene, "salient-growth=on,class-pruning=on")
+    found = guidance(scene, "salient-densification=on,class-pruning=on")
     found.weights = torch.tensor([1.0, 1.5, 0.5])
     cloud = make_cloud(5, dtype=torch.float32)
     coral, water = torch.from_numpy(found.regions.prototypes)
@@ -247,7 +247,7 @@ def test_growth_prefers_and_pruning_drops_by_the_features_of_gaussians(scene: Pa
     cloud.features = torch.stack([coral, 0.8 * water, coral, 0.2 * water, 0.5 * (coral + water)])
     between = torch.nn.functional.normalize(cloud.features[4], dim=0) @ coral < 0.7
     assert found.labels_of(cloud.features).tolist() == [1, 2, 1, 0, 0] or not between
-    assert found.growth_weights(cloud).tolist()[:4] == [1.5, 0.5, 1.5, 1.0]
+    assert found.densification_weights(cloud).tolist()[:4] == [1.5, 0.5, 1.5, 1.0]
     before = cloud.opacity_logits.clone()
     found.prune(cloud)
     assert (cloud.opacity_logits != before).tolist() == [False, True, False, False, False]
@@ -259,7 +259,7 @@ def test_growth_prefers_and_pruning_drops_by_the_features_of_gaussians(scene: Pa
     off = guidance(scene)
     cloud.features[1:] = coral
     off.prune(cloud)
-    assert torch.equal(cloud.opacity_logits, before) and off.growth_weights(cloud) is None
+    assert torch.equal(cloud.opacity_logits, before) and off.densification_weights(cloud) is None
 
 
 def test_pruned_classes_are_words_of_a_name() -> None:

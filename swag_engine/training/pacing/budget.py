@@ -71,7 +71,7 @@ def fit_budget(scene: Scene, settings: TrainSettings, started: float) -> tuple[T
     if not settings.budget:
         return settings, None
     speed, extent = measure_speed(scene, settings), Extent.of(scene)
-    grow_until = recipe_of(settings.recipe, settings.effects).grow_until
+    densify_until = recipe_of(settings.recipe, settings.effects).densify_until
     left = settings.budget - (time.monotonic() - started) - CLOSING
 
     def size(rung: float) -> Size:
@@ -79,7 +79,7 @@ def fit_budget(scene: Scene, settings: TrainSettings, started: float) -> tuple[T
         return Size(own.iterations, asked.width or own.width, asked.max_gaussians or own.max_gaussians)
 
     low, high = 0.0, float(len(LADDER) - 1)
-    needed = predicted_seconds(speed, extent, size(low), grow_until)
+    needed = predicted_seconds(speed, extent, size(low), densify_until)
     if needed > left:
         least = needed + settings.budget - left
         raise InputError(
@@ -87,8 +87,8 @@ def fit_budget(scene: Scene, settings: TrainSettings, started: float) -> tuple[T
         )
     for _ in range(30):
         middle = (low + high) / 2
-        fits = predicted_seconds(speed, extent, size(middle), grow_until) <= left
+        fits = predicted_seconds(speed, extent, size(middle), densify_until) <= left
         low, high = (middle, high) if fits else (low, middle)
     chosen = size(low)
-    budget = Budget(settings.budget, started, speed, extent, chosen, grow_until)
+    budget = Budget(settings.budget, started, speed, extent, chosen, densify_until)
     return replace(settings, width=chosen.width, max_gaussians=chosen.max_gaussians), budget
