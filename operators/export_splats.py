@@ -1,4 +1,4 @@
-"""Save splats for other programs: 3DGS PLY, or glTF with KHR_gaussian_splatting."""
+"""Save splats for other programs."""
 
 import dataclasses
 from pathlib import Path
@@ -10,7 +10,8 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..swag_blender.blender_types import OperatorResult, present, with_properties
 from ..swag_blender.operator_base import ReportingOperator
-from ..swag_blender.splat_export import SUFFIXES, ExportOptions, expected_size, save_splats
+from ..swag_blender.splat_export import ExportOptions, expected_size, save_splats
+from ..swag_blender.splat_formats import FILE_FILTER, is_splat_file, menu_text
 
 
 @with_properties
@@ -22,7 +23,7 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
     bl_options = {"REGISTER", "PRESET"}
 
     filename_ext = ".ply"
-    filter_glob: Annotated[str, StringProperty(default="*.ply;*.glb", options={"HIDDEN"})]
+    filter_glob: Annotated[str, StringProperty(default=FILE_FILTER, options={"HIDDEN"})]
     check_existing: Annotated[bool, BoolProperty(default=True, options={"HIDDEN"})]
     use: Annotated[
         str,
@@ -60,8 +61,8 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
         float,
         FloatProperty(
             name="Water",
-            description="Fraction of the fitted water in the colours, from 0 (none) to 1 (as photographed). Colours with "
-            "water are right from the cameras of the photos only, and the file has no water behind the splats",
+            description="Fraction of the fitted water in the colours, from 0 (none) to 1 (as photographed). Colours "
+            "with water are right from the cameras of the photos only, and the file has no water behind the splats",
             min=0.0,
             max=1.0,
             subtype="FACTOR",
@@ -125,9 +126,8 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
 
     def check(self, context: bpy.types.Context) -> bool:
         """Update suffix and forecast after a change in the file browser; returns whether anything changed."""
-        # Both suffixes are valid; ExportHelper would add .ply to .glb.
-        known = Path(self.filepath).suffix.lower() in SUFFIXES
-        changed = not known and super().check(context)
+        # The ending of any format is valid; ExportHelper would add .ply to .glb.
+        changed = not is_splat_file(Path(self.filepath)) and super().check(context)
         return self._update_forecast(context) or changed
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -170,7 +170,7 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
 
 
 def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    present(menu.layout).operator(SWAG_OT_export_splats.bl_idname, text="Gaussian Splats (.ply, .glb)")
+    present(menu.layout).operator(SWAG_OT_export_splats.bl_idname, text=menu_text(), translate=False)
 
 
 def register() -> None:

@@ -1,4 +1,4 @@
-"""Open splat files: 3DGS PLY and glTF with KHR_gaussian_splatting, through the menu or dropped into the window."""
+"""Open splat files, through the menu or dropped into the window."""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,6 +8,7 @@ from bpy.props import CollectionProperty, EnumProperty, IntProperty, StringPrope
 
 from ..swag_blender import splats
 from ..swag_blender.blender_types import OperatorResult, present, with_properties
+from ..swag_blender.splat_formats import FILE_ENDINGS, FILE_FILTER, menu_text
 from ..swag_blender.splat_import import open_splats
 
 
@@ -25,7 +26,7 @@ class SWAG_OT_import_splats(bpy.types.Operator):
         "bpy.types.bpy_prop_collection_idprop[bpy.types.OperatorFileListElement]",
         CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE"}),
     ]
-    filter_glob: Annotated[str, StringProperty(default="*.ply;*.glb", options={"HIDDEN"})]
+    filter_glob: Annotated[str, StringProperty(default=FILE_FILTER, options={"HIDDEN"})]
 
     frame: Annotated[
         str,
@@ -81,7 +82,7 @@ class SWAG_FH_splats(bpy.types.FileHandler):
     bl_idname = "SWAG_FH_splats"
     bl_label = "Gaussian Splats"
     bl_import_operator = SWAG_OT_import_splats.bl_idname
-    bl_file_extensions = ".ply;.glb"
+    bl_file_extensions = FILE_ENDINGS
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
@@ -90,7 +91,7 @@ class SWAG_FH_splats(bpy.types.FileHandler):
 
 
 def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    present(menu.layout).operator(SWAG_OT_import_splats.bl_idname, text="Gaussian Splats (.ply, .glb)")
+    present(menu.layout).operator(SWAG_OT_import_splats.bl_idname, text=menu_text(), translate=False)
 
 
 def register() -> None:

@@ -13,6 +13,7 @@ import bpy
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.ply import read_ply
+from ..swag_engine.formats.registry import SUFFIXES
 from ..swag_engine.formats.run_folder import RunFolder, read_json
 from . import engine_process, runs
 
@@ -47,7 +48,8 @@ def import_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"{PROG} import", description="Make a .blend of a COLMAP scene, of a training run, or of a splat file."
     )
-    parser.add_argument("path", metavar="SCENE|RUN|FILE", type=Path, help="folder of a scene or run, or .ply or .glb")
+    what = f"folder of a scene or run, or {' or '.join(SUFFIXES)}"
+    parser.add_argument("path", metavar="SCENE|RUN|FILE", type=Path, help=what)
     parser.add_argument("--out", metavar="FILE.blend", type=Path, required=True, help="file to write")
     parser.add_argument("--json", action="store_true", help="one JSON document on stdout, behind Blender's own lines")
     return parser
@@ -85,7 +87,7 @@ def import_(arguments: list[str]) -> int:
 def bring_in(path: Path) -> None:
     """What the path holds into the open scene. Raises InputError, or RuntimeError with an operator's report."""
     run = RunFolder(path.absolute())
-    if path.suffix.lower() in (".ply", ".glb"):
+    if path.suffix.lower() in SUFFIXES:
         bpy.ops.swag.import_splats(filepath=str(path.absolute()))
     elif not run.config.exists():
         bpy.ops.swag.import_scene(directory=str(path.absolute()))

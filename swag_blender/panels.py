@@ -2,6 +2,7 @@
 
 import bpy
 
+from ..swag_engine.formats.registry import FORMATS
 from . import EXTENSION, engine_process, label_list, splats
 from .blender_types import present, set_button
 from .properties import SETTINGS, status_of, swag_of, time_text
@@ -223,8 +224,9 @@ class SWAG_PT_export(SwagPanel):
         column = layout.column(align=True)
         chosen = any(splats.is_splats(obj) for obj in context.selected_objects)
         column.enabled = chosen
-        for label, suffix in (("PLY (3DGS)", ".ply"), ("glTF (GLB)", ".glb")):
-            set_button(column.operator("swag.export_splats", text=label, icon="EXPORT"), filepath=f"splats{suffix}")
+        for format in FORMATS.values():
+            button = column.operator("swag.export_splats", text=format.title, icon="EXPORT")
+            set_button(button, filepath=f"splats{format.suffix}")
         if not chosen:
             draw_wrapped(layout, "Select an object with splats first.", present(context.region).width, icon="INFO")
 

@@ -1,4 +1,4 @@
-"""Splat objects as files for other programs: 3DGS PLY, or glTF with KHR_gaussian_splatting."""
+"""Splat objects as files for other programs."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,28 +10,27 @@ import numpy as np
 from mathutils import Matrix
 
 from ..swag_engine.base.errors import InputError
-from ..swag_engine.formats.cameras import Photograph, moved, write_cameras
+from ..swag_engine.formats.cameras import PosedImage, transform_camera, write_cameras
 from ..swag_engine.formats.export import cameras_folder, with_water
-from ..swag_engine.formats.gltf import COLMAP_UP, glb_size, turn_to_y_up, write_glb
-from ..swag_engine.formats.ply import ply_size, write_ply
+from ..swag_engine.formats.gltf import COLMAP_UP
+from ..swag_engine.formats.registry import find_format
 from ..swag_engine.formats.run_folder import RunFolder, read_json, write_json
-from ..swag_engine.formats.select import Choice, label_ids, something
-from ..swag_engine.formats.water import placed
+from ..swag_engine.formats.select import SplatSelection, label_ids, require_splats
+from ..swag_engine.formats.water import transform_water
 from ..swag_engine.scene.cameras import Camera
 from ..swag_engine.splats.splats import Splats, concatenate
-from ..swag_engine.splats.transform import transformed
+from ..swag_engine.splats.transform import rotation_to_y_up, transformed
 from . import scene_import, splats
 from .blender_types import present
 from .cameras import cameras_of
 from .runs import RUN_KEY
 
-SUFFIXES = (".ply", ".glb")
 FRAMES = {
     "UPRIGHT": splats.FILE_FRAME,
     "Y_UP": Matrix.Rotation(np.radians(90), 4, "X"),
     "Z_UP": Matrix.Identity(4),
 }
-"""Axes of a PLY: the matrix from file to Blender world."""
+"""Axes that the user chooses for a file: the matrix from file to Blender world."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class ExportOptions:
 
     Attributes:
         use: "SELECTED" or "VISIBLE" splat objects.
-        frame: a key of FRAMES, or "SCENE" for the COLMAP frame; a GLB is always "UPRIGHT" or "SCENE".
+        frame: a key of FRAMES, or "SCENE" for the COLMAP frame; a format with fixed axes has "UPRIGHT" or "SCENE".
         metres_per_unit: length of a Blender unit in metres; the file is in metres.
         water: fraction of the fitted water in the colours, 0 to 1.
         labels: names or numbers of the labels to write, separated by commas; "" for all.
@@ -72,8 +71,7 @@ def save_splats(context: bpy.types.Context, path: Path, options: ExportOptions) 
     Raises:
         InputError: nothing to save, wrong options, or a file that cannot be written.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path.name} cannot be saved: give the file a name that ends in .ply or .glb.")
+    format = find_format(path)
     objects = _chosen_objects(context, options)
     to_file, up = _file_frame(objects, path, options)
     parts = []
@@ -81,24 +79,20 @@ def save_splats(context: bpy.types.Context, path: Path, options: ExportOptions) 
         if options.water and len(part):
             part = _add_water(context, obj, part, options.water)
         parts.append(transformed(part, to_file @ placement))
-    joined = something(concatenate(parts))
+    joined = require_splats(concatenate(parts))
     cameras = []
     if options.cameras:
-        cameras = [moved(camera, to_file) for camera in cameras_of(context, _roots(objects))]
+        cameras = [transform_camera(camera, to_file) for camera in cameras_of(context, _roots(objects))]
         if not cameras:
             raise InputError("There are no cameras to save: import the scene, add a camera, or turn Cameras off.")
-    is_glb = path.suffix.lower() == ".glb"
-    if is_glb:
-        write_glb(path, joined, up, cameras)
-    else:
-        write_ply(path, joined)
+    format.write(path, joined, up, cameras)
     if not cameras:
         return len(joined), []
     turn = np.eye(4)
-    if is_glb:
-        turn[:3, :3] = turn_to_y_up(up)
+    if "up" not in format.options:
+        turn[:3, :3] = rotation_to_y_up(up)
     folder = cameras_folder(path)
-    notes = _save_cameras(folder, [moved(camera, turn) for camera in cameras])
+    notes = _save_cameras(folder, [transform_camera(camera, turn) for camera in cameras])
     _save_water(objects[0], turn @ to_file, folder / "water.json", options.metres_per_unit)
     return len(joined), notes
 
@@ -109,10 +103,10 @@ def expected_size(context: bpy.types.Context, path: Path, options: ExportOptions
         objects = _chosen_objects(context, options)
         _, up = _file_frame(objects, path, options)
         # Frame and water change values, not their number: the size is found without them, which is quick.
-        joined = something(concatenate([part for _, _, part in _selected_splats(context, objects, options)]))
+        joined = require_splats(concatenate([part for _, _, part in _selected_splats(context, objects, options)]))
+        size = find_format(path).size(path, joined, up, ())
     except InputError as error:
         return str(error)
-    size = glb_size(path, joined, up) if path.suffix.lower() == ".glb" else ply_size(path, joined)
     return f"{len(joined)} splats, {size / 1e6:.1f} MB"
 
 
@@ -130,7 +124,7 @@ def _chosen_objects(context: bpy.types.Context, options: ExportOptions) -> list[
 
 
 def _file_frame(objects: list[bpy.types.Object], path: Path, options: ExportOptions) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix (4, 4) from Blender's world to the file, and the file's up vector (3,), which a GLB needs."""
+    """The matrix (4, 4) from Blender's world to the file, and the up vector (3,) of the splats."""
     up = np.array(COLMAP_UP)
     if options.frame == "SCENE":
         root = scene_import.find_root(objects[0])
@@ -138,7 +132,7 @@ def _file_frame(objects: list[bpy.types.Object], path: Path, options: ExportOpti
             raise InputError(f"{objects[0].name} belongs to no imported scene: choose the axes Upright.")
         frame, up = root.matrix_world, scene_import.up_of(root)
     else:
-        frame = FRAMES["UPRIGHT" if path.suffix.lower() == ".glb" else options.frame]
+        frame = FRAMES[options.frame if "up" in find_format(path).options else "UPRIGHT"]
     return np.diag([options.metres_per_unit] * 3 + [1.0]) @ np.linalg.inv(np.array(frame, np.float64)), up
 
 
@@ -154,8 +148,8 @@ def _selected_splats(
         names = Path(bpy.path.abspath(obj.get(RUN_KEY, ""))) / "labels.json"
         labels = label_ids(words, names) if words else None
         box = _crop_box(context, options.crop_object) @ placement if options.crop_object else None
-        choice = Choice(labels, box, options.min_opacity, options.sh_degree, options.extras)
-        yield obj, placement, choice.of(splats.read_modified_splats(obj))
+        selection = SplatSelection(labels, box, options.min_opacity, options.sh_degree, options.extras)
+        yield obj, placement, selection.apply(splats.read_modified_splats(obj))
 
 
 def _add_water(context: bpy.types.Context, obj: bpy.types.Object, dry: Splats, amount: float) -> Splats:
@@ -164,7 +158,7 @@ def _add_water(context: bpy.types.Context, obj: bpy.types.Object, dry: Splats, a
     if not roots:
         raise InputError(f"{obj.name} belongs to no imported scene, so its water is not known.")
     from_root = np.linalg.inv(np.array(roots[0].matrix_world, np.float64))
-    cameras = [moved(camera, from_root) for camera in cameras_of(context, roots)]
+    cameras = [transform_camera(camera, from_root) for camera in cameras_of(context, roots)]
     if not cameras:
         raise InputError(f"The scene of {obj.name} has no cameras left, so its water cannot be shown.")
     medium, metres_per_unit = _water_of_run(obj)
@@ -173,7 +167,7 @@ def _add_water(context: bpy.types.Context, obj: bpy.types.Object, dry: Splats, a
 
 def _save_cameras(folder: Path, cameras: list[Camera]) -> list[str]:
     """Write cameras without sparse points to `folder`; returns sentences about what a format cannot hold."""
-    images = [Photograph.through_pinhole(camera) for camera in cameras]
+    images = [PosedImage.from_camera(camera) for camera in cameras]
     return write_cameras(folder, images, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))[1]
 
 
@@ -184,7 +178,7 @@ def _save_water(obj: bpy.types.Object, to_file: np.ndarray, path: Path, metres_p
         training_to_file = (to_file @ np.array(obj.matrix_world, np.float64))[:3, :3]
         scale = float(np.cbrt(np.linalg.det(training_to_file)))
         in_metres = bool(metres) or metres_per_unit != 1.0
-        write_json(path, placed(medium, training_to_file / scale, scale, metres, in_metres))
+        write_json(path, transform_water(medium, training_to_file / scale, scale, metres, in_metres))
 
 
 def _roots(objects: list[bpy.types.Object]) -> list[bpy.types.Object]:

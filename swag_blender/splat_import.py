@@ -1,12 +1,12 @@
-"""Splat files as objects: 3DGS PLY and glTF with KHR_gaussian_splatting."""
+"""Splat files as objects."""
 
 from pathlib import Path
 
 import bpy
 
 from ..swag_engine.base.errors import InputError
-from ..swag_engine.formats.gltf import COLMAP_UP, read_glb
-from ..swag_engine.formats.ply import read_ply
+from ..swag_engine.formats.gltf import COLMAP_UP
+from ..swag_engine.formats.registry import find_format
 from . import scene_import, splats
 from .blender_types import present
 
@@ -18,7 +18,7 @@ def open_splats(
 
     Args:
         context: where the objects go: its collection.
-        paths: files that end in .ply or .glb.
+        paths: files of any format of the engine's registry.
         in_scene: whether the files are in the COLMAP frame of the imported scene; else they are placed upright.
         sh_degree: highest degree of spherical harmonics to keep, 0 to 3.
 
@@ -37,14 +37,11 @@ def open_splats(
 
 
 def _open_file(context: bpy.types.Context, path: Path, in_scene: bool, sh_degree: int) -> bpy.types.Object:
-    is_glb = path.suffix.lower() == ".glb"
-    if not is_glb and path.suffix.lower() != ".ply":
-        raise InputError(f"{path.name or 'Nothing'} is no splat file: choose a file that ends in .ply or .glb.")
+    format = find_format(path)
     root = scene_import.active_root(context) if in_scene else None
     if in_scene and root is None:
         raise InputError(f"{path.name} needs an imported scene: import its COLMAP scene, or place it upright.")
-    up = scene_import.up_of(root) if root else COLMAP_UP
-    loaded = read_glb(path, up) if is_glb else read_ply(path)
+    loaded = format.read(path, scene_import.up_of(root) if root else COLMAP_UP)
     loaded.sh = loaded.sh[:, : (sh_degree + 1) ** 2]
     obj = splats.new_splat_object(path.stem, loaded, present(context.collection), root)
     if root is None:

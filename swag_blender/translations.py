@@ -140,7 +140,6 @@ GERMAN = {
     "Forecast": "Vorhersagen",
     "Further Properties": "Weitere Eigenschaften",
     "Gaussian Splats": "Gauß-Splats",
-    "Gaussian Splats (.ply, .glb)": "Gauß-Splats (.ply, .glb)",
     "Gaussians": "Gaußglocken",
     "Get networks that are not on this machine from their authors": (
         "Netze, die auf diesem Rechner fehlen, bei ihren Urhebern holen"

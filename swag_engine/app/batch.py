@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import InputError
+from ..formats.registry import FORMATS
 
 ON_RUNS = ("evaluate", "render", "label", "export")
 STATES = {0: "done", 2: "not usable", 130: "interrupted"}
@@ -75,15 +76,17 @@ def _row(command: str, entry: Path, out: Path | None, options: Sequence[str]) ->
 
 
 def _suffix(command: str, options: Sequence[str]) -> str:
-    """What the name of an exported file ends in."""
+    """Return the ending of an exported file's name."""
     if command != "export":
         return ""
     pairs = zip(options, [*options[1:], ""], strict=True)
     named = [value for name, value in pairs if name == "--format"]
     named += [option.partition("=")[2] for option in options if option.startswith("--format=")]
     if not named:
-        raise InputError("An export needs --format ply or --format glb.")
-    return f".{named[-1]}"
+        raise InputError(f"An export needs --format {' or --format '.join(FORMATS)}.")
+    if named[-1] not in FORMATS:
+        raise InputError(f"There is no format {named[-1]}; there are {', '.join(FORMATS)}.")
+    return FORMATS[named[-1]].suffix
 
 
 def describe(document: dict[str, Any]) -> str:

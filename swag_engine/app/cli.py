@@ -20,9 +20,9 @@ from ..base.strict_json import to_json
 from ..experiments.grid import Grid
 from ..formats.export import ExportOptions, export_run
 from ..formats.export import describe as describe_export
+from ..formats.registry import FormatName
 from ..settings.field import settings_of
 from ..settings.settings import TrainSettings
-from .protocol import ExportFormat
 
 INTERRUPTED = 130
 DESCRIPTION = """Underwater photographs to 3D Gaussian splats. COMMAND --help says what a command takes.
@@ -310,12 +310,12 @@ class Render:
 
 @dataclass(frozen=True)
 class Export:
-    """Write the result of a run as a 3DGS PLY or as glTF with KHR_gaussian_splatting."""
+    """Write the result of a run to a file that other programs read."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
-    format: ExportFormat
-    """ply or glb."""
+    format: FormatName
+    """Format of the file."""
     out: Path
     """File to write."""
     options: tyro.conf.OmitArgPrefixes[ExportOptions] = field(default_factory=ExportOptions)
@@ -405,14 +405,14 @@ class Search:
 
 @dataclass(frozen=True)
 class Extract:
-    """Write the Gaussians of one label of a run as a PLY or GLB of their own."""
+    """Write the Gaussians of one label of a run to a file of their own."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
     label: str
     """Name or number of the label."""
     out: Path
-    """File to write, .ply or .glb."""
+    """File to write; its ending says the format, as .ply does."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 

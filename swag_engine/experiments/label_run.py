@@ -10,6 +10,7 @@ from ..base.errors import InputError
 from ..base.files import atomic_path
 from ..formats.export import ExportOptions, export_run
 from ..formats.ply import read_ply
+from ..formats.registry import find_format
 from ..formats.run_folder import RunFolder
 from ..kernels.backends import device_for
 from ..rendering.model import cloud_from_checkpoint
@@ -102,11 +103,8 @@ def describe(document: dict[str, Any]) -> str:
 
 
 def extract_run(folder: Path, label: str, out: Path) -> int:
-    """Write the splats of one label (its name or number) to `out`, a .ply or .glb; returns how many there are.
+    """Write the splats of one label (its name or number) to `out`; its ending says the format. Returns their number.
 
     Raises InputError for another suffix, and as export_run does for a choice by labels.
     """
-    format = out.suffix.lower().removeprefix(".")
-    if format not in ("ply", "glb"):
-        raise InputError(f"{out.name} cannot be written: give the file a name that ends in .ply or .glb.")
-    return int(export_run(folder, format, out, ExportOptions(labels=(label,)))["splats"])
+    return int(export_run(folder, find_format(out).name, out, ExportOptions(labels=(label,)))["splats"])

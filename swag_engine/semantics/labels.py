@@ -11,8 +11,6 @@ from safetensors.numpy import load_file, save_file
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
-from ..formats.gltf import write_glb
-from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..formats.select import LABEL
 from ..splats.splats import Splats
@@ -74,8 +72,7 @@ def write_semantics(
         **about,
         "notes": list(regions.notes),
     }
-    write_ply(run.ply, labelled)
-    write_glb(run.glb, labelled, up)
+    run.write_result(labelled, up)
     tensors = {
         "features": features,
         "prototypes": regions.prototypes,

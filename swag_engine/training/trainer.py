@@ -14,7 +14,6 @@ from ..base.errors import InputError
 from ..base.files import claimed
 from ..base.timing import Ledger
 from ..evaluation.metrics import ViewScore, mean_score, median_control, score_views
-from ..formats.gltf import write_glb
 from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.init import gaussians_from_points
@@ -444,8 +443,7 @@ class Trainer:
         if self.guidance:
             self.guidance.write(self.run.path, splats, inputs.scene.up.tolist(), state.cloud)
         else:
-            write_ply(self.run.ply, splats)
-            write_glb(self.run.glb, splats, inputs.scene.up)
+            self.run.write_result(splats, inputs.scene.up)
         scores = self._scores(inputs.test)
         test_psnr, test_ssim = mean_score(scores)
         overfitting = dropout_note(dropped, self.training_psnr, state.psnr)

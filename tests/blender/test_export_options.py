@@ -309,7 +309,7 @@ saved(sys.argv[2], water=0.7, cameras=True)
         json.dumps(given),
     )
     back = read_ply(tmp_path / "out.ply") if suffix == "ply" else read_glb(tmp_path / "out.glb", up=(0, 1, 0))
-    truth = water.baked(made, sea, cameras, 0.7)
+    truth = water.bake_water(made, sea, cameras, 0.7)
     model = pycolmap.Reconstruction(str(tmp_path / "out_cameras" / "sparse" / "0"))
     assert len(model.images) == 2
     for image, camera in zip(sorted(model.images.values(), key=lambda image: image.name), cameras, strict=True):

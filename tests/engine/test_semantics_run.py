@@ -158,7 +158,7 @@ def test_one_label_is_taken_out(labelled: Path, tmp_path: Path, suffix: str) -> 
         )
     with pytest.raises(InputError, match="There is no label named kraken; there are .*wreck"):
         extract_run(labelled, "kraken", tmp_path / f"no{suffix}")
-    with pytest.raises(InputError, match="part.obj cannot be written"):
+    with pytest.raises(InputError, match="part.obj is not a splat file"):
         extract_run(labelled, "coral", tmp_path / "part.obj")
 
 

@@ -22,7 +22,7 @@ from swag_engine.base.errors import InputError
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
-from swag_engine.formats.water import baked
+from swag_engine.formats.water import bake_water
 from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.planning.plan import read_plan
 from swag_engine.scene.cameras import Camera
@@ -106,7 +106,7 @@ JSON = {
             },
             optional={"veil_sh": DOCUMENTS, "B_inf": TRIPLES, "ranges": DOCUMENTS, "transmission": DOCUMENTS},
         ),
-        lambda path: baked(some_splats(), RunFolder(path.parent).read_water(), [SEEN_FROM]),
+        lambda path: bake_water(some_splats(), RunFolder(path.parent).read_water(), [SEEN_FROM]),
     ),
     "plan.json": (
         st.fixed_dictionaries({"effects": st.fixed_dictionaries(dict.fromkeys(EFFECTS, EFFECT)), "water": DOCUMENTS}),
