@@ -3,6 +3,8 @@
 A module lists its classes in CLASSES and may have register() and unregister().
 """
 
+from typing import Any
+
 import bpy
 
 from ..swag_blender.blender_types import present
@@ -61,7 +63,7 @@ class SWAG_MT_splatting(bpy.types.Menu):
 
     bl_label = "SWAG Splatting"
 
-    def draw(self, context: bpy.types.Context) -> None:
+    def draw(self, context: bpy.types.Context | None) -> None:
         """Draw the menu; Blender calls this."""
         layout = present(self.layout)
         layout.operator_context = "INVOKE_DEFAULT"
@@ -73,8 +75,11 @@ class SWAG_MT_splatting(bpy.types.Menu):
             layout.separator()
 
 
-def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    present(menu.layout).menu(SWAG_MT_splatting.__name__)
+_parent_menu: Any = bpy.types.VIEW3D_MT_object  # as Any: the stubs declare another signature of append
+
+
+def _menu(menu: Any, context: bpy.types.Context) -> None:
+    menu.layout.menu(SWAG_MT_splatting.__name__)
 
 
 def register() -> None:
@@ -85,12 +90,12 @@ def register() -> None:
         if hasattr(module, "register"):
             module.register()
     bpy.utils.register_class(SWAG_MT_splatting)
-    bpy.types.VIEW3D_MT_object.append(_menu)
+    _parent_menu.append(_menu)
 
 
 def unregister() -> None:
     """Undo `register`."""
-    bpy.types.VIEW3D_MT_object.remove(_menu)
+    _parent_menu.remove(_menu)
     bpy.utils.unregister_class(SWAG_MT_splatting)
     for module in reversed(_MODULES):
         if hasattr(module, "unregister"):

@@ -2,15 +2,15 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from ..swag_blender.blender_types import OperatorResult, present, with_properties
+from ..swag_blender.blender_types import present, with_properties
 from ..swag_blender.operator_base import ReportingOperator
-from ..swag_blender.splat_export import ExportOptions, expected_size, save_splats
+from ..swag_blender.splat_export import ExportSettings, expected_size, save_splats
 from ..swag_blender.splat_formats import FILE_FILTER, is_splat_file, menu_text
 
 
@@ -23,6 +23,7 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
     bl_options = {"REGISTER", "PRESET"}
 
     filename_ext = ".ply"
+    filepath: str  # a property of ExportHelper
     filter_glob: Annotated[str, StringProperty(default=FILE_FILTER, options={"HIDDEN"})]
     check_existing: Annotated[bool, BoolProperty(default=True, options={"HIDDEN"})]
     use: Annotated[
@@ -118,7 +119,7 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
     forecast: Annotated[str, StringProperty(options={"HIDDEN", "SKIP_SAVE"})]
     forecast_of: Annotated[str, StringProperty(options={"HIDDEN", "SKIP_SAVE"})]
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Any:  # the bases declare two types
         """Open the file browser."""
         self.metres_per_unit = present(context.scene).unit_settings.scale_length
         self._update_forecast(context)
@@ -151,36 +152,39 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
     def work(self, context: bpy.types.Context) -> str:
         """Save the file."""
         path = Path(bpy.path.abspath(self.filepath))
-        count, notes = save_splats(context, path, self._options())
+        count, notes = save_splats(context, path, self._settings())
         for note in notes:
             self.report({"WARNING"}, note)
         return f"Saved {count} splats to {path}."
 
-    def _options(self) -> ExportOptions:
-        return ExportOptions(**{field.name: getattr(self, field.name) for field in dataclasses.fields(ExportOptions)})
+    def _settings(self) -> ExportSettings:
+        return ExportSettings(**{field.name: getattr(self, field.name) for field in dataclasses.fields(ExportSettings)})
 
     def _update_forecast(self, context: bpy.types.Context) -> bool:
         """Show the size of the file; returns whether the options have changed."""
-        path, options = Path(self.filepath), self._options()
-        of = f"{path.suffix.lower()} {options}"
+        path, settings = Path(self.filepath), self._settings()
+        of = f"{path.suffix.lower()} {settings}"
         if of == self.forecast_of:
             return False
-        self.forecast_of, self.forecast = of, expected_size(context, path, options)
+        self.forecast_of, self.forecast = of, expected_size(context, path, settings)
         return True
 
 
-def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    present(menu.layout).operator(SWAG_OT_export_splats.bl_idname, text=menu_text(), translate=False)
+_parent_menu: Any = bpy.types.TOPBAR_MT_file_export  # as Any: the stubs declare another signature of append
+
+
+def _menu(menu: Any, context: bpy.types.Context) -> None:
+    menu.layout.operator(SWAG_OT_export_splats.bl_idname, text=menu_text(), translate=False)
 
 
 def register() -> None:
     """Add the operator to File > Export."""
-    bpy.types.TOPBAR_MT_file_export.append(_menu)
+    _parent_menu.append(_menu)
 
 
 def unregister() -> None:
     """Remove it from there."""
-    bpy.types.TOPBAR_MT_file_export.remove(_menu)
+    _parent_menu.remove(_menu)
 
 
 CLASSES = (SWAG_OT_export_splats,)

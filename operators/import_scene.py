@@ -64,18 +64,21 @@ class SWAG_OT_import_scene(Job):
         return f"{found.splitlines()[0]}."
 
 
-def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    present(menu.layout).operator(SWAG_OT_import_scene.bl_idname, text="COLMAP Scene (folder)")
+_parent_menu: Any = bpy.types.TOPBAR_MT_file_import  # as Any: the stubs declare another signature of append
+
+
+def _menu(menu: Any, context: bpy.types.Context) -> None:
+    menu.layout.operator(SWAG_OT_import_scene.bl_idname, text="COLMAP Scene (folder)")
 
 
 def register() -> None:
     """Add the operator to File > Import."""
-    bpy.types.TOPBAR_MT_file_import.append(_menu)
+    _parent_menu.append(_menu)
 
 
 def unregister() -> None:
     """Remove it from there."""
-    bpy.types.TOPBAR_MT_file_import.remove(_menu)
+    _parent_menu.remove(_menu)
 
 
 CLASSES = (SWAG_OT_import_scene,)

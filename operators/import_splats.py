@@ -1,7 +1,7 @@
 """Open splat files, through the menu or dropped into the window."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import bpy
 from bpy.props import CollectionProperty, EnumProperty, IntProperty, StringProperty
@@ -85,23 +85,26 @@ class SWAG_FH_splats(bpy.types.FileHandler):
     bl_file_extensions = FILE_ENDINGS
 
     @classmethod
-    def poll_drop(cls, context: bpy.types.Context) -> bool:
+    def poll_drop(cls, context: bpy.types.Context | None) -> bool:
         """Whether files can be dropped here."""
-        return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
+        return context is not None and context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
 
 
-def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    present(menu.layout).operator(SWAG_OT_import_splats.bl_idname, text=menu_text(), translate=False)
+_parent_menu: Any = bpy.types.TOPBAR_MT_file_import  # as Any: the stubs declare another signature of append
+
+
+def _menu(menu: Any, context: bpy.types.Context) -> None:
+    menu.layout.operator(SWAG_OT_import_splats.bl_idname, text=menu_text(), translate=False)
 
 
 def register() -> None:
     """Add the operator to File > Import."""
-    bpy.types.TOPBAR_MT_file_import.append(_menu)
+    _parent_menu.append(_menu)
 
 
 def unregister() -> None:
     """Remove it from there."""
-    bpy.types.TOPBAR_MT_file_import.remove(_menu)
+    _parent_menu.remove(_menu)
 
 
 CLASSES = (SWAG_OT_import_splats, SWAG_FH_splats)

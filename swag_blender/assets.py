@@ -5,6 +5,7 @@ The library is in the preferences only while the extension is enabled.
 
 import shutil
 from pathlib import Path
+from typing import Any, cast
 
 import bpy
 
@@ -40,13 +41,13 @@ def install(context: bpy.types.Context) -> Path:
 
 
 def _write_library(values: WaterValues) -> Path:
-    mine = (bpy.data.node_groups, bpy.data.materials)
+    mine: tuple[Any, ...] = (bpy.data.node_groups, bpy.data.materials)
     before = [set(blocks) for blocks in mine]
-    groups = {splat_preview.node_group(), water_shader.free_group(values)}
+    groups: set[bpy.types.ID] = {splat_preview.node_group(), water_shader.free_group(values)}
     unmarked = [group for group in groups if not group.asset_data]
     for group in unmarked:
         group.asset_mark()
-        group.asset_data.description = DESCRIPTIONS[group.name]
+        present(group.asset_data).description = DESCRIPTIONS[group.name]
     path = folder() / "nodes.blend"
     path.parent.mkdir(parents=True, exist_ok=True)
     bpy.data.libraries.write(str(path), groups, fake_user=True)
@@ -78,4 +79,8 @@ def unregister() -> None:
 
 
 def _listed() -> list[bpy.types.UserAssetLibrary]:
-    return [one for one in present(bpy.context.preferences).filepaths.asset_libraries if Path(one.path) == folder()]
+    return [
+        one
+        for one in present(bpy.context.preferences).filepaths.asset_libraries
+        if Path(cast(Any, one).path) == folder()
+    ]

@@ -1,6 +1,6 @@
 """The plan of a scene as a list: the decision, evidence and cost of each effect, and the user's choice."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
@@ -8,7 +8,7 @@ from bpy.types import PropertyGroup
 
 from .blender_types import with_properties
 
-STATE_ICONS = {"on": "CHECKMARK", "off": "X", "unknown": "QUESTION"}
+STATE_ICONS: dict[str, Literal["CHECKMARK", "X", "QUESTION"]] = {"on": "CHECKMARK", "off": "X", "unknown": "QUESTION"}
 
 
 @with_properties

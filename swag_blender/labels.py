@@ -8,6 +8,7 @@ does not draw these), `swag:tint` (FLOAT_COLOR: the preview mixes this colour in
 
 import colorsys
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -82,7 +83,7 @@ class SwagLabel(PropertyGroup):
         ),
     ]
     color: Annotated[
-        Color,
+        Sequence[float],
         FloatVectorProperty(
             name="Colour", subtype="COLOR", size=3, min=0, max=1, update=lambda self, context: show(self.id_data)
         ),
@@ -374,7 +375,7 @@ def attribute(obj: bpy.types.Object, name: str) -> np.ndarray | None:
 def color_of(number: int) -> tuple[float, float, float]:
     """Colour of a label in linear light: hues in steps of the golden ratio, so that neighbours differ."""
     shown = colorsys.hsv_to_rgb(number * 0.618034 % 1, 0.75, 0.95) if number else (0.5, 0.5, 0.5)
-    red, green, blue = Color(shown).from_srgb_to_scene_linear()
+    red, green, blue = Color(shown).from_srgb_to_scene_linear()[:]
     return red, green, blue
 
 

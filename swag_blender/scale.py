@@ -48,7 +48,7 @@ def scale_by_selection(context: bpy.types.Context, distance: float) -> float:
 
 
 def scale_to_distance(
-    context: bpy.types.Context, start: Sequence[float], end: Sequence[float], distance: float
+    context: bpy.types.Context, start: Vector | Sequence[float], end: Vector | Sequence[float], distance: float
 ) -> float:
     """Scale the scene about the world's origin so that two points of it are `distance` metres apart.
 
@@ -58,7 +58,7 @@ def scale_to_distance(
     Raises:
         InputError: the points coincide.
     """
-    length = (Vector(end) - Vector(start)).length
+    length = float(np.linalg.norm(np.array(end) - np.array(start)))
     if length < 1e-9:
         raise InputError("Select two objects that stand apart, such as two cameras, or pick two points.")
     obj = present(scaled_object(context))

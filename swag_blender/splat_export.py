@@ -34,7 +34,7 @@ FRAMES = {
 
 
 @dataclass(frozen=True)
-class ExportOptions:
+class ExportSettings:
     """What the export dialog asks.
 
     Attributes:
@@ -62,26 +62,26 @@ class ExportOptions:
     cameras: bool
 
 
-def save_splats(context: bpy.types.Context, path: Path, options: ExportOptions) -> tuple[int, list[str]]:
-    """Write splat objects as one file, and their cameras beside it where `options` ask for them.
+def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings) -> tuple[int, list[str]]:
+    """Write splat objects as one file, and their cameras beside it where `settings` ask for them.
 
     Returns:
         The number of splats, and sentences about what a format cannot hold.
 
     Raises:
-        InputError: nothing to save, wrong options, or a file that cannot be written.
+        InputError: nothing to save, wrong settings, or a file that cannot be written.
     """
     format = find_format(path)
-    objects = _chosen_objects(context, options)
-    to_file, up = _file_frame(objects, path, options)
+    objects = _chosen_objects(context, settings)
+    to_file, up = _file_frame(objects, path, settings)
     parts = []
-    for obj, placement, part in _selected_splats(context, objects, options):
-        if options.water and len(part):
-            part = _add_water(context, obj, part, options.water)
+    for obj, placement, part in _selected_splats(context, objects, settings):
+        if settings.water and len(part):
+            part = _add_water(context, obj, part, settings.water)
         parts.append(transformed(part, to_file @ placement))
     joined = require_splats(concatenate(parts))
     cameras = []
-    if options.cameras:
+    if settings.cameras:
         cameras = [transform_camera(camera, to_file) for camera in cameras_of(context, _roots(objects))]
         if not cameras:
             raise InputError("There are no cameras to save: import the scene, add a camera, or turn Cameras off.")
@@ -93,25 +93,25 @@ def save_splats(context: bpy.types.Context, path: Path, options: ExportOptions) 
         turn[:3, :3] = rotation_to_y_up(up)
     folder = cameras_folder(path)
     notes = _save_cameras(folder, [transform_camera(camera, turn) for camera in cameras])
-    _save_water(objects[0], turn @ to_file, folder / "water.json", options.metres_per_unit)
+    _save_water(objects[0], turn @ to_file, folder / "water.json", settings.metres_per_unit)
     return len(joined), notes
 
 
-def expected_size(context: bpy.types.Context, path: Path, options: ExportOptions) -> str:
+def expected_size(context: bpy.types.Context, path: Path, settings: ExportSettings) -> str:
     """Number of splats and size of the file that save_splats would write, or why it would refuse, in words."""
     try:
-        objects = _chosen_objects(context, options)
-        _, up = _file_frame(objects, path, options)
+        objects = _chosen_objects(context, settings)
+        _, up = _file_frame(objects, path, settings)
         # Frame and water change values, not their number: the size is found without them, which is quick.
-        joined = require_splats(concatenate([part for _, _, part in _selected_splats(context, objects, options)]))
+        joined = require_splats(concatenate([part for _, _, part in _selected_splats(context, objects, settings)]))
         size = find_format(path).size(path, joined, up, ())
     except InputError as error:
         return str(error)
     return f"{len(joined)} splats, {size / 1e6:.1f} MB"
 
 
-def _chosen_objects(context: bpy.types.Context, options: ExportOptions) -> list[bpy.types.Object]:
-    visible = options.use == "VISIBLE"
+def _chosen_objects(context: bpy.types.Context, settings: ExportSettings) -> list[bpy.types.Object]:
+    visible = settings.use == "VISIBLE"
     candidates = context.visible_objects if visible else context.selected_objects
     chosen = [obj for obj in candidates if splats.is_splats(obj)]
     if not chosen:
@@ -123,32 +123,32 @@ def _chosen_objects(context: bpy.types.Context, options: ExportOptions) -> list[
     return chosen
 
 
-def _file_frame(objects: list[bpy.types.Object], path: Path, options: ExportOptions) -> tuple[np.ndarray, np.ndarray]:
+def _file_frame(objects: list[bpy.types.Object], path: Path, settings: ExportSettings) -> tuple[np.ndarray, np.ndarray]:
     """The matrix (4, 4) from Blender's world to the file, and the up vector (3,) of the splats."""
     up = np.array(COLMAP_UP)
-    if options.frame == "SCENE":
+    if settings.frame == "SCENE":
         root = scene_import.find_root(objects[0])
         if root is None:
             raise InputError(f"{objects[0].name} belongs to no imported scene: choose the axes Upright.")
         frame, up = root.matrix_world, scene_import.up_of(root)
     else:
-        frame = FRAMES[options.frame if "up" in find_format(path).options else "UPRIGHT"]
-    return np.diag([options.metres_per_unit] * 3 + [1.0]) @ np.linalg.inv(np.array(frame, np.float64)), up
+        frame = FRAMES[settings.frame if "up" in find_format(path).options else "UPRIGHT"]
+    return np.diag([settings.metres_per_unit] * 3 + [1.0]) @ np.linalg.inv(np.array(frame, np.float64)), up
 
 
 def _selected_splats(
-    context: bpy.types.Context, objects: list[bpy.types.Object], options: ExportOptions
+    context: bpy.types.Context, objects: list[bpy.types.Object], settings: ExportSettings
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray, Splats]]:
     """Each object with its matrix (4, 4) to Blender's world and, in its own frame, the splats to write of it."""
     depsgraph = context.evaluated_depsgraph_get()
-    words = [word.strip() for word in options.labels.split(",") if word.strip()]
+    words = [word.strip() for word in settings.labels.split(",") if word.strip()]
     for obj in objects:
         # The evaluated matrix has parents, constraints and animation in it.
         placement = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)
         names = Path(bpy.path.abspath(obj.get(RUN_KEY, ""))) / "labels.json"
         labels = label_ids(words, names) if words else None
-        box = _crop_box(context, options.crop_object) @ placement if options.crop_object else None
-        selection = SplatSelection(labels, box, options.min_opacity, options.sh_degree, options.extras)
+        box = _crop_box(context, settings.crop_object) @ placement if settings.crop_object else None
+        selection = SplatSelection(labels, box, settings.min_opacity, settings.sh_degree, settings.extras)
         yield obj, placement, selection.apply(splats.read_modified_splats(obj))
 
 

@@ -8,6 +8,7 @@ The points keep the coordinates of training (the COLMAP world); the object's tra
 """
 
 import math
+from typing import Any, cast
 
 import bpy
 import numpy as np
@@ -153,10 +154,15 @@ def _converted_from_mesh(name: str, count: int) -> bpy.types.PointCloud:
     obj = bpy.data.objects.new(name, mesh)
     scene.collection.objects.link(obj)
     layer.objects.active = obj
-    selection = {"active_object": obj, "object": obj, "selected_objects": [obj], "selected_editable_objects": [obj]}
+    selection: dict[str, Any] = {
+        "active_object": obj,
+        "object": obj,
+        "selected_objects": [obj],
+        "selected_editable_objects": [obj],
+    }
     with bpy.context.temp_override(scene=scene, view_layer=layer, **selection):
         bpy.ops.object.convert(target="POINTCLOUD")
-    pointcloud = obj.data
+    pointcloud = pointcloud_of(obj)
     bpy.data.objects.remove(obj)
     bpy.data.scenes.remove(scene)
     if mesh.users == 0:
@@ -170,7 +176,8 @@ def _converted_from_mesh(name: str, count: int) -> bpy.types.PointCloud:
 def _pointcloud(name: str, splats: Splats) -> bpy.types.PointCloud:
     pointcloud = new_pointcloud(name, splats.positions)
     base = np.concatenate([splats.sh[:, 0], splats.opacities[:, None]], axis=1)
-    types = bpy.types.Attribute.bl_rna.properties["data_type"].enum_items
+    types = cast(Any, bpy.types.Attribute).bl_rna.properties["data_type"].enum_items
+    attributes: Any = pointcloud.attributes
     values = [
         ("scale", "FLOAT_VECTOR", splats.scales),
         ("rotation", "QUATERNION", splats.rotations),
@@ -182,26 +189,26 @@ def _pointcloud(name: str, splats: Splats) -> bpy.types.PointCloud:
         values.append((OWN_PREFIX + own, "INT" if np.issubdtype(value.dtype, np.integer) else "FLOAT", value))
     # Adding an attribute can move the data of others: all are made before any is written.
     for attribute, kind, _ in values:
-        if attribute not in pointcloud.attributes:
-            pointcloud.attributes.new(attribute, kind, "POINT")
+        if attribute not in attributes:
+            attributes.new(attribute, kind, "POINT")
     for attribute, _, value in values:
-        _write(pointcloud.attributes[attribute], value)
+        _write(attributes[attribute], value)
     if hasattr(pointcloud, "type"):
         pointcloud.type = "GAUSSIAN_SPLAT"
     return pointcloud
 
 
-def _value_property(attribute: bpy.types.Attribute) -> str:
+def _value_property(attribute: Any) -> str:
     properties = attribute.bl_rna.properties["data"].fixed_type.properties
     return next(name for name in _VALUE_PROPERTIES if name in properties)
 
 
-def _write(attribute: bpy.types.Attribute, values: np.ndarray) -> None:
+def _write(attribute: Any, values: np.ndarray) -> None:
     dtype = np.int32 if attribute.data_type == "INT" else np.float32
     attribute.data.foreach_set(_value_property(attribute), np.ascontiguousarray(values, dtype=dtype).ravel())
 
 
-def _read(attribute: bpy.types.Attribute, width: int) -> np.ndarray:
+def _read(attribute: Any, width: int) -> np.ndarray:
     dtype = np.int32 if attribute.data_type == "INT" else np.float32
     values = np.empty(len(attribute.data) * width, dtype)
     attribute.data.foreach_get(_value_property(attribute), values)

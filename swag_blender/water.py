@@ -30,11 +30,11 @@ def remember_water(obj: bpy.types.Object, water: dict[str, Any] | None, metres_p
     Raises:
         InputError: the water is damaged.
     """
-    known = water is not None and "veil_sh" in water
-    values = WaterValues.from_json(water, metres_per_unit) if known else WaterValues()
-    if known:
+    if water is not None and "veil_sh" in water:
+        values = WaterValues.from_json(water, metres_per_unit)
         obj[KEY] = json.dumps(values.to_json())
     else:
+        values = WaterValues()
         obj.pop(KEY, None)
     for name, value in values.inputs().items():
         splat_preview.set_input(obj, name, value)
