@@ -15,9 +15,7 @@ STATE_ICONS: dict[str, Literal["CHECKMARK", "X", "QUESTION"]] = {"on": "CHECKMAR
 class SwagEffect(PropertyGroup):
     """One line of the plan; `name` is the engine's name of the effect."""
 
-    state: Annotated[
-        str, StringProperty(name="Plan", description="Decision of the plan: on, off or undetermined (unknown)")
-    ]
+    state: Annotated[str, StringProperty(name="Plan", description="Decision of the plan: on, off or undetermined")]
     reason: Annotated[
         str, StringProperty(name="Evidence", description="Figures of the decision, with their thresholds")
     ]

@@ -15,8 +15,6 @@ from .properties import swag_of
 
 METRES_KEY = "swag_metres_per_unit"
 """Property of a scene's root, or of splats without one: metres in a unit of its own space."""
-UNCLEAR = "Import a scene or open splats; where there are several, select one of them"
-"""Why the scale cannot be set without a scaled_object."""
 PICK_RADIUS = 12.0
 """Pixels around the pointer in which a click finds a splat."""
 PICK_MIN_OPACITY = 0.3

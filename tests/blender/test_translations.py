@@ -13,7 +13,12 @@ import json, re, bpy
 found = set()
 kinds = (bpy.types.Operator, bpy.types.Panel, bpy.types.Menu, bpy.types.PropertyGroup, bpy.types.AddonPreferences,
          bpy.types.FileHandler)
-for cls in {cls for kind in kinds for cls in kind.__subclasses__() if "swag_splatting" in cls.__module__}:
+def below(kind):
+    for cls in kind.__subclasses__():
+        yield cls
+        yield from below(cls)
+registered = {cls for kind in kinds for cls in below(kind) if "swag_splatting" in cls.__module__ and "bl_rna" in vars(cls)}
+for cls in registered:
     if cls.__name__ == "SwagStatus":  # for scripts: panels show its values alone
         continue
     rna = cls.bl_rna
