@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
@@ -23,7 +23,6 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
     bl_options = {"REGISTER", "PRESET"}
 
     filename_ext = ".ply"
-    filepath: str  # a property of ExportHelper
     filter_glob: Annotated[str, StringProperty(default=FILE_FILTER, options={"HIDDEN"})]
     check_existing: Annotated[bool, BoolProperty(default=True, options={"HIDDEN"})]
     use: Annotated[
@@ -128,7 +127,7 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
     def check(self, context: bpy.types.Context) -> bool:
         """Update suffix and forecast after a change in the file browser; returns whether anything changed."""
         # The ending of any format is valid; ExportHelper would add .ply to .glb.
-        changed = not is_splat_file(Path(self.filepath)) and super().check(context)
+        changed = not is_splat_file(Path(self._filepath())) and super().check(context)
         return self._update_forecast(context) or changed
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -151,18 +150,22 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
 
     def work(self, context: bpy.types.Context) -> str:
         """Save the file."""
-        path = Path(bpy.path.abspath(self.filepath))
+        path = Path(bpy.path.abspath(self._filepath()))
         count, notes = save_splats(context, path, self._settings())
         for note in notes:
             self.report({"WARNING"}, note)
         return f"Saved {count} splats to {path}."
+
+    def _filepath(self) -> str:
+        """The chosen file, a property that ExportHelper has and fake-bpy-module does not declare."""
+        return cast(Any, self).filepath
 
     def _settings(self) -> ExportSettings:
         return ExportSettings(**{field.name: getattr(self, field.name) for field in dataclasses.fields(ExportSettings)})
 
     def _update_forecast(self, context: bpy.types.Context) -> bool:
         """Show the size of the file; returns whether the options have changed."""
-        path, settings = Path(self.filepath), self._settings()
+        path, settings = Path(self._filepath()), self._settings()
         of = f"{path.suffix.lower()} {settings}"
         if of == self.forecast_of:
             return False

@@ -358,7 +358,7 @@ def merge_selected(context: bpy.types.Context, target: bpy.types.Object) -> int:
     """Merge the other selected splat objects into `target`, as `merge`. Raises InputError when there are none."""
     others = [obj for obj in context.selected_objects if splats.is_splats(obj) and obj != target]
     if not others:
-        raise InputError("Only one splat object is selected: select the objects to merge, the one to keep last.")
+        raise InputError("Only one object with splats is selected: select the objects to merge, the one to keep last.")
     return merge(target, others)
 
 

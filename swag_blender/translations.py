@@ -1,6 +1,6 @@
-"""The interface in other languages. What is missing from a table stays English; sentences of the engine always do.
+"""The interface in other languages. Texts that a table lacks, and messages of the engine, stay English.
 
-Blender looks up labels, tooltips and names of properties by themselves: a language is a table of English and own words.
+Blender looks up labels, tooltips and names of properties by itself: a language is a table from English texts to others.
 """
 
 import bpy
@@ -459,13 +459,15 @@ GERMAN = {
 
 
 def table(words: dict[str, str]) -> dict[tuple[str, str], str]:
-    """As Blender takes it: buttons of operators have a context of their own."""
+    """The table in Blender's format: texts of operators have another context than all others."""
     return {(context, english): own for english, own in words.items() for context in ("*", "Operator")}
 
 
 def register() -> None:
+    """Register the translations with Blender."""
     bpy.app.translations.register(EXTENSION, {"de_DE": table(GERMAN)})
 
 
 def unregister() -> None:
+    """Undo `register`."""
     bpy.app.translations.unregister(EXTENSION)

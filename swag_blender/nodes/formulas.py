@@ -38,13 +38,13 @@ def harmonics(direction: Field) -> list[list[Field]]:
 
 
 def to_light(value: Field) -> Field:
-    """Linear light of an sRGB value (IEC 61966-2-1); the same formula is used above 1."""
+    """Convert an sRGB value to linear light (IEC 61966-2-1); the same formula is used above 1."""
     curved = ((value + 0.055) * (1 / 1.055)).math("POWER", 2.4)
     return mixed(value * (1 / 12.92), curved, value.math("GREATER_THAN", 0.04045))
 
 
 def to_display(light: Field) -> Field:
-    """sRGB value of linear light, the inverse of to_light."""
+    """Convert linear light to an sRGB value, the inverse of to_light."""
     curved = light.math("MAXIMUM", 0.0).math("POWER", 1 / 2.4) * 1.055 - 0.055
     return mixed(light * 12.92, curved, light.math("GREATER_THAN", 0.0031308))
 

@@ -258,7 +258,7 @@ def _drawn(tree: bpy.types.NodeTree, inputs: dict[str, Field], in_viewport: Fiel
 
 
 def _through_water(tree: bpy.types.NodeTree, inputs: dict[str, Field], ray: Field, color: Field) -> tuple[Field, Field]:
-    """sRGB values and linear light of splats with that sRGB color, seen along `ray` through the water."""
+    """Compute sRGB values and linear light of splats with that sRGB color, seen along `ray` through the water."""
     display = inputs[OF_DISPLAY]
     water = Water.of(inputs, inputs[WATER])
     own = mixed(by_channel(tree, to_light, color), color, display)
@@ -275,7 +275,7 @@ def _switch(tree: bpy.types.NodeTree, switch: Field, off: Field, on: Field, kind
 
 
 def _color(tree: bpy.types.NodeTree, direction: Field, degree: Field) -> Field:
-    """sRGB color of each splat seen along `direction`: max(0, 0.5 + sum of coefficients times harmonics)."""
+    """Compute the sRGB color of each splat along `direction`: max(0, 0.5 + sum of coefficients times harmonics)."""
     base = attribute(tree, "radiance:base", "FLOAT_COLOR")
     total = base * SH_0 + (0.5, 0.5, 0.5)
     index = 0

@@ -17,8 +17,9 @@ def below(kind):
     for cls in kind.__subclasses__():
         yield cls
         yield from below(cls)
-registered = {cls for kind in kinds for cls in below(kind) if "swag_splatting" in cls.__module__ and "bl_rna" in vars(cls)}
-for cls in registered:
+for cls in {cls for kind in kinds for cls in below(kind) if "swag_splatting" in cls.__module__}:
+    if "bl_rna" not in vars(cls):  # a base class, which is not registered
+        continue
     if cls.__name__ == "SwagStatus":  # for scripts: panels show its values alone
         continue
     rna = cls.bl_rna
