@@ -182,7 +182,7 @@ class SwagStatus(PropertyGroup):
     stopping: Annotated[bool, BoolProperty(description="Whether the job was asked to stop")]
     paused: Annotated[bool, BoolProperty(description="Whether the training is paused")]
     doctor: Annotated[str, StringProperty(description="What the last check of the engine's Python found, as JSON")]
-    curve: Annotated[str, StringProperty(description="PSNR on the validation photographs so far, in dB")]
+    curve: Annotated[str, StringProperty(description="PSNR on the validation photos so far, in dB")]
     factor: Annotated[float, FloatProperty(min=0.0, max=1.0, subtype="FACTOR")]
     text: Annotated[str, StringProperty(description="Step that the job does now")]
     message: Annotated[str, StringProperty(description="How the last job ended")]
@@ -190,7 +190,7 @@ class SwagStatus(PropertyGroup):
     iteration: Annotated[int, IntProperty()]
     gaussians: Annotated[int, IntProperty()]
     loss: Annotated[float, FloatProperty()]
-    psnr: Annotated[float, FloatProperty(description="PSNR on the validation photographs in dB; 0 until measured")]
+    psnr: Annotated[float, FloatProperty(description="PSNR on the validation photos in dB; 0 until measured")]
     speed: Annotated[float, FloatProperty(description="Iterations per second")]
     seconds_left: Annotated[float, FloatProperty()]
 

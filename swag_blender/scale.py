@@ -41,7 +41,7 @@ def scale_by_selection(context: bpy.types.Context, distance: float) -> float:
     """Scale the scene so that the two selected objects are `distance` metres apart; as scale_to_distance."""
     ends = [obj.matrix_world.translation for obj in context.selected_objects]
     if len(ends) != 2:
-        raise InputError("Select two objects that stand apart, such as two cameras, or pick two points.")
+        raise InputError("Select two objects at different places, such as two cameras, or pick two points.")
     return scale_to_distance(context, ends[0], ends[1], distance)
 
 
@@ -58,7 +58,7 @@ def scale_to_distance(
     """
     length = float(np.linalg.norm(np.array(end) - np.array(start)))
     if length < 1e-9:
-        raise InputError("Select two objects that stand apart, such as two cameras, or pick two points.")
+        raise InputError("Select two objects at different places, such as two cameras, or pick two points.")
     obj = present(scaled_object(context))
     metres = obj.matrix_world.median_scale * distance / length
     _scale_about_origin(obj, metres / obj.matrix_world.median_scale)

@@ -92,14 +92,14 @@ def add_to_objects(objects: Iterable[bpy.types.Object], source: bpy.types.Object
     materials = _materials(objects)
     for material in materials:
         material.use_nodes = True
-        water_shader.put_under_water(material, node_group(source))
-    return sum(water_shader.is_under_water(material) for material in materials)
+        water_shader.add_water(material, node_group(source))
+    return sum(water_shader.has_water(material) for material in materials)
 
 
 def remove_from_objects(objects: Iterable[bpy.types.Object]) -> int:
     """Remove the water from the materials of objects; returns the number of materials that had it."""
     materials = [material for material in _materials(objects) if material.node_tree]
-    return sum(water_shader.take_out_of_water(material) for material in materials)
+    return sum(water_shader.remove_water(material) for material in materials)
 
 
 def _materials(objects: Iterable[bpy.types.Object]) -> set[bpy.types.Material]:

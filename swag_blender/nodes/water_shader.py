@@ -75,9 +75,9 @@ def drive(owner: bpy.types.ID, path: str, scene: bpy.types.Scene, index: int = -
     variable.targets[0].data_path = "swag.water"
 
 
-def put_under_water(material: bpy.types.Material, group: bpy.types.NodeTree) -> None:
+def add_water(material: bpy.types.Material, group: bpy.types.NodeTree) -> None:
     """Show the surface of a material through the water of the group; a second call changes the water."""
-    take_out_of_water(material)
+    remove_water(material)
     tree = present(material.node_tree)
     output = tree.get_output_node("ALL")
     if output is None or not output.inputs["Surface"].is_linked:
@@ -102,8 +102,8 @@ def put_under_water(material: bpy.types.Material, group: bpy.types.NodeTree) -> 
         node.location = output.location.x + shift[0], output.location.y + shift[1]
 
 
-def take_out_of_water(material: bpy.types.Material) -> bool:
-    """Undo put_under_water; returns whether the material had water."""
+def remove_water(material: bpy.types.Material) -> bool:
+    """Undo add_water; returns whether the material had water."""
     tree = present(material.node_tree)
     ours = [node for node in tree.nodes if node.name.startswith(NAME)]
     for node in ours:
@@ -120,7 +120,7 @@ def take_out_of_water(material: bpy.types.Material) -> bool:
     return bool(ours)
 
 
-def is_under_water(material: bpy.types.Material) -> bool:
+def has_water(material: bpy.types.Material) -> bool:
     """Whether the material has water."""
     return material.node_tree is not None and NAME in material.node_tree.nodes
 
