@@ -32,7 +32,7 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
     display_values: Annotated[
         bool,
         BoolProperty(
-            name="Blend Display Values",
+            name="As Trained",
             description="Blend sRGB values under the view transform Raw, as training does, to compare renders with "
             "photos; other objects get wrong colours. Off: blend linear light, right beside other objects",
         ),

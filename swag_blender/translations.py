@@ -251,7 +251,7 @@ GERMAN = {
     "As the plan decided; undetermined effects stay off": (
         "Wie der Plan entschieden hat; unbestimmte Effekte bleiben aus"
     ),
-    "Blend Display Values": "Anzeigewerte mischen",
+    "As Trained": "Wie trainiert",
     (
         "Blend sRGB values under the view transform Raw, as training does, to compare renders with photos; "
         "other objects get wrong colours. Off: blend linear light, right beside other objects"
