@@ -240,7 +240,9 @@ def effect_sizes(passes, settings, truth: dict) -> dict[str, float]:
                 np.random.default_rng((settings.seed, 3, k)),
             )
             waves = 1 + settings.caustics * (view.sun_share * (pattern - 1))[::5, ::5][solid]
-        balance = np.random.default_rng((settings.seed, 5, k)).normal(0, 0.03 * settings.phone, 3)  # as in `developed`
+        balance = np.random.default_rng((settings.seed, 5, k)).normal(
+            0, 0.03 * settings.phone, 3
+        )  # process_as_phone
         lamp = lamp_light(r, settings.lamp, settings.lamp_tau, reference)
         parts = {
             "attenuation": np.exp(-np.array(water.beta_D) * r[:, None]),

@@ -24,7 +24,7 @@ from benchmarks.effects_matrix import SKY
 from swag_engine.experiments.ablate import ALL
 from swag_engine.planning.costs import measured_costs
 from swag_engine.scene.colmap import load_scene
-from swag_engine.semantics.assign import EVERY
+from swag_engine.semantics.assign import FEATURES_EVERY
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import Trainer, train
 from tests.scenes.effect_scenes import rendered, settings_for
@@ -49,7 +49,7 @@ AIR = {"planned": "", "all": ROWS["all"]}
 
 
 def measured(scene: Path, effects: str) -> dict[str, float]:
-    """Return the least mean milliseconds of EVERY iterations (semantics are learned in one of them) and test PSNR."""
+    """Return the least mean milliseconds of FEATURES_EVERY iterations (features are learned in one) and test PSNR."""
     times: list[float] = []
 
     def watch(trainer: Trainer) -> None:
@@ -66,8 +66,8 @@ def measured(scene: Path, effects: str) -> dict[str, float]:
     settings = TrainSettings(iterations=ITERATIONS, width=320, max_gaussians=20_000, effects=effects)
     with tempfile.TemporaryDirectory() as folder:
         metrics = train_with(scene, Path(folder) / "run", settings, watch)["metrics"]
-    last = np.array(times[-(len(times) // 3 // EVERY * EVERY) :])
-    milliseconds = float(last.reshape(-1, EVERY).mean(1).min())
+    last = np.array(times[-(len(times) // 3 // FEATURES_EVERY * FEATURES_EVERY) :])
+    milliseconds = float(last.reshape(-1, FEATURES_EVERY).mean(1).min())
     return {"ms": round(milliseconds, 2), "test_psnr": round(metrics["test_psnr"], 2)}
 
 

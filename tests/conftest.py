@@ -44,6 +44,17 @@ def tiny_scene(tmp_path_factory):
     return make_tiny_scene(tmp_path_factory.mktemp("tiny") / "wall of discs")
 
 
+@pytest.fixture(scope="session")
+def finished_run(tiny_scene, tmp_path_factory):
+    """The folder of a finished run of the tiny scene, for tests that read; copy it where files are added or changed."""
+    from swag_engine.settings.settings import TrainSettings
+    from swag_engine.training.trainer import train
+
+    folder = tmp_path_factory.mktemp("runs") / "a <b> & c"
+    train(tiny_scene, folder, TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1))
+    return folder
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Mark the tests of `make test`, and what other Blender versions only repeat."""

@@ -11,6 +11,7 @@ known splats.
 import numpy as np
 
 from ..splats.splats import Splats
+from ..splats.transform import C0
 
 WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 """Properties of the element `vertex`."""
@@ -18,8 +19,6 @@ CHUNK = 256
 """Splats that share bounds."""
 BOUNDS = tuple(f"{end}_{axis}" for end in ("min", "max") for axis in ("x", "y", "z", "scale_x", "scale_y", "scale_z"))
 """Properties of the element `chunk` that every file has."""
-C0 = 0.28209479177387814
-"""Constant spherical harmonic, 1 / (2 sqrt(pi))."""
 BLOCK = 32 * CHUNK
 """Splats unpacked at a time: whole chunks."""
 

@@ -21,7 +21,7 @@ from ..base.strict_json import from_json
 from ..base.transfer import srgb_to_linear
 from ..scene.cameras import Camera
 from ..splats.splats import Splats, clean_splats, concatenate
-from ..splats.transform import quaternions, rotation_matrices, rotation_to_y_up, transformed
+from ..splats.transform import C0, quaternions, rotation_matrices, rotation_to_y_up, transformed
 from .export_format import Direction, ExportFormat
 
 log = logging.getLogger(__name__)
@@ -39,8 +39,6 @@ ARRAY_BUFFER = 34962
 """glTF's target of a bufferView with vertex attributes."""
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 """Types of a GLB's chunks."""
-C0 = 0.28209479177387814
-"""Constant spherical harmonic, 1 / (2 sqrt(pi))."""
 BLOCK = 8192
 """Splats read at a time: few enough to stay in the processor's cache."""
 MAX_COPIES = 4

@@ -152,7 +152,10 @@ def _read(path: Path, file: BinaryIO) -> Splats:
     side = isqrt(per_channel + 1)
     whole = rest == 3 * per_channel and side * side == per_channel + 1
     if not whole or not {f"f_rest_{i}" for i in range(rest)} <= set(names):
-        raise InputError(f"{path} has {rest} f_rest properties, which no degree of spherical harmonics has.")
+        raise InputError(
+            f"{path} has {rest} f_rest properties, which are not those of a degree of spherical harmonics; write the "
+            "file again."
+        )
     coefficients = min(side, 4) ** 2
     if side > 4:
         log.warning("%s: spherical harmonics above degree 3 were dropped", path)

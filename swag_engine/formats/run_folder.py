@@ -133,15 +133,15 @@ class RunFolder:
             settings = replace(settings, iterations=asked.iterations, time_budget=asked.time_budget)
         elif self.finished():
             raise InputError(
-                f"The run {self.path} is finished already; its result is {self.ply.name}. More --iterations than "
-                f"{self.iterations()}, or a --time-budget, make it go on."
+                f"The run {self.path} is finished already; its result is {self.ply.name}. To continue it, give more "
+                f"--iterations than {self.iterations()}, or a --time-budget."
             )
-        default, kept = TrainSettings().to_json(), settings.to_json()
+        default, started = TrainSettings().to_json(), settings.to_json()
         for name, value in asked.to_json().items():
-            if value not in (default[name], kept[name]):
+            if value not in (default[name], started[name]):
                 title = name.replace("_", " ")
                 raise InputError(
-                    f"The run {self.path} was started with {title} {kept[name]}; it cannot go on with {value}."
+                    f"The run {self.path} was started with {title} {started[name]}; it cannot continue with {value}."
                 )
         return settings, longer
 
@@ -187,7 +187,7 @@ class RunFolder:
         """Remove the lines of metrics.jsonl past an iteration: a resumed run writes them again."""
         if not self.metrics_log.exists():
             return
-        kept = []
+        lines = []
         for line in self.metrics_log.read_text(encoding="utf-8", errors="replace").splitlines():
             try:
                 entry = from_json(line)
@@ -195,9 +195,9 @@ class RunFolder:
             except (ValueError, KeyError, TypeError):
                 continue  # an incomplete line of a run that was killed
             if keep:
-                kept.append(line + "\n")
+                lines.append(line + "\n")
         with atomic_path(self.metrics_log) as temporary:
-            temporary.write_text("".join(kept), encoding="utf-8")
+            temporary.write_text("".join(lines), encoding="utf-8")
 
     def log(self, entry: dict[str, Any]) -> None:
         """Append one line to metrics.jsonl.

@@ -13,10 +13,8 @@ from ..base.errors import InputError
 from ..base.transfer import DISPLAY_TOE, LINEAR_TOE, linear_to_srgb, srgb_to_linear
 from ..scene.cameras import Camera
 from ..splats.splats import Splats
-from ..splats.transform import sh_basis, sh_rotation
+from ..splats.transform import C0, sh_basis, sh_rotation
 
-C0 = 0.28209479177387814
-"""Constant spherical harmonic, 1 / (2 sqrt(pi))."""
 BLOCK = 8192
 """Splats computed at a time: each is compared with every camera."""
 DAMAGED = "water.json does not hold the coefficients of a water; train the run again."

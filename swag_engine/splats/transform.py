@@ -9,6 +9,9 @@ import numpy as np
 
 from .splats import Splats
 
+C0 = 0.28209479177387814
+"""Constant spherical harmonic, 1 / (2 sqrt(pi))."""
+
 
 def transformed(splats: Splats, matrix: np.ndarray) -> Splats:
     """Apply an affine map to splats.
@@ -104,7 +107,7 @@ def sh_basis(directions: np.ndarray, degree: int) -> np.ndarray:
     """
     x, y, z = np.asarray(directions, np.float64).T
     xx, yy, zz = x * x, y * y, z * z
-    basis = [np.full_like(x, 0.28209479177387814)]
+    basis = [np.full_like(x, C0)]
     if degree > 0:
         basis += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
     if degree > 1:

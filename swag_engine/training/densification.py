@@ -4,8 +4,8 @@ import torch
 from torch import Tensor
 
 from ..base.timing import part
-from ..gaussians.densify import Growth, McmcGrowth, random_of
-from ..gaussians.relocate import reallocate
+from ..gaussians.densify import DensificationStrategy, McmcStrategy, SplitStrategy, random_of
+from ..gaussians.relocate import relocate
 from ..rendering.importance import scores
 from ..settings.recipes import Recipe
 from .effect_selection import EffectSelection
@@ -19,9 +19,9 @@ FULL_AFTER = 0.8
 """Fraction of densification after which the number of Gaussians is at its limit, so that late ones can settle."""
 
 
-def strategy_of(recipe: Recipe) -> Growth:
+def strategy_of(recipe: Recipe) -> DensificationStrategy:
     """Return the densification strategy of a recipe."""
-    return McmcGrowth() if recipe.densification == "mcmc" else Growth()
+    return McmcStrategy() if recipe.densification == "mcmc" else SplitStrategy()
 
 
 class Densification:
@@ -67,7 +67,7 @@ class Densification:
             weight = self.guidance.densification_weights(state.cloud)
         with torch.no_grad():
             state.replace_cloud(
-                *strategy_of(state.recipe).event(
+                *strategy_of(state.recipe).densify(
                     state.cloud, state.statistics, budget, self.inputs.median_range, random, weight
                 )
             )
@@ -95,4 +95,4 @@ class Densification:
         S, E = scores(state.cloud, views, sh_degree, effects.medium, water_degree, backend, effects.lamp)
         if self.guidance and (weight := self.guidance.densification_weights(state.cloud)) is not None:
             E = E * weight
-        state.replace_cloud(*reallocate(state.cloud, S, E, identical=recipe.reallocation == "identical"))
+        state.replace_cloud(*relocate(state.cloud, S, E, identical=recipe.reallocation == "identical"))

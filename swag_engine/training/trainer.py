@@ -16,11 +16,12 @@ from ..base.timing import Ledger
 from ..evaluation.metrics import ViewScore, mean_score, median_control, score_views
 from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, write_json
+from ..gaussians.cloud import GaussianCloud
 from ..gaussians.init import gaussians_from_points
 from ..kernels.backends import device_for
 from ..planning.plan import write_plan
 from ..rendering.model import SceneModel
-from ..scene.colmap import Scene, load_scene
+from ..scene.colmap import Points, Scene, load_scene
 from ..scene.images import TrainingImage
 from ..semantics.embed import DIMENSIONS
 from ..settings.settings import TrainSettings
@@ -45,6 +46,8 @@ from .state import CPU, RunState
 from .step import GEOMETRY, AutogradStep, Step, StepConfig
 from .target_cache import Targets
 from .trials import run_trials, trials_due
+
+InitialCloud = Callable[[Points, int, int, int, np.ndarray], GaussianCloud]
 
 PROGRESS_SECONDS = 0.2
 """Seconds between two `progress` events."""
@@ -98,6 +101,7 @@ def make_trainer(
     weights_dir: Path | None,
     started: float,
     schedule: Schedule = STANDARD,
+    initial_cloud: InitialCloud = gaussians_from_points,
 ) -> "Trainer":
     """Make the trainer of a new run, or of one as far as it came; arguments and errors as of `train` and `Trainer`."""
     longer = False
@@ -108,13 +112,15 @@ def make_trainer(
             f"{run.path} holds a training run already; continue it with --resume or choose another folder."
         )
     scene = load_scene(scene_folder)
-    settings, budget = fit_budget(scene, settings.sized(), started)
+    settings, budget = fit_budget(scene, settings.sized(), started, schedule.closing_seconds)
     note = ""
     if not resume:
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
     try:
-        trainer = within_memory(lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule))
+        trainer = within_memory(
+            lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud)
+        )
         if not trainer:
             raise InputError(TOO_LITTLE)
         trainer.notes += filter(None, [note])
@@ -139,6 +145,7 @@ class Trainer:
         budget: The time budget, if there is one.
         resume: Whether the run continues; then `resume` is called next.
         schedule: When things happen, and the learning rates.
+        initial_cloud: Makes the Gaussians that a new run starts from; called as `gaussians_from_points` is.
 
     Attributes:
         inputs: What never changes during the run.
@@ -162,6 +169,7 @@ class Trainer:
         budget: Budget | None = None,
         resume: bool = False,
         schedule: Schedule = STANDARD,
+        initial_cloud: InitialCloud = gaussians_from_points,
     ) -> None:
         self.run, self.on_event = run, on_event
         self.notes: list[str] = []
@@ -169,7 +177,7 @@ class Trainer:
         self.pacer = Pacer(budget)
         inputs = self.inputs = load_inputs(scene, settings, schedule, on_event)
         self.ledger = Ledger(torch.cuda.synchronize if inputs.device.type == "cuda" else None)
-        cloud = gaussians_from_points(
+        cloud = initial_cloud(
             scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, inputs.median_color()
         )
         start_count = len(cloud)

@@ -139,7 +139,7 @@ np.savez(sys.argv[-1] + "/shown.npz", turn=turn, angle=camera.data.angle_x, **sh
     )
     import torch
 
-    from swag_engine.water.medium import to_display, to_light
+    from swag_engine.kernels.reference.transfer import to_display, to_light
 
     held = np.load(tmp_path / "shown.npz")
     steps = (np.arange(32) + 0.5 - 16) / 16 * np.tan(held["angle"] / 2)

@@ -17,22 +17,14 @@ from swag_engine.experiments import report as module
 from swag_engine.experiments.evaluate_run import evaluate_run
 from swag_engine.experiments.report import command_line, evidence_text, write_report
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=20, width=64, max_gaussians=400, sh_degree=0)
 HOSTILE = '<script>alert(1)</script> $x^2$ & "'
 
 
-@pytest.fixture(scope="module")
-def finished(tiny_scene, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "a <b> & c"
-    train(tiny_scene, folder, SETTINGS)
-    return folder
-
-
 @pytest.fixture
-def run(finished, tmp_path):
-    return shutil.copytree(finished, tmp_path / finished.name)
+def run(finished_run, tmp_path):
+    return shutil.copytree(finished_run, tmp_path / finished_run.name)
 
 
 def change(path, **values):

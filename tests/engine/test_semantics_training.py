@@ -19,7 +19,7 @@ from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import TrainingImage, load_images
-from swag_engine.semantics.regions import Found, common_labels
+from swag_engine.semantics.regions import ImageRegions, common_labels
 from swag_engine.settings.recipes import recipe_of
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import guidance as guidance_module
@@ -139,7 +139,7 @@ def masks_of_another_size(scene: Path, tmp_path: Path) -> dict[str, str]:
     ("wrong", "note"),
     [
         (empty_masks, "found no region in any of the"),
-        (masks_of_another_size, "30 x 30 pixels, which is not the shape of its photograph, 64 x 48"),
+        (masks_of_another_size, "30 x 30 pixels, which is not the aspect ratio of its image, 64 x 48"),
         (lambda scene, tmp_path: {"masks": str(tmp_path / "absent")}, "There is no folder"),
         (lambda scene, tmp_path: {"words": "coral,,wreck"}, "One of the words to look for is empty"),
         (lambda scene, tmp_path: {"words": "coral"}, "is not on this machine"),
@@ -164,7 +164,7 @@ def test_an_embedding_that_is_no_number_does_not_harm_a_training(
         def image(self, pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
             return np.full(40, np.nan, np.float32)
 
-    monkeypatch.setattr(guidance_module, "region_embedder", lambda *arguments, **more: Broken())
+    monkeypatch.setattr(guidance_module, "make_embedder", lambda *arguments, **more: Broken())
     result = train(scene, tmp_path / "run", replace(SETTINGS, effects="semantics=on"))
     assert "made numbers that are not finite" in result["metrics"]["notes"][0]
     assert same_pictures(plain, tmp_path / "run")
@@ -275,7 +275,7 @@ def test_salience_is_high_for_what_differs_and_least_for_open_water() -> None:
     index = np.full((96, 128), 1, np.uint16)
     index[40:], index[60:85, 50:80] = 2, 3
     names = ("open water", "sand", "sponge")
-    regions = common_labels({"a": Found(index, names, np.eye(40, dtype=np.float32)[:3])}, names)
+    regions = common_labels({"a": ImageRegions(index, names, np.eye(40, dtype=np.float32)[:3])}, names)
     camera = Camera("a", 128, 96, 100.0, 100.0, 64, 48, np.eye(4))
     none, water, sand, sponge = salience(regions, [TrainingImage(camera, pixels, index > 0)]).tolist()
     assert none == 1 and sponge == 1.5 and water == pytest.approx(0.5, abs=0.05) and water < sand < 1.2

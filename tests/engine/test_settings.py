@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from swag_engine.base.errors import InputError
+from swag_engine.kernels.backends import KERNELS
 from swag_engine.settings.field import check_settings, setting, settings_of
-from swag_engine.settings.settings import TrainSettings
+from swag_engine.settings.settings import BACKENDS, TrainSettings
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -75,3 +76,7 @@ def test_the_command_line_shows_every_setting_with_its_help():
     for name, _, described in settings_of(TrainSettings):
         assert f"--{name.replace('_', '-')}" in words and described.description in words, name
         assert all(f"{choice}: {text}." in words for choice, text in described.choices.items()), name
+
+
+def test_the_setting_backend_offers_every_backend():
+    assert set(BACKENDS) == {"auto", *KERNELS}

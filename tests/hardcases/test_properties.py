@@ -1,7 +1,7 @@
-"""Random search (hypothesis) over what is read and over what a run can be asked for: an answer, or one sentence.
+"""Random search (hypothesis) over input files and settings of runs: a result, or one sentence.
 
-What it finds becomes a case with a name in test_found.py. With SWAG_EXAMPLES=N it looks at N examples of each, other
-ones each time.
+What it finds becomes a test in test_found.py. With SWAG_EXAMPLES=N it tries N examples of each, different ones each
+time.
 """
 
 import json
@@ -40,7 +40,7 @@ EXAMPLES = int(os.environ.get("SWAG_EXAMPLES", 0))
 
 
 def searched(examples: int):
-    """Settings of a search that tests run with so many examples."""
+    """Return the settings of a search that tries so many examples by default."""
     return settings(
         max_examples=EXAMPLES or examples,
         derandomize=not EXAMPLES,
@@ -51,7 +51,7 @@ def searched(examples: int):
 
 
 def read_or_refused(read, *arguments):
-    """What `read` returns, None where it refuses in one sentence."""
+    """Return what `read` returns, None where it refuses the input in one sentence."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -60,7 +60,7 @@ def read_or_refused(read, *arguments):
         assert str(error) and "\n" not in str(error), error
 
 
-# -- what is read ------------------------------------------------------------------------------------------------------
+# -- input files ------------------------------------------------------------------------------------------------------
 
 VALUES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=9)
 DOCUMENTS = st.recursive(
@@ -262,7 +262,7 @@ def test_any_glb(tmp_path):
     search()
 
 
-# -- what a run can be asked for ---------------------------------------------------------------------------------------
+# -- settings of runs -------------------------------------------------------------------------------------------------
 
 STATES = st.dictionaries(st.sampled_from(sorted([*EFFECTS, *SWITCHES])), st.sampled_from(["on", "off"]), max_size=6)
 ASKED = st.fixed_dictionaries(
@@ -283,7 +283,7 @@ ASKED = st.fixed_dictionaries(
 
 
 def test_any_run(tiny_scene, tmp_path_factory):
-    """Whatever it is asked for, stopped somewhere and resumed: a finite result."""
+    """Runs of any settings, stopped somewhere and resumed, have a finite result."""
 
     @searched(3)
     @given(asked=ASKED, stop=st.integers(0, 30))

@@ -23,7 +23,7 @@ PATTERNS = ("orbit", "oblique", "nadir")
 PLACES = {"walk": street, "around": room, "survey": ground}
 """Patterns over places of boxes."""
 FISHY = 0.4
-"""Share of the photographs that fish swim through in scenes with fish."""
+"""Fraction of the images that fish swim through in scenes with fish."""
 VIEWS = 20
 SIZE = (320, 180)
 
