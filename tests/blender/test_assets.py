@@ -37,7 +37,7 @@ obj = splats.new_splat_object("one", random_splats(5, 1), scene.collection)
 assert obj.modifiers[0].node_group in here.node_groups and len(bpy.data.materials) == 3
 items = bpy.data.node_groups["SWAG Water"].interface.items_tree
 inputs = {item.name: item.default_value for item in items if item.in_out == "INPUT"}
-assert np.allclose(inputs["Attenuation"], [0.4, 0.2, 0.1]) and np.allclose(inputs["Veil 8"], veil[8])
+assert np.allclose(inputs["Attenuation"], [0.4, 0.2, 0.1]) and np.allclose(inputs["Background Light 8"], veil[8])
 
 # A wall of light, seen through it at a distance of 5.
 camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))

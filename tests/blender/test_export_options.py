@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from mathutils import Matrix
 from bl_ext.user_default.swag_splatting.swag_blender import scene_import, splats
-from bl_ext.user_default.swag_splatting.operators import export_splats
+from bl_ext.user_default.swag_splatting.swag_blender.splat_export import ExportSettings, expected_size
 
 bpy.ops.wm.read_homefile(use_empty=True)
 folder = Path(sys.argv[1])
@@ -231,19 +231,10 @@ saved("metres.ply", metres_per_unit=3.0, frame="Z_UP")
 saved("y_up.ply", frame="Y_UP")
 print("BOX", json.dumps([list(row) for row in box.matrix_world.inverted() @ splats.FILE_FRAME]))
 
-class Operator:
-    # What Blender gives an operator's instance.
-    use, frame, water, labels, crop_object, min_opacity = "SELECTED", "UPRIGHT", 0, "", "", 0.5
-    sh_degree, extras, metres_per_unit, cameras, forecast, forecast_of = 1, False, 1.0, False, "", ""
-    filepath = "plain.ply"
-for name in ("_foresee", "_together", "_chosen", "_choice"):
-    setattr(Operator, name, getattr(export_splats.SWAG_OT_export_splats, name))
-operator = Operator()
-assert operator._foresee(bpy.context) and not operator._foresee(bpy.context)
-said = [operator.forecast]
-operator.min_opacity, operator.filepath = 1.0, "plain.glb"
-assert operator._foresee(bpy.context)
-print("SAID", json.dumps([*said, operator.forecast, refused(labels="kelp"), refused(crop_object="gone"),
+settings = ExportSettings("SELECTED", "UPRIGHT", 1.0, 0.0, "", "", 0.5, 1, False, False)
+said = [expected_size(bpy.context, Path("plain.ply"), settings)]
+said.append(expected_size(bpy.context, Path("plain.glb"), replace(settings, min_opacity=1.0)))
+print("SAID", json.dumps([*said, refused(labels="kelp"), refused(crop_object="gone"),
                           refused(min_opacity=1.0), refused(water=0.5), refused(cameras=True)]))
 first.select_set(False)
 second.hide_set(False)

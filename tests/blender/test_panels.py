@@ -40,7 +40,7 @@ print("RESET", json.dumps([swag.plan.switches(), bpy.ops.swag.reset_effects.poll
         tmp_path,
         SWAG_ENGINE_PYTHON=fake_engine,
     )
-    assert blender.json_after("SAID", printed) == "The photographs call for: attenuation."
+    assert blender.json_after("SAID", printed) == "Effects to model: attenuation."
     assert blender.json_after("LINES", printed) == [
         ["attenuation", "Attenuation", "on", "Red loses 75% over the scene.", 1.25],
         ["lamp", "Lamp", "off", "Light falls off by 0%.", 0.5],

@@ -68,7 +68,7 @@ def test_train_and_cancel_with_the_pointer(place, shared_python, tmp_path):
     assert "traceback" not in report and "Traceback" not in printed, report.get("traceback", printed)
     assert report["version"].startswith("5.2")
     assert not report["imported"]["failed"]
-    assert report["imported"]["found"].startswith("10 of 10 photographs have a camera, 300 points")
+    assert report["imported"]["found"].startswith("10 of 10 photos have a camera, 300 points")
     assert report["training"]["iteration"] > 0 and report["preview"] > 0
     held = sorted(report["held_seconds"][:-1])  # all but the last, which takes in the result
     assert len(held) > 5 and held[-1] < 0.1, f"Blender's window is held up for {held[-1]:.2f} s"

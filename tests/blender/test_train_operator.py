@@ -46,10 +46,10 @@ print("AGAIN", json.dumps({"objects": len(objects), "run": again.run_folder}))
     assert result["objects"] == 1 and result["points"] == 1000 == result["gaussians"]
     assert result["run"] == str(tmp_path / "Räuber höhle" / "swag_run")
     assert result["psnr"] == 25.5 and not result["interrupted"] and not result["continue"]
-    assert result["status"] == "Trained 1000 Gaussians in 1:01, 25.5 dB on held-out photographs."
+    assert result["status"] == "Trained 1000 Gaussians in 1:01, 25.5 dB on held-out photos."
     # A second run never writes over the first.
     assert blender.json_after("AGAIN", printed) == {"objects": 2, "run": result["run"] + "-2"}
-    assert "Training: Photograph 1 of 3" in printed
+    assert "Training: Photo 1 of 3" in printed
     assert "Training: Iteration 10 of 10, PSNR 30.00 dB, 1000 Gaussians, 7.5 iterations/s, 1:05 left" in printed
 
 
@@ -77,7 +77,7 @@ def test_what_goes_wrong_is_one_sentence(blender, fake_engine, tmp_path, scene, 
 
 def test_no_folder_and_no_engine_are_one_sentence(blender, tmp_path):
     printed = blender.run(TRAIN + "train('')", tmp_path)
-    assert "Choose the folder with the photographs" in blender.json_after("REPORTED", printed)
+    assert "Choose the folder with the photos" in blender.json_after("REPORTED", printed)
     printed = blender.run(TRAIN + "train(str(root))", tmp_path, SWAG_ENGINE_PYTHON="/no/such/python")
     assert "The engine's Python /no/such/python cannot be run" in blender.json_after("REPORTED", printed)
     assert "Traceback" not in printed
@@ -188,6 +188,6 @@ print("FOUND", json.dumps(bpy.context.scene.swag.found))
         SWAG_ENGINE_PYTHON=fake_engine,
     )
     assert blender.json_after("FOUND", printed).splitlines() == [
-        "11 of 12 photographs have a camera, 345 points",
+        "11 of 12 photos have a camera, 345 points",
         "The disk lacks one.png.",
     ]

@@ -13,7 +13,13 @@ import json, re, bpy
 found = set()
 kinds = (bpy.types.Operator, bpy.types.Panel, bpy.types.Menu, bpy.types.PropertyGroup, bpy.types.AddonPreferences,
          bpy.types.FileHandler)
-for cls in {cls for kind in kinds for cls in kind.__subclasses__() if "swag_splatting" in cls.__module__}:
+def below(kind):
+    for cls in kind.__subclasses__():
+        yield cls
+        yield from below(cls)
+for cls in {cls for kind in kinds for cls in below(kind) if "swag_splatting" in cls.__module__}:
+    if "bl_rna" not in vars(cls):  # a base class, which is not registered
+        continue
     if cls.__name__ == "SwagStatus":  # for scripts: panels show its values alone
         continue
     rna = cls.bl_rna
