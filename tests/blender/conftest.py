@@ -135,8 +135,11 @@ def blenders(extension_zip, tmp_path_factory):
 @pytest.fixture(params=VERSIONS)
 def blender(request, blenders, missing):
     """Each Blender version."""
-    if request.param == "5.2" and not (packages("5.2") / "python").exists():
-        missing("Blender 5.2's package is not installed: install Python 3.13 and run `make .venv/ready` again.")
+    folder = packages(request.param)
+    if request.param != "5.0" and not (
+        (folder / "bpy").exists() and (request.param != "5.2" or (folder / "python").exists())
+    ):
+        missing(f"Blender {request.param} is not in {folder}: run `make .venv/ready`; Blender 5.2 needs Python 3.13.")
     return blenders[request.param]
 
 

@@ -23,9 +23,10 @@ def test_modifiers_before_and_after_the_preview_change_what_is_rendered(blender,
     blender.run("splats_among_objects.other_modifiers", heap_folder)
 
 
-def test_meshes_and_holdouts_before_and_behind_splats(blender):
+@pytest.mark.parametrize("renderer", ["CYCLES", pytest.param("EEVEE", marks=pytest.mark.main_version)])
+def test_meshes_and_holdouts_before_and_behind_splats(blender, renderer):
     """A mesh hides what is behind it, splats blend over what is behind them, a holdout cuts the image's alpha."""
-    blender.run("splats_among_objects.meshes_and_holdouts")
+    blender.run("splats_among_objects.meshes_and_holdouts", renderer)
 
 
 def test_splats_cast_the_gaussians_shadow(blender):
