@@ -16,12 +16,28 @@ def labels_folder(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    "function",
-    ["list_and_hide", "tint", "save_and_open", "select_and_keep_mask", "separate_and_merge", "undo_separation"],
-)
-def test_labels_in_blender(blender, labels_folder, function):
-    blender.run(f"labels.{function}", labels_folder)
+def test_labels_are_listed_by_name_hidden_and_isolated(blender, labels_folder):
+    blender.run("labels.list_and_hide", labels_folder)
+
+
+def test_label_colors_tint_what_is_shown_and_not_the_splats(blender, labels_folder):
+    blender.run("labels.tint", labels_folder)
+
+
+def test_names_and_visibility_of_labels_are_saved_in_the_file(blender, labels_folder):
+    blender.run("labels.save_and_open", labels_folder)
+
+
+def test_selected_labels_become_masks_for_geometry_nodes(blender, labels_folder):
+    blender.run("labels.select_and_keep_mask", labels_folder)
+
+
+def test_merging_separated_splats_restores_the_object(blender, labels_folder):
+    blender.run("labels.separate_and_merge", labels_folder)
+
+
+def test_undo_restores_an_object_before_its_separation(blender, labels_folder):
+    blender.run("labels.undo_separation", labels_folder)
 
 
 def test_search_writes_similarity_and_the_threshold_changes_the_selection(blender, labels_folder):
