@@ -51,7 +51,7 @@ class Installation:
 
 
 class Index(http.server.BaseHTTPRequestHandler):
-    """A package index of the folder of wheels; `broken` maps a wheel's name to the bytes after which its download ends."""
+    """A package index of the folder of wheels; `broken` maps a wheel to the bytes after which its download ends."""
 
     broken: dict[str, int] = {}
     asked: list[tuple[str, str]] = []

@@ -88,7 +88,7 @@ def test_splat_transform_reads_the_same_numbers_into_its_table(convert, tmp_path
 
 @pytest.mark.parametrize("degree", [0, 3])
 def test_the_glb_of_splat_transform_is_the_same(convert, tmp_path, degree):
-    """splat-transform rotates a PLY by 180 degrees around z for Y up, here the glTF node does: compare in world space."""
+    """splat-transform rotates a PLY by 180 degrees around z for Y up, here the glTF node does: compare in the world."""
     splats = some_splats(degree=degree, extras=False)
     write_ply(tmp_path / "ours.ply", splats)
     theirs = read_glb(convert(tmp_path / "ours.ply", tmp_path / "theirs.glb"), up=(0, 1, 0))
@@ -150,14 +150,14 @@ def test_a_compressed_ply_of_splat_transform_is_read(convert, tmp_path, degree):
     np.testing.assert_allclose(np.abs(np.sum(ours.rotations * theirs.rotations, axis=1)), 1, atol=1e-6)
     np.testing.assert_allclose(ours.opacities, theirs.opacities, atol=1e-6)
     np.testing.assert_allclose(ours.sh, theirs.sh, atol=1e-5)
-    # Its writer sorts the splats along a curve: each has its nearest among those that went in.
+    # splat-transform sorts the splats along a curve: match each with the nearest original.
     nearest = np.linalg.norm(ours.positions[:, None] - splats.positions, axis=2).argmin(axis=1)
     assert sorted(nearest) == list(range(600))
-    went_in = splats.subset(nearest)
-    np.testing.assert_allclose(ours.positions, went_in.positions, atol=5e-3)
-    np.testing.assert_allclose(ours.opacities, went_in.opacities, atol=3e-3)
-    assert np.abs(np.sum(ours.rotations * went_in.rotations, axis=1)).min() > 0.999
-    np.testing.assert_allclose(ours.sh, went_in.sh, atol=0.03)
+    originals = splats.subset(nearest)
+    np.testing.assert_allclose(ours.positions, originals.positions, atol=5e-3)
+    np.testing.assert_allclose(ours.opacities, originals.opacities, atol=3e-3)
+    assert np.abs(np.sum(ours.rotations * originals.rotations, axis=1)).min() > 0.999
+    np.testing.assert_allclose(ours.sh, originals.sh, atol=0.03)
 
 
 def test_a_damaged_compressed_ply_is_refused_in_one_sentence(convert, tmp_path):
