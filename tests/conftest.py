@@ -39,6 +39,15 @@ def own_cache(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def missing():
+    """Call it with a sentence that says which tool is missing and how to install it.
+
+    The test is skipped; where the environment variable CI is set, it fails.
+    """
+    return pytest.fail if os.environ.get("CI") else pytest.skip
+
+
+@pytest.fixture(scope="session")
 def tiny_scene(tmp_path_factory):
     from tiny import make_tiny_scene
 
@@ -60,7 +69,7 @@ def finished_run(tiny_scene, tmp_path_factory):
 def pytest_collection_modifyitems(items):
     """Mark the tests of `make test`, and what other Blender versions only repeat."""
     for item in items:
-        version = getattr(item, "callspec", None) and item.callspec.params.get("installed")
+        version = getattr(item, "callspec", None) and item.callspec.params.get("blender")
         if version not in (None, MAIN_VERSION) and item.get_closest_marker("main_version"):
             item.add_marker(pytest.mark.search)
         folder, name = item.path.parent.name, item.path.stem
