@@ -25,7 +25,7 @@ search: .venv/ready
 lint: .venv/ready
 	$(VENV) -m ruff check .
 	$(VENV) -m ruff format --check .
-	$(VENV) -m mypy
+	$(VENV) .ci/typecheck.py
 
 # Which package may import which (.importlinter).
 contracts: .venv/ready

@@ -32,7 +32,7 @@ from tests.scenes.make_scene import Water, make_scene
 from tests.scenes.runs import train_with
 
 ITERATIONS, ROUNDS, AIR_ITERATIONS = 300, 3, 1500
-OFF = "water=off,lamp=off,exposure=off,caustics=off,moving_objects=off"
+OFF = "water=off,lamp=off,exposure=off,vignetting=off,caustics=off,moving_objects=off"
 ROWS = {
     "planned": "moving_objects=off",
     "nothing": OFF,
@@ -40,6 +40,7 @@ ROWS = {
     "attenuation, backscatter": OFF.replace("water=off", "water=on"),
     "lamp": OFF.replace("lamp=off", "lamp=on"),
     "exposure": OFF.replace("exposure=off", "exposure=on"),
+    "vignetting": OFF.replace("vignetting=off", "vignetting=on"),
     "caustics": OFF.replace("caustics=off", "caustics=on"),
     "moving objects": OFF.replace("moving_objects=off", "moving_objects=on"),
     "all": f"water=on,{ALL}",

@@ -1,16 +1,20 @@
-"""Formats of splat files as operators and panels show them, from the engine's registry."""
+"""Formats of splat files in file browsers and menus, from the engine's registry."""
+
+from pathlib import Path
 
 import bpy
 
-from ..swag_engine.formats.gltf import COLMAP_UP
-from ..swag_engine.formats.registry import FORMATS, SUFFIXES, find_format
-
-__all__ = ["COLMAP_UP", "FILE_ENDINGS", "FILE_FILTER", "FORMATS", "SUFFIXES", "find_format", "menu_text"]
+from ..swag_engine.formats.registry import SUFFIXES
 
 FILE_FILTER = ";".join(f"*{suffix}" for suffix in SUFFIXES)
 """Value of the `filter_glob` of a file browser."""
 FILE_ENDINGS = ";".join(SUFFIXES)
 """Value of the `bl_file_extensions` of a file handler."""
+
+
+def is_splat_file(path: Path) -> bool:
+    """Whether the file's name has the ending of a format."""
+    return path.suffix.lower() in SUFFIXES
 
 
 def menu_text() -> str:

@@ -25,8 +25,9 @@ NOT_QUICK = (
     "test_dropout", "test_scene_sfm", "test_tradeoff", "test_semantics_run", "test_forecast", "test_ablate",
     "test_semantics_real_networks", "test_training_water", "test_effects_training", "test_time_budget",
     "test_interpolation", "test_cuda", "test_recipes", "test_evaluation", "test_report",
+    "test_lpips_real",
 )  # fmt: skip
-"""Files of tests/engine that take long: whole runs, processes, and kernels on slow stand-ins."""
+"""Files of tests/engine that take long or download: whole runs, processes, kernels on slow stand-ins, real weights."""
 
 sys.path.insert(0, str(Path(__file__).parent / "scenes"))
 
@@ -35,6 +36,15 @@ sys.path.insert(0, str(Path(__file__).parent / "scenes"))
 def own_cache(tmp_path_factory):
     """Undistorted photographs go to a folder of the session's own, in child processes too."""
     os.environ["SWAG_CACHE_DIR"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="session")
+def missing():
+    """Call it with a sentence that says which tool is missing and how to install it.
+
+    The test is skipped; where the environment variable CI is set, it fails.
+    """
+    return pytest.fail if os.environ.get("CI") else pytest.skip
 
 
 @pytest.fixture(scope="session")
@@ -59,7 +69,7 @@ def finished_run(tiny_scene, tmp_path_factory):
 def pytest_collection_modifyitems(items):
     """Mark the tests of `make test`, and what other Blender versions only repeat."""
     for item in items:
-        version = getattr(item, "callspec", None) and item.callspec.params.get("installed")
+        version = getattr(item, "callspec", None) and item.callspec.params.get("blender")
         if version not in (None, MAIN_VERSION) and item.get_closest_marker("main_version"):
             item.add_marker(pytest.mark.search)
         folder, name = item.path.parent.name, item.path.stem

@@ -51,4 +51,4 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
     return Decision("off", figures, judged.reason)
 
 
-EFFECT = Effect("Interpolation", "training images", decide)
+EFFECT = Effect("Interpolation", "training images", decide, needs_network=True)

@@ -52,4 +52,4 @@ def _cost(probe: CostProbe) -> Callable[[], Tensor]:
     return lambda: semantic_loss(features, targets, labels_in_view(cloud, camera, labels, probe.backend) > 0)
 
 
-EFFECT = Effect("Semantics", "labels", decide, cost=_cost, cost_every=FEATURES_EVERY)
+EFFECT = Effect("Semantics", "labels", decide, cost=_cost, cost_every=FEATURES_EVERY, needs_network=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..effects.registry import REGISTRY
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..planning.plan import Plan, plan_scene
 from ..settings.effect_names import EFFECTS, TOGETHER
@@ -19,7 +20,7 @@ from .evaluate_run import evaluate_run
 
 DEFAULT_RECIPE = "swag"
 """The recipe whose effects are switched."""
-ALL = "separate_backscatter=on,lamp=on,exposure=on,caustics=on,moving_objects=on"
+ALL = ",".join(f"{name}=on" for name, effect in REGISTRY.items() if not effect.needs_network)
 """The effects that need no network, all switched on."""
 METRICS = {
     "psnr": "validation PSNR",

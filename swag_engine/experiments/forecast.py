@@ -83,7 +83,7 @@ def forecast_scene(
     looks = []
     for number, size in enumerate((FIRST_PROBE, SECOND_PROBE)):
         progress("Probe runs", number / 2)
-        sized = replace(settings, preset="draft", time_budget="", **asdict(size))
+        sized = replace(settings, preset="draft", time_budget="", **size.numbers())
         psnr, training, seconds = _probe(scene_folder, sized)
         looks.append(psnr)
     speed, beside = corrected_speed(speed, _predicted(speed, extent, sized), training, seconds)
@@ -246,7 +246,7 @@ def _expected(
         error = 0.5 * error + ERROR_DB if errors else error
         psnr = [round(likely_psnr + sign * error, 2) for sign in (-1, 0, 1)]
     return {
-        **asdict(size),
+        **size.numbers(),
         "seconds": [round(guess * ratio, 2) for ratio in (least, likely, most)],
         "psnr": psnr,
         "memory_mb": round(_memory_mb(extent, size)),

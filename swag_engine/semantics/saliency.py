@@ -20,8 +20,8 @@ MAX_STEP = 1.6
 MAX_DIFFERENCE = 7.0
 """Difference of mean L*a*b* below which neighbouring smooth superpixels are connected water."""
 BORDER_DIVISOR = 4
-"""The contrast of a superpixel is its mean difference from the most similar one in so many of the border's: a quarter
-of them, so that an object that touches the border does not hide itself."""
+"""Contrast is the mean difference from a quarter (1 / BORDER_DIVISOR) of the border's superpixels, the most similar
+ones: not from fewer, so that an object that touches the border keeps its contrast."""
 
 
 class Saliency:

@@ -11,6 +11,7 @@ EFFECTS = {
     "separate_backscatter": "The light that the water adds grows with range by a coefficient of its own.",
     "lamp": "A lamp at the camera: light falls off with the square of the range.",
     "exposure": "Each photo has an exposure of its own.",
+    "vignetting": "The lens darkens photos towards their corners.",
     "caustics": "Light that waves throw on the ground flickers.",
     "moving_objects": "Fish, divers and other moving objects are masked out.",
     "interpolation": "Frames are interpolated between photos that are far apart.",

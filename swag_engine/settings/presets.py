@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, field
+from typing import Any
 
 from ..base.errors import InputError
 
@@ -21,6 +22,14 @@ class Size:
     width: int
     max_gaussians: int
     description: str = field(default="", compare=False)
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the numbers by the names of the settings that they stand for."""
+        return {name: getattr(self, name) for name in SIZES}
+
+
+SIZES = ("iterations", "width", "max_gaussians")
+"""Settings that a preset or a time budget chooses where the user does not."""
 
 
 PRESETS: dict[str, Size] = {
@@ -45,12 +54,8 @@ def size_at(rung: float) -> Size:
     rung = min(max(rung, 0.0), len(LADDER) - 1)
     below = min(int(rung), len(LADDER) - 2)
     part = rung - below
-    pairs = zip(_numbers(LADDER[below]), _numbers(LADDER[below + 1]), strict=True)
+    pairs = zip(LADDER[below].numbers().values(), LADDER[below + 1].numbers().values(), strict=True)
     return Size(*(round(low ** (1 - part) * high**part) for low, high in pairs))
-
-
-def _numbers(size: Size) -> tuple[int, int, int]:
-    return size.iterations, size.width, size.max_gaussians
 
 
 def seconds_of(budget: str) -> float:

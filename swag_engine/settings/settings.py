@@ -16,8 +16,6 @@ BACKENDS = {
     "torch": "PyTorch without native code: slow, the reference for the others",
 }
 """What computes, with a description of each."""
-SIZES = ("iterations", "width", "max_gaussians")
-"""What a preset or a time budget chooses, where the user does not."""
 
 
 @dataclass(frozen=True)
@@ -136,8 +134,8 @@ class TrainSettings:
         """Return the settings with the preset's numbers where none are given; unchanged with a time budget."""
         if self.budget:
             return self
-        preset = PRESETS[self.preset]
-        return replace(self, **{name: getattr(self, name) or getattr(preset, name) for name in SIZES})
+        preset = PRESETS[self.preset].numbers()
+        return replace(self, **{name: getattr(self, name) or number for name, number in preset.items()})
 
     @property
     def budget(self) -> float:

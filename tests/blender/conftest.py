@@ -1,31 +1,21 @@
-"""Blender in a process of its own, with the extension installed from its zip."""
+"""Blender versions as long-lived processes with the extension installed from its zip."""
 
+import contextlib
 import importlib.util
 import json
 import os
-import shutil
+import select
+import signal
 import subprocess
 import sys
 import sysconfig
-import textwrap
 import zipfile
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-EXTENSION = "bl_ext.user_default.swag_splatting"
-INSTALL = """
-import bpy, addon_utils, sys
-addon_utils.enable("bl_pkg")
-bpy.ops.extensions.package_install_files(filepath=sys.argv[-1], repo="user_default", enable_on_install=True)
-bpy.ops.wm.save_userpref()
-"""
-ENABLE = f"""
-import bpy, addon_utils
-EXTENSION = "{EXTENSION}"
-assert addon_utils.enable(EXTENSION, default_set=True)
-"""
+VERSIONS = ("5.0", "4.5", "5.2")
 
 
 def packages(version):
@@ -34,32 +24,87 @@ def packages(version):
 
 
 class Blender:
-    """One version of the bpy package; `user` is its own folder of user files."""
+    """One Blender version as a process of server.py, which runs functions of scripts/.
 
-    def __init__(self, version, user):
-        self.version, self.user = version, user
-        self.path = "" if version == "5.0" else str(packages(version))
-        self.executable = str(packages(version) / "python") if version == "5.2" else sys.executable
+    Args:
+        version: one of VERSIONS.
+        extension_zip: the extension to install.
+        make_folder: gives an empty folder for the user files of a new process.
+    """
 
-    def python(self, script, *arguments, **environment):
-        own = {"BLENDER_USER_RESOURCES": str(self.user), "PYTHONPATH": self.path, "PYTHONIOENCODING": "utf-8"}
-        done = subprocess.run(
-            [self.executable, "-c", script, *map(str, arguments)],
-            env=os.environ | own | {key: str(value) for key, value in environment.items()},
-            capture_output=True, encoding="utf-8", timeout=600, cwd=self.user,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stdout + done.stderr
-        return done.stdout + done.stderr
+    def __init__(self, version, extension_zip, make_folder):
+        self.version, self._zip, self._make_folder = version, extension_zip, make_folder
+        self._process = None
+        self.user = None
+        self.printed = ""
+        """What the last function, Blender and their child processes printed."""
 
-    def run(self, script, *arguments, **environment):
-        """Run a script with the extension enabled; returns what it printed. Fails when the script does."""
-        return self.python(ENABLE + textwrap.dedent(script), *arguments, **environment)
+    def _start(self):
+        self.user = self._make_folder()
+        self._log = self.user.with_suffix(".log")
+        newest = self.version == "5.2"
+        own = {
+            "BLENDER_USER_RESOURCES": str(self.user),
+            "PYTHONPATH": "" if self.version == "5.0" else str(packages(self.version)),
+            "PYTHONIOENCODING": "utf-8",
+        }
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [
+                    str(packages(self.version) / "python") if newest else sys.executable,
+                    *("-X", "faulthandler", str(Path(__file__).with_name("server.py")), str(self._zip)),
+                ],
+                env=os.environ | own, cwd=self.user, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
+                encoding="utf-8", start_new_session=True,
+            )  # fmt: skip
 
-    @staticmethod
-    def json_after(word, printed):
-        """The JSON value behind the word that starts a line of the output."""
-        line = next(line for line in printed.splitlines() if line.startswith(word + " "))
-        return json.loads(line.removeprefix(word))
+    def run(self, name, *arguments, seconds=300, **environment):
+        """Call a function of a script in an empty file with the extension enabled.
+
+        Args:
+            name: "script.function".
+            arguments: what the function takes, as JSON; paths become strings.
+            seconds: after which the process is killed.
+            environment: variables of the process for this call.
+
+        Returns:
+            What the function returned, through JSON.
+
+        Raises:
+            AssertionError: The function raised, Blender crashed, or the time was over. A crash or a timeout ends the
+                process; the next call starts another one.
+        """
+        if self._process is None:
+            self._start()
+        script, function = name.split(".")
+        request = {"script": script, "function": function, "arguments": arguments}
+        request["environment"] = {key: str(value) for key, value in environment.items()}
+        begin, line, ended = self._log.stat().st_size, "", f"Blender did not answer within {seconds} s"
+        try:
+            print(json.dumps(request, default=str), file=self._process.stdin, flush=True)
+            if select.select([self._process.stdout], [], [], seconds)[0]:
+                line = self._process.stdout.readline()
+                if not line:
+                    ended = f"Blender ended with exit code {self._process.wait(10)}"
+        finally:
+            if not line:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(self._process.pid, signal.SIGKILL)
+                self.quit()
+        self.printed = self._log.read_bytes()[begin:].decode(errors="replace")
+        answer = json.loads(line) if line else {"error": ended}
+        if "error" in answer:
+            raise AssertionError(f"{name} in Blender {self.version}: {answer['error']}\n{self.printed}")
+        return answer["result"]
+
+    def quit(self):
+        """End the process as a user ends Blender; the next call starts another one."""
+        if self._process is not None:
+            with contextlib.suppress(BrokenPipeError):
+                self._process.stdin.close()
+            self._process.wait(60)
+            self._process.stdout.close()
+            self._process = None
 
 
 @pytest.fixture(scope="session")
@@ -75,21 +120,27 @@ def extension_zip(tmp_path_factory):
     return builder.build(tmp_path_factory.mktemp("dist"))
 
 
-@pytest.fixture(scope="session", params=["5.0", "4.5", "5.2"])
-def installed(request, extension_zip, tmp_path_factory):
-    """A Blender version and a folder of user files with the extension installed."""
-    if request.param == "5.2" and not (packages("5.2") / "python").exists():
-        pytest.skip("Blender 5.2's package needs Python 3.13, which environment.sh did not find.")
-    blender = Blender(request.param, tmp_path_factory.mktemp(f"blender-{request.param}"))
-    blender.python(INSTALL, extension_zip)
-    return request.param, blender.user
+@pytest.fixture(scope="session")
+def blenders(extension_zip, tmp_path_factory):
+    """One process per version, started when a test first asks for it."""
+    made = {
+        version: Blender(version, extension_zip, lambda version=version: tmp_path_factory.mktemp(f"blender-{version}"))
+        for version in VERSIONS
+    }
+    yield made
+    for blender in made.values():
+        blender.quit()
 
 
-@pytest.fixture
-def blender(installed, tmp_path):
-    version, user = installed
-    shutil.copytree(user, tmp_path / "user")
-    return Blender(version, tmp_path / "user")
+@pytest.fixture(params=VERSIONS)
+def blender(request, blenders, missing):
+    """Each Blender version."""
+    folder = packages(request.param)
+    if request.param != "5.0" and not (
+        (folder / "bpy").exists() and (request.param != "5.2" or (folder / "python").exists())
+    ):
+        missing(f"Blender {request.param} is not in {folder}: run `make .venv/ready`; Blender 5.2 needs Python 3.13.")
+    return blenders[request.param]
 
 
 @pytest.fixture(scope="session")
@@ -103,7 +154,7 @@ def fake_engine(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def wheels(tmp_path_factory):
-    """A folder of wheels of requirements.txt, all empty; the one called torch lends the packages of this Python."""
+    """A folder of empty wheels of requirements.txt; the one called torch makes this Python's packages importable."""
     folder = tmp_path_factory.mktemp("wheels")
     constraints = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = dict(line.split("==") for line in constraints if "==" in line)

@@ -1,4 +1,4 @@
-"""Stands in for the engine's Python: speaks the worker's protocol, and does what the name of the scene's folder says.
+"""Replaces the engine's Python: speaks the worker's protocol; the name of the scene folder chooses its behaviour.
 
 Called as `fake_worker.py -m swag_engine.app.worker`, or `-m swag_engine ARGUMENTS` for the command line.
 """
@@ -43,8 +43,8 @@ def train(request):
         return
     run.mkdir(parents=True, exist_ok=True)
     (run / "config.json").write_text(json.dumps(request | {"up": [0, 0, 1]}))
-    for photograph in range(1, 4):
-        send(event="progress", stage="load", iteration=photograph, iterations=3, seconds=0.1, seconds_left=1.0)
+    for image in range(1, 4):
+        send(event="progress", stage="load", iteration=image, iterations=3, seconds=0.1, seconds_left=1.0)
     print("a library that prints to stdout")
     iteration = 0
     while iteration < ITERATIONS and not cancelled.is_set():
@@ -57,7 +57,7 @@ def train(request):
         if iteration == 5:
             write_ply(run / "preview.ply", splats(50))
             send(event="preview", path=str(run / "preview.ply"), iteration=iteration)
-            if behaviour == "hasty":
+            if behaviour == "removes its preview":
                 (run / "preview.ply").unlink()
         if iteration == 6 and behaviour == "killed":
             print("the last line of the log", file=sys.stderr, flush=True)
@@ -130,7 +130,7 @@ def main():
         else:
             if Path(request["scene"]).name == "deaf":
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
-            # On the main thread's behalf: a crash must end the process, as it does in the engine.
+            # A crash in the thread must end the process, as a crash of the engine does.
             answer = {"train": train, "inspect": inspect, "plan": plan, "forecast": forecast}[request["request"]]
             threading.Thread(target=run_or_die, args=(answer, request), daemon=True).start()
     cancelled.set()

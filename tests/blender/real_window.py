@@ -1,4 +1,4 @@
-"""Runs inside the real Blender, with a window: what a person does in the sidebar, with the pointer.
+"""Runs inside the real Blender, with a window: import, train, pause and cancel in the sidebar with the pointer.
 
 Environment: that of window.py, SWAG_ZIP the extension, SWAG_SCENE the COLMAP scene, SWAG_ENGINE_PYTHON the engine's
 Python.
@@ -14,12 +14,12 @@ import bpy
 sys.path.insert(0, os.environ["SWAG_OUT"])
 from window import install, photograph, report, start, until, view3d
 
-# Where the buttons are on a screen of 1280 x 800, from its top left corner.
+# Pixels of the buttons from the top left corner of a screen of 1280 x 800.
 TRAIN, CONTINUE, PAUSE, CANCEL = (900, 470), (960, 470), (830, 424), (950, 424)
 
 
 def click(x, y):
-    # In steps: Blender highlights a button when the pointer moves over it, and clicks what is highlighted.
+    # In steps: Blender clicks the button that it highlighted when the pointer moved over it.
     for offset in (40, 20, 10, 0):
         subprocess.run(["xdotool", "mousemove", str(x - offset), str(y)], check=True)
         yield 0.2
@@ -28,17 +28,17 @@ def click(x, y):
     yield 0.2
 
 
-def measured(function, seconds):
-    """`function`, with the time of each call noted in `seconds`."""
+def timed(function, seconds):
+    """Wrap `function`: each call appends its duration to `seconds`."""
 
-    def timed(*arguments):
+    def call(*arguments):
         started = time.perf_counter()
         try:
             return function(*arguments)
         finally:
             seconds.append(time.perf_counter() - started)
 
-    return timed
+    return call
 
 
 def steps():
@@ -68,10 +68,10 @@ def steps():
     yield from until(lambda: status.iteration > 0 and status.factor > 0, 90)
     clouds = lambda: [o for o in bpy.data.objects if "swag_run" in o]  # noqa: E731
     yield from until(clouds, 90)
-    # What we take of Blender's time while the training runs (drawing in software takes most of it here).
+    # Time that the extension's timer blocks the window during training; drawing without a graphics card is not in it.
     job = sys.modules["bl_ext.user_default.swag_splatting.swag_blender.job"]
-    report["held_seconds"] = []
-    job.Job._follow = measured(job.Job._follow, report["held_seconds"])
+    report["blocked_seconds"] = []
+    job.Job._follow = timed(job.Job._follow, report["blocked_seconds"])
     yield 4.0
     report["training"] = {"iteration": status.iteration, "gaussians": status.gaussians, "figures": status.figures()}
     report["preview"] = len(clouds()[0].data.points)
@@ -79,10 +79,10 @@ def steps():
 
     yield from click(*PAUSE)
     yield from until(lambda: status.paused, 90)
-    yield 3.0  # what was on its way arrives
+    yield 3.0  # events under way arrive
     paused_at = status.iteration
     yield 2.0
-    report["went_on_by"] = status.iteration - paused_at
+    report["iterations_while_paused"] = status.iteration - paused_at
     yield from click(*PAUSE)
     yield from until(lambda: not status.paused and status.iteration > paused_at, 90)
 
@@ -108,7 +108,7 @@ def steps():
     yield 0.5
     status = bpy.context.window_manager.swag
     engines = sys.modules["bl_ext.user_default.swag_splatting.swag_blender.engine_process"]._running
-    report["loaded"] = {"job": status.job, "engines": len(engines), "message": status.message}
+    report["after_opening"] = {"job": status.job, "engines": len(engines), "message": status.message}
 
 
 start(steps())

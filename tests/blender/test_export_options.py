@@ -1,4 +1,4 @@
-"""What leaves Blender: chosen, modified, moved, wet or dry, with its cameras; the picture of the engine judges."""
+"""Options of the export: selection, modifiers, transforms, water and cameras, against images of the engine."""
 
 import json
 
@@ -16,58 +16,6 @@ from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.splats.splats import Splats
-
-SETUP = """
-import json, sys
-from pathlib import Path
-import numpy as np
-from mathutils import Matrix
-from bl_ext.user_default.swag_splatting.swag_blender import scene_import, splats
-from bl_ext.user_default.swag_splatting.operators import export_splats
-
-bpy.ops.wm.read_homefile(use_empty=True)
-folder = Path(sys.argv[1])
-
-def opened(name, **options):
-    assert bpy.ops.swag.import_splats(filepath=str(folder / name), **options) == {"FINISHED"}
-    return bpy.context.active_object
-
-def saved(name, **options):
-    assert bpy.ops.swag.export_splats(filepath=str(folder / name), **options) == {"FINISHED"}
-
-def refused(**options):
-    try:
-        bpy.ops.swag.export_splats(filepath=str(folder / "refused.ply"), **options)
-    except RuntimeError as error:
-        assert "Traceback" not in str(error), error
-        return str(error).removeprefix("Error: ").strip()
-    raise AssertionError("nothing was said")
-
-def nodes_modifier(obj, node, **inputs):
-    # A modifier with one node between the geometry that comes in and what goes on.
-    tree = bpy.data.node_groups.new(node, "GeometryNodeTree")
-    tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
-    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    start, middle, end = (tree.nodes.new(n) for n in ("NodeGroupInput", node, "NodeGroupOutput"))
-    tree.links.new(start.outputs[0], middle.inputs[0])
-    tree.links.new(middle.outputs[0], end.inputs[0])
-    for name, value in inputs.items():
-        middle.inputs[name].default_value = value
-    modifier = obj.modifiers.new(node, "NODES")
-    modifier.node_group = tree
-    obj.modifiers.move(len(obj.modifiers) - 1, 0)
-    return tree, middle
-
-def imported_scene(cameras=()):
-    root = bpy.data.objects.new("reef", None)
-    root[scene_import.ROOT_KEY] = "/data/reef"
-    root.matrix_world = scene_import.colmap_to_blender(np.array([0.48, -0.8, 0.36]), np.array([[1.0, 2.0, 3.0]]))
-    bpy.context.scene.collection.objects.link(root)
-    for camera in cameras:
-        scene_import.camera_object(camera, root, bpy.context.scene.collection)
-    bpy.context.view_layer.update()
-    return root
-"""
 
 
 def heap(count=1500, degree=3):
@@ -102,7 +50,7 @@ def looking_from(x, y, z):
     return pose
 
 
-def drawn(splats, camera):
+def render_splats(splats, camera):
     positions, rotations, scales, opacities, sh = (
         torch.from_numpy(array)
         for array in (splats.positions, splats.rotations, splats.scales, splats.opacities, splats.sh)
@@ -117,7 +65,7 @@ def psnr(a, b):
     return -10 * np.log10(np.mean((a - b) ** 2))
 
 
-def worldwards(matrix, pose):
+def moved_pose(matrix, pose):
     """The pose in a world that the similarity has moved."""
     moved = matrix @ pose
     moved[:3, :3] /= np.cbrt(np.linalg.det(matrix[:3, :3]))
@@ -125,139 +73,51 @@ def worldwards(matrix, pose):
 
 
 @pytest.mark.parametrize("suffix", ["ply", "glb"])
-def test_round_trip_of_a_moved_turned_scaled_and_cut_heap(blender, tmp_path, suffix):
-    """The engine's picture of what comes back equals that of the truth, seen by a camera that moved along."""
+def test_a_moved_and_cut_object_renders_the_same_after_export(blender, tmp_path, suffix):
+    """The engine's image of the exported file, by a camera that moved with the object, equals that of the original."""
     made = heap()
     write_ply(tmp_path / "heap.ply", made)
-    printed = blender.run(
-        SETUP
-        + """
-obj = opened("heap.ply")
-obj.location, obj.rotation_euler, obj.scale = (1, 2, 3), (0.3, 0.5, 0.7), (1.6, 1.6, 1.6)
-# A part is deleted: what lies above x = 0.3.
-tree, delete = nodes_modifier(obj, "GeometryNodeDeleteGeometry")
-position, split, compare = (tree.nodes.new(n) for n in
-                            ("GeometryNodeInputPosition", "ShaderNodeSeparateXYZ", "FunctionNodeCompare"))
-compare.inputs["B"].default_value = 0.3
-tree.links.new(position.outputs[0], split.inputs[0])
-tree.links.new(split.outputs["X"], compare.inputs["A"])
-tree.links.new(compare.outputs[0], delete.inputs["Selection"])
-saved(sys.argv[2])
-assert all(modifier.show_viewport for modifier in obj.modifiers)
-print("MATRIX", json.dumps([list(row) for row in splats.FILE_FRAME.inverted() @ obj.matrix_world]))
-        """,
-        tmp_path,
-        f"moved.{suffix}",
-    )
-    matrix = np.array(blender.json_after("MATRIX", printed))
+    matrix = np.array(blender.run("export_options.move_and_cut", tmp_path, suffix))
     back = read_ply(tmp_path / "moved.ply") if suffix == "ply" else read_glb(tmp_path / "moved.glb")
     kept = made.subset(made.positions[:, 0] <= 0.3)
     assert len(back) == len(kept) < 1200
     for place in ((0, 0, -4), (3, 1, 2), (-1, -3, 2)):
         pose = looking_from(*place)
-        truth = drawn(kept, camera_at(pose))
-        same = psnr(drawn(back, camera_at(worldwards(matrix, pose))), truth)
-        unturned = psnr(drawn(made, camera_at(pose)), truth)
-        print(suffix, place, same, unturned)
-        assert same > 60 and unturned < 25 and truth.mean() > 0.1
+        truth = render_splats(kept, camera_at(pose))
+        moved = psnr(render_splats(back, camera_at(moved_pose(matrix, pose))), truth)
+        unmoved = psnr(render_splats(made, camera_at(pose)), truth)
+        print(suffix, place, moved, unmoved)
+        assert moved > 60 and unmoved < 25 and truth.mean() > 0.1
 
 
-def test_points_that_a_modifier_moves(blender, tmp_path):
+def test_points_that_a_modifier_moves_are_exported_moved(blender, tmp_path):
     made = heap()
     write_ply(tmp_path / "heap.ply", made)
-    blender.run(
-        SETUP
-        + """
-obj = opened("heap.ply")
-nodes_modifier(obj, "GeometryNodeSetPosition", Offset=(1, 2, 3))
-saved("moved.ply")
-obj.modifiers[0].show_viewport = False
-saved("off.ply")
-        """,
-        tmp_path,
-    )
+    blender.run("export_options.moving_modifier", tmp_path)
     np.testing.assert_allclose(read_ply(tmp_path / "moved.ply").positions, made.positions + (1, 2, 3), atol=1e-5)
     np.testing.assert_allclose(read_ply(tmp_path / "off.ply").positions, made.positions, atol=1e-6)
     assert read_ply(tmp_path / "moved.ply").degree == 3 and "label" in read_ply(tmp_path / "moved.ply").extras
 
 
-def test_points_deleted_in_edit_mode(blender, tmp_path):
+def test_points_deleted_in_edit_mode_are_not_exported(blender, tmp_path):
     made = heap(100, 1)
     write_ply(tmp_path / "heap.ply", made)
-    blender.run(
-        SETUP
-        + """
-obj = opened("heap.ply")
-selected = obj.data.attributes.new(".selection", "BOOLEAN", "POINT")
-selected.data.foreach_set("value", [i < 30 for i in range(100)])
-bpy.ops.object.mode_set(mode="EDIT")
-bpy.ops.pointcloud.delete()
-saved("edited.ply")
-bpy.ops.object.mode_set(mode="OBJECT")
-saved("cut.ply")
-        """,
-        tmp_path,
-    )
+    blender.run("export_options.delete_in_edit_mode", tmp_path)
     for name in ("edited.ply", "cut.ply"):
         np.testing.assert_allclose(read_ply(tmp_path / name).positions, made.positions[30:], atol=1e-6)
 
 
-def test_choices(blender, tmp_path):
-    """Selected or visible, labels by name, a turned crop box, opacity, degree, extras, metres, axes."""
+def test_each_option_selects_or_converts_the_splats(blender, tmp_path):
+    """Selected or visible, labels by name, a rotated crop box, opacity, degree, extras, metres, axes."""
     made = heap()
     write_ply(tmp_path / "heap.ply", made)
     (tmp_path / "labels.json").write_text(json.dumps({"labels": [{"id": 2, "name": "coral"}]}))
-    printed = blender.run(
-        SETUP
-        + """
-first, second, third = (opened("heap.ply") for _ in range(3))
-second.hide_set(True)
-third.location.x = 100
-bpy.ops.object.select_all(action="DESELECT")
-first.select_set(True)
-saved("selected.ply")
-saved("visible.ply", use="VISIBLE")
-first.data.attributes["swag:label"]
-first["swag_run"] = str(folder)
-saved("coral.ply", labels="Coral, 3")
-box = bpy.data.objects.new("box", None)
-box.empty_display_size = 0.5
-box.rotation_euler, box.location = (0, 0, 0.5), (0.2, 0, 0)
-bpy.context.scene.collection.objects.link(box)
-bpy.context.view_layer.update()
-saved("cropped.ply", crop_object="box")
-saved("plain.ply", min_opacity=0.5, sh_degree=1, extras=False)
-saved("metres.ply", metres_per_unit=3.0, frame="Z_UP")
-saved("y_up.ply", frame="Y_UP")
-print("BOX", json.dumps([list(row) for row in box.matrix_world.inverted() @ splats.FILE_FRAME]))
-
-class Operator:
-    # What Blender gives an operator's instance.
-    use, frame, water, labels, crop_object, min_opacity = "SELECTED", "UPRIGHT", 0, "", "", 0.5
-    sh_degree, extras, metres_per_unit, cameras, forecast, forecast_of = 1, False, 1.0, False, "", ""
-    filepath = "plain.ply"
-for name in ("_foresee", "_together", "_chosen", "_choice"):
-    setattr(Operator, name, getattr(export_splats.SWAG_OT_export_splats, name))
-operator = Operator()
-assert operator._foresee(bpy.context) and not operator._foresee(bpy.context)
-said = [operator.forecast]
-operator.min_opacity, operator.filepath = 1.0, "plain.glb"
-assert operator._foresee(bpy.context)
-print("SAID", json.dumps([*said, operator.forecast, refused(labels="kelp"), refused(crop_object="gone"),
-                          refused(min_opacity=1.0), refused(water=0.5), refused(cameras=True)]))
-first.select_set(False)
-second.hide_set(False)
-second.select_set(True)
-second.hide_set(True)
-print("HIDDEN", json.dumps(refused()))
-        """,
-        tmp_path,
-    )
+    found = blender.run("export_options.options", tmp_path)
     read = {path.stem: read_ply(path) for path in tmp_path.glob("*.ply")}
     np.testing.assert_allclose(read["selected"].positions, made.positions, atol=1e-6)
     assert len(read["visible"]) == 2 * len(made) and read["visible"].positions[:, 0].max() > 98
     np.testing.assert_array_equal(read["coral"].extras["label"], made.extras["label"][made.extras["label"] >= 2])
-    to_box = np.array(blender.json_after("BOX", printed))
+    to_box = np.array(found["to_box"])
     inside = (np.abs(made.positions @ to_box[:3, :3].T + to_box[:3, 3]) <= 0.5).all(axis=1)
     np.testing.assert_allclose(read["cropped"].positions, made.positions[inside], atol=1e-6)
     assert 50 < inside.sum() < 400
@@ -267,26 +127,22 @@ print("HIDDEN", json.dumps(refused()))
     np.testing.assert_allclose(read["metres"].positions.T, [3 * x, 3 * z, -3 * y], atol=1e-5)
     np.testing.assert_allclose(read["metres"].scales, 3 * made.scales, rtol=1e-4)
     np.testing.assert_allclose(read["y_up"].positions.T, [x, -y, -z], atol=1e-6)
-    said = blender.json_after("SAID", printed)
     size = (tmp_path / "plain.ply").stat().st_size
-    assert said[0] == f"{len(read['plain'])} splats, {size / 1e6:.1f} MB"
-    words = ["No splat is left", "no label named kelp", "no object gone", "No splat is left", "no imported scene",
-             "no cameras"]  # fmt: skip
-    assert all(word in sentence and sentence.endswith(".") for word, sentence in zip(words, said[1:], strict=True)), (
-        said
-    )
-    assert "select" in blender.json_after("HIDDEN", printed)
+    assert found["forecasts"][0] == f"{len(read['plain'])} splats, {size / 1e6:.1f} MB"
+    assert found["forecasts"][1].startswith("No splat is left")
+    for words, message in found["messages"].items():
+        assert words in message and message.endswith("."), (words, message)
     assert not list(tmp_path.glob("refused*"))
 
 
 @pytest.mark.parametrize("suffix", ["ply", "glb"])
-def test_water_and_cameras_of_an_imported_scene(blender, tmp_path, suffix):
-    """The scene was moved and scaled in Blender: the cameras that go out see what those of the scene saw."""
+def test_water_and_cameras_of_an_imported_scene_are_exported(blender, tmp_path, suffix):
+    """The scene was moved and scaled in Blender: the exported cameras see what the cameras of the scene saw."""
     made = heap()
     write_ply(tmp_path / "heap.ply", made)
-    sea = {"beta_D": [0.3, 0.1, 0.05], "beta_B": [0.1, 0.1, 0.1], "light": "linear", "per": "unit"}
-    sea["veil_sh"] = np.random.default_rng(0).normal(size=(9, 3)).tolist()
-    (tmp_path / "water.json").write_text(json.dumps(sea))
+    fitted = {"beta_D": [0.3, 0.1, 0.05], "beta_B": [0.1, 0.1, 0.1], "light": "linear", "per": "unit"}
+    fitted["veil_sh"] = np.random.default_rng(0).normal(size=(9, 3)).tolist()
+    (tmp_path / "water.json").write_text(json.dumps(fitted))
     RunFolder(tmp_path).write_config(tmp_path, TrainSettings(), [0, -1, 0])
     poses = [looking_from(0, 0.5, -4), looking_from(2, -1, -3)]
     cameras = [camera_at(pose, f"{i}.jpg", 83.0, 57.0) for i, pose in enumerate(poses)]
@@ -295,21 +151,10 @@ def test_water_and_cameras_of_an_imported_scene(blender, tmp_path, suffix):
         | {"world_to_camera": c.world_to_camera.tolist()}
         for c in cameras
     ]
-    blender.run(
-        SETUP
-        + """
-root = imported_scene(json.loads(sys.argv[3]))
-root.location, root.scale = (5, -2, 1), (2, 2, 2)
-obj = opened("heap.ply", frame="SCENE")
-obj["swag_run"] = str(folder)
-saved(sys.argv[2], water=0.7, cameras=True)
-        """,
-        tmp_path,
-        f"out.{suffix}",
-        json.dumps(given),
-    )
+    (tmp_path / "cameras.json").write_text(json.dumps(given))
+    blender.run("export_options.water_and_cameras", tmp_path, suffix)
     back = read_ply(tmp_path / "out.ply") if suffix == "ply" else read_glb(tmp_path / "out.glb", up=(0, 1, 0))
-    truth = water.bake_water(made, sea, cameras, 0.7)
+    truth = water.bake_water(made, fitted, cameras, 0.7)
     model = pycolmap.Reconstruction(str(tmp_path / "out_cameras" / "sparse" / "0"))
     assert len(model.images) == 2
     for image, camera in zip(sorted(model.images.values(), key=lambda image: image.name), cameras, strict=True):
@@ -317,12 +162,12 @@ saved(sys.argv[2], water=0.7, cameras=True)
         np.testing.assert_allclose(lens.params, (camera.fx, camera.fy, camera.cx, camera.cy), atol=1e-3)
         pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
         outside = Camera(image.name, lens.width, lens.height, *lens.params, pose)
-        same = psnr(drawn(back, outside), drawn(truth, camera))
-        dry = psnr(drawn(made, camera), drawn(truth, camera))
+        same = psnr(render_splats(back, outside), render_splats(truth, camera))
+        dry = psnr(render_splats(made, camera), render_splats(truth, camera))
         print(suffix, same, dry)
         assert same > 50 and dry < 30
-    ours = json.loads((tmp_path / "out_cameras" / "water.json").read_text())
-    np.testing.assert_allclose(np.array(ours["beta_D"]) * 2, sea["beta_D"], rtol=1e-5)
+    exported = json.loads((tmp_path / "out_cameras" / "water.json").read_text())
+    np.testing.assert_allclose(np.array(exported["beta_D"]) * 2, fitted["beta_D"], rtol=1e-5)
     if suffix == "glb":
         data = (tmp_path / "out.glb").read_bytes()
         document = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])

@@ -1,4 +1,4 @@
-"""What Install Engine does in its child process: from a folder of wheels, over a network that breaks, and stopped."""
+"""The child process of Install Engine: a folder of wheels, broken downloads, cancelling."""
 
 import hashlib
 import http.server
@@ -25,7 +25,7 @@ def folder(empty_environment, tmp_path):
 
 
 class Installation:
-    """The child process; `index` stands in for every other one."""
+    """The child process; `index` replaces the address of the package index."""
 
     def __init__(self, root, folder, index="", wheels="", look_only=False):
         task = {
@@ -47,11 +47,11 @@ class Installation:
                 assert self.process.wait(30) == 0
                 return event, texts
             texts.append(event["text"])
-        raise AssertionError("it ended without a word")
+        raise AssertionError("the process ended without a last event")
 
 
 class Index(http.server.BaseHTTPRequestHandler):
-    """A package index of the folder of wheels. A wheel whose name is in `broken` ends after so many bytes."""
+    """A package index of the folder of wheels; `broken` maps a wheel to the bytes after which its download ends."""
 
     broken: dict[str, int] = {}
     asked: list[tuple[str, str]] = []
@@ -107,7 +107,7 @@ def index(wheels):
     server.shutdown()
 
 
-def test_a_folder_of_wheels_is_enough(root, folder, wheels):
+def test_the_engine_is_installed_from_a_folder_of_wheels(root, folder, wheels):
     found, _ = Installation(root, folder, wheels=wheels, look_only=True).end()
     assert found["event"] == "result" and not (folder / "installed.json").exists()
     assert found["bytes"] == sum(wheel.stat().st_size for wheel in wheels.iterdir()) == found["present"]
@@ -119,13 +119,13 @@ def test_a_folder_of_wheels_is_enough(root, folder, wheels):
     assert not (folder / "downloads").exists() and "Unpacking" in (folder / "install.log").read_text()
 
 
-def test_a_broken_download_goes_on_where_it_stopped(root, folder, wheels, index):
+def test_a_broken_download_is_continued_where_it_stopped(root, folder, wheels, index):
     torch = next(wheel.name for wheel in wheels.glob("torch-*"))
     index.broken[torch] = 100
     failed, _ = Installation(root, folder, index.address).end()
     assert failed["event"] == "error" and f"The download of {torch} broke off" in failed["message"]
     assert "Traceback" not in failed["message"] and not (folder / "installed.json").exists()
-    # Three tries, each from where the last one ended.
+    # Three tries, each continues the one before.
     assert [begin for name, begin in index.asked if name == torch] == ["", "bytes=100-", "bytes=200-"]
     fetched = {name for name, _ in index.asked} - {torch}
     index.broken.clear()
@@ -138,7 +138,7 @@ def test_a_broken_download_goes_on_where_it_stopped(root, folder, wheels, index)
     assert any(text.startswith("Downloading torch, ") and text.endswith(" MB") for text in texts)
 
 
-def test_what_was_tampered_with_is_fetched_again(root, folder, wheels, index):
+def test_a_download_with_the_wrong_checksum_is_repeated(root, folder, wheels, index):
     torch = next(wheel for wheel in wheels.glob("torch-*"))
     (folder / "downloads").mkdir()
     (folder / "downloads" / f"{torch.name}.part").write_bytes(b"x" * torch.stat().st_size)
@@ -146,7 +146,7 @@ def test_what_was_tampered_with_is_fetched_again(root, folder, wheels, index):
     assert done["event"] == "result", done
 
 
-def test_cancel_keeps_what_was_fetched_and_nothing_looks_whole(root, folder, wheels, index):
+def test_cancel_keeps_downloads_and_marks_nothing_as_installed(root, folder, wheels, index):
     torch = next(wheel.name for wheel in wheels.glob("torch-*"))
     index.broken[torch] = 100
     index.stall.clear()
@@ -163,15 +163,15 @@ def test_cancel_keeps_what_was_fetched_and_nothing_looks_whole(root, folder, whe
     assert part.stat().st_size == 100
 
 
-def test_what_no_index_has_is_one_sentence(root, folder, tmp_path):
+def test_a_package_that_cannot_be_found_is_reported_in_one_sentence(root, folder, tmp_path):
     (tmp_path / "empty").mkdir()
     failed, _ = Installation(root, folder, wheels=tmp_path / "empty").end()
     assert failed["event"] == "error" and "\n" not in failed["message"]
     assert f"for Python 3.11 on this system in {tmp_path / 'empty'}" in failed["message"]
 
 
-def test_a_repeated_installation_never_looks_whole_half_way(root, folder, wheels, tmp_path):
-    """installed.json of an earlier installation goes before anything else does."""
+def test_a_repeated_installation_is_not_complete_before_its_end(root, folder, wheels, tmp_path):
+    """installed.json of an earlier installation is removed first."""
     (folder / "installed.json").write_text("{}")
     (tmp_path / "empty").mkdir()
     assert Installation(root, folder, wheels=tmp_path / "empty").end()[0]["event"] == "error"

@@ -13,30 +13,31 @@ TOOLS = Path(__file__).resolve().parents[2].parent / "shared" / "real-blender"
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
 REAL = CACHE / "swag_splatting" / "real-blender"
 
-pytestmark = [
-    pytest.mark.skipif(not TOOLS.exists(), reason=f"{TOOLS} is absent: no real Blender can be set up"),
-    pytest.mark.skipif(
-        not (REAL / "usr/bin/blender").exists(), reason=f"no real Blender in {REAL}: run {TOOLS}/setup {REAL}"
-    ),
-]
+
+@pytest.fixture(scope="module")
+def real_blender(missing):
+    """The folder of the real Blender, a root folder of its own with a window system."""
+    if not (REAL / "usr/bin/blender").exists():
+        missing(f"There is no Blender with a window in {REAL}: run `{TOOLS}/setup {REAL}` (3 minutes, 2 GB).")
+    return REAL
 
 
 @pytest.fixture(scope="module")
-def shared_python():
-    """This Python as the real Blender's folder sees it."""
+def shared_python(real_blender):
+    """This Python's path inside the real Blender's folder."""
     prefix = Path(sys.prefix).resolve()
-    # Hard links: cheap to make again. Left there, they would keep gigabytes of an environment that has been deleted.
-    links = f"{REAL}{prefix}"
+    # Hard links are made quickly. They are removed afterwards, or they would keep a deleted environment on the disk.
+    links = f"{real_blender}{prefix}"
     shutil.rmtree(links, ignore_errors=True)
-    subprocess.run(["bash", str(TOOLS / "share-venv"), str(REAL), sys.prefix], check=True)
+    subprocess.run(["bash", str(TOOLS / "share-venv"), str(real_blender), sys.prefix], check=True)
     yield str(prefix / "bin" / "python")
     shutil.rmtree(links)
 
 
 @pytest.fixture
-def place(extension_zip, tiny_scene):
-    """A folder inside the real Blender's root with zip and scene; its paths there begin with /gui/test."""
-    folder = REAL / "gui" / "test"
+def folder(real_blender, extension_zip, tiny_scene):
+    """A folder with zip and scene inside the real Blender's root, where its path is /gui/test."""
+    folder = real_blender / "gui" / "test"
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(tiny_scene, folder / "scene")
     shutil.copy(extension_zip, folder / "extension.zip")
@@ -44,7 +45,7 @@ def place(extension_zip, tiny_scene):
     return folder
 
 
-def test_train_and_cancel_with_the_pointer(place, shared_python, tmp_path):
+def test_train_and_cancel_with_the_pointer(real_blender, folder, shared_python, tmp_path):
     environment = {
         "SWAG_ENGINE_PYTHON": shared_python,
         "SWAG_ZIP": "/gui/test/extension.zip",
@@ -55,36 +56,36 @@ def test_train_and_cancel_with_the_pointer(place, shared_python, tmp_path):
     }
     script = Path(__file__).with_name("real_window.py")
     done = subprocess.run(
-        ["bash", str(TOOLS / "gui"), str(REAL), str(script), str(tmp_path / "last.png")],
+        ["bash", str(TOOLS / "gui"), str(real_blender), str(script), str(tmp_path / "last.png")],
         env=os.environ | environment, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     printed = done.stdout + done.stderr
     pictures = tmp_path / "pictures"
     pictures.mkdir()
-    for picture in place.glob("*.png"):
+    for picture in folder.glob("*.png"):
         shutil.copy(picture, pictures)
-    assert (place / "report.json").exists(), printed
-    report = json.loads((place / "report.json").read_text())
+    assert (folder / "report.json").exists(), printed
+    report = json.loads((folder / "report.json").read_text())
     assert "traceback" not in report and "Traceback" not in printed, report.get("traceback", printed)
     assert report["version"].startswith("5.2")
     assert not report["imported"]["failed"]
-    assert report["imported"]["found"].startswith("10 of 10 photographs have a camera, 300 points")
+    assert report["imported"]["found"].startswith("10 of 10 photos have a camera, 300 points")
     assert report["training"]["iteration"] > 0 and report["preview"] > 0
-    held = sorted(report["held_seconds"][:-1])  # all but the last, which takes in the result
-    assert len(held) > 5 and held[-1] < 0.1, f"Blender's window is held up for {held[-1]:.2f} s"
-    assert report["went_on_by"] == 0
+    seconds = sorted(report["blocked_seconds"][:-1])  # without the last, in which the result is imported
+    assert len(seconds) > 5 and seconds[-1] < 0.1, f"Blender's window is blocked for {seconds[-1]:.2f} s"
+    assert report["iterations_while_paused"] == 0
     assert report["stopping"]
     end = report["end"]
     assert not end["failed"] and end["interrupted"] and end["continue"]
     assert end["message"].startswith("Stopped; kept") and end["points"] == end["gaussians"] > 0
     assert not report["escaped"]["failed"] and report["escaped"]["message"].startswith("Stopped; kept")
-    assert report["loaded"]["job"] == "" and report["loaded"]["engines"] == 0
-    assert "another file was opened" in report["loaded"]["message"]
+    assert report["after_opening"]["job"] == "" and report["after_opening"]["engines"] == 0
+    assert "another file was opened" in report["after_opening"]["message"]
     assert len(list(pictures.glob("*.png"))) == 4
 
 
-def test_command_line_of_the_real_blender(place, shared_python):
-    """`blender --background --command swag` gives the engine's words, JSON and exit codes."""
+def test_command_line_of_the_real_blender(real_blender, folder, shared_python):
+    """`blender --background --command swag` gives the engine's messages, JSON and exit codes."""
     environment = {
         "PATH": "/usr/sbin:/usr/bin:/sbin:/bin", "HOME": "/root", "SWAG_ENGINE_PYTHON": shared_python,
         "SWAG_CACHE_DIR": "/gui/test/cache", "BLENDER_USER_RESOURCES": "/gui/test/user",
@@ -92,7 +93,7 @@ def test_command_line_of_the_real_blender(place, shared_python):
 
     def blender(*arguments):
         return subprocess.run(
-            ["chroot", str(REAL), "blender", "--background", *arguments],
+            ["chroot", str(real_blender), "blender", "--background", *arguments],
             env=environment, capture_output=True, text=True, timeout=600,
         )  # fmt: skip
 
@@ -111,4 +112,4 @@ def test_command_line_of_the_real_blender(place, shared_python):
     )
     assert trained.returncode == 0, trained.stdout + trained.stderr
     assert "iterations/s" in trained.stdout and "Test views: PSNR" in trained.stdout
-    assert (REAL / "gui/test/run/result.ply").exists()
+    assert (folder / "run/result.ply").exists()

@@ -1,4 +1,4 @@
-"""Other languages: each table has every word that the interface shows, and no other."""
+"""Translations: each table has every text that the interface shows, and no other."""
 
 import ast
 import re
@@ -8,31 +8,9 @@ import pytest
 # Proper names and figures, the same in every language.
 SAME = {"SWAG Splatting", "PLY (3DGS)", "glTF (GLB)", "PSNR", "SSIM", " ms", "Cycles", "EEVEE"}
 
-COLLECT = """
-import json, re, bpy
-found = set()
-kinds = (bpy.types.Operator, bpy.types.Panel, bpy.types.Menu, bpy.types.PropertyGroup, bpy.types.AddonPreferences,
-         bpy.types.FileHandler)
-for cls in {cls for kind in kinds for cls in kind.__subclasses__() if "swag_splatting" in cls.__module__}:
-    if cls.__name__ == "SwagStatus":  # for scripts: panels show its values alone
-        continue
-    rna = cls.bl_rna
-    if issubclass(cls, bpy.types.Operator):
-        rna = getattr(bpy.ops.swag, cls.bl_idname.partition(".")[2]).get_rna_type()
-        found.add(rna.description)
-    found.add(getattr(cls, "bl_label", ""))
-    own = {name for one in cls.__mro__ if "swag_splatting" in one.__module__
-           for name in vars(one).get("__annotations__", ())}
-    for shown in (rna.properties[name] for name in own & set(rna.properties.keys())):
-        if not shown.is_hidden:
-            for item in (shown, *getattr(shown, "enum_items", ())):
-                found |= {item.description} | ({item.name} - {item.identifier})
-print("SHOWN", json.dumps(sorted(word for word in found if re.search("[A-Za-z]{2}", word))))
-"""
 
-
-def drawn(root):
-    """The constants among the texts of labels and buttons, and why a button is off."""
+def drawn_words(root):
+    """Constant texts of labels and buttons, and of the reasons why a button is disabled."""
     words = set()
     for folder in ("swag_blender", "operators"):
         for path in (root / folder).rglob("*.py"):
@@ -55,8 +33,8 @@ def german(root):
     return ast.literal_eval(next(node.value for node in tree.body if isinstance(node, ast.Assign)))
 
 
-def test_a_table_has_what_is_shown_and_nothing_else(blender, root, german):
-    shown = set(blender.json_after("SHOWN", blender.run(COLLECT))) | drawn(root)
+def test_a_table_has_every_shown_text_and_no_other(blender, root, german):
+    shown = set(blender.run("translations.shown_words")) | drawn_words(root)
     missing, unknown = shown - set(german) - SAME, set(german) - shown
     assert not missing and not unknown, (sorted(missing), sorted(unknown))
     assert all(german.values())

@@ -1,7 +1,7 @@
-"""Runs inside the real Blender, with a window: the whole way of a user, with a picture of each stage for docs/.
+"""Runs inside the real Blender, with a window: every stage of a user's work, with a screenshot of each for docs/.
 
 Environment as for real_window.py; SWAG_SCENE is the demo scene. Panels are opened and operators called by their names;
-that buttons react to the pointer is real_window.py's part.
+real_window.py tests that buttons react to the pointer.
 """
 
 import os
@@ -20,7 +20,7 @@ report["stages"] = []
 
 
 def call(operator, **options):
-    """As a button of the sidebar calls it."""
+    """Call an operator as a button of the sidebar does."""
     window, area, _ = view3d()
     region = next(region for region in area.regions if region.type == "WINDOW")
     with bpy.context.temp_override(window=window, area=area, region=region):
@@ -29,7 +29,7 @@ def call(operator, **options):
 
 def photograph(name):
     window, area, region = view3d()
-    for _ in range(2):  # panels that open or close take their time
+    for _ in range(2):  # until panels have opened or closed
         area.tag_redraw()
         region.tag_redraw()
         yield 2.0
@@ -43,7 +43,7 @@ def until(condition):
 
 
 def job(operator, **options):
-    """Start it, and wait for its end; what it said."""
+    """Run an operator to its end, and report its message."""
     status = bpy.context.window_manager.swag
     call(operator, **options)
     yield from until(lambda: not status.job)
@@ -52,7 +52,7 @@ def job(operator, **options):
 
 
 def scroll(lines):
-    """Show the sidebar from so many lines below its top."""
+    """Scroll the sidebar to `lines` below its top."""
     window, area, region = view3d()
     with bpy.context.temp_override(window=window, area=area, region=region):
         bpy.ops.view2d.pan(deltay=10_000)
@@ -65,7 +65,7 @@ def steps():
     window, area, region = view3d()
     status, swag = bpy.context.window_manager.swag, bpy.context.scene.swag
 
-    # Preferences, in the place of the viewport.
+    # Preferences in the area of the viewport.
     area.type = "PREFERENCES"
     bpy.context.preferences.active_section = "ADDONS"
     bpy.context.window_manager.addon_search = "SWAG"
@@ -101,11 +101,11 @@ def steps():
         bpy.ops.view3d.view_camera()
     yield from photograph("4-training")
     call(bpy.ops.swag.pause)
-    yield 5.0  # events on their way arrive
+    yield 5.0  # events under way arrive
     report["paused_at"] = status.iteration
     yield from photograph("5-paused")
     yield 2.0
-    report["still_at"] = status.iteration
+    report["iteration_after_pause"] = status.iteration
     call(bpy.ops.swag.pause)
     yield from until(lambda: status.iteration > report["paused_at"])
     call(bpy.ops.swag.cancel)
@@ -132,7 +132,7 @@ def steps():
         bpy.ops.swag.export_splats(filepath=str(OUT / "reef.glb"))
     report["exported"] = (OUT / "reef.glb").stat().st_size
 
-    # Nothing to do: nothing is done, once the viewport has drawn all its samples.
+    # An idle Blender uses no processor time once the viewport has drawn all its samples.
     area.spaces.active.shading.type = "SOLID"
     yield 15.0
     before = time.process_time()

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The whole way in the real Blender, with a picture of each stage: tour.sh ROOT EXTENSION.zip SCENE OUT
+# Every stage of a user's work in the real Blender, with a screenshot of each: tour.sh ROOT EXTENSION.zip SCENE OUT
 #   SCRIPT: another script than tour.py to run there
 #   ROOT: the folder made by ../shared/real-blender/setup and share-venv; takes minutes on a machine without a graphics card
 set -euo pipefail

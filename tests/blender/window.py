@@ -1,7 +1,7 @@
-"""What scripts inside the real Blender share: its window, pictures of the screen, waiting, a report for the caller.
+"""Shared by scripts inside the real Blender: its window, screenshots, waiting, a report for the caller.
 
-A script is a generator of steps that yields the seconds to wait before the next. Environment: SWAG_OUT the folder for
-pictures and report.json, where this file lies too; the file $READY tells the caller that all is done.
+A script is a generator of steps that yields the seconds to wait before the next. Environment: SWAG_OUT is the
+folder of this file, of screenshots and of report.json; the file $READY is written at the end.
 """
 
 import json
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import bpy
 
-# Before Blender draws for the first time: a splash screen would eat the first click.
+# Set before Blender draws for the first time: the first click would only close a splash screen.
 bpy.context.preferences.view.show_splash = False
 OUT = Path(os.environ["SWAG_OUT"])
 report = {"version": bpy.app.version_string}
@@ -27,12 +27,12 @@ def view3d():
 
 
 def photograph(name):
-    """A picture of the screen, from outside of Blender."""
+    """Save a screenshot, taken by the X server."""
     subprocess.run(["import", "-window", "root", str(OUT / f"{name}.png")], check=True)
 
 
 def until(condition, seconds):
-    """Steps that wait for the condition; TimeoutError after so many seconds."""
+    """Wait for the condition, as steps; raise TimeoutError after `seconds`."""
     end = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > end:
@@ -41,7 +41,7 @@ def until(condition, seconds):
 
 
 def install():
-    """Install the extension SWAG_ZIP, without online access, and empty the scene."""
+    """Install the extension SWAG_ZIP without online access, and remove all objects."""
     bpy.context.preferences.system.use_online_access = False
     bpy.ops.extensions.package_install_files(
         filepath=os.environ["SWAG_ZIP"], repo="user_default", enable_on_install=True, overwrite=True
@@ -55,7 +55,7 @@ def write_report():
 
 
 def start(steps):
-    """Run the steps from a timer, write the report, tell the caller and quit Blender."""
+    """Run the steps from a timer, write the report, write $READY and quit Blender."""
 
     def run():
         try:

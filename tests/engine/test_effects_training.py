@@ -18,8 +18,9 @@ from swag_engine.effects.exposure import Exposure
 from swag_engine.effects.lamp import lit
 from swag_engine.effects.moving_objects import moving_mask
 from swag_engine.effects.scene_effects import SceneEffects
+from swag_engine.effects.vignetting import Vignetting
 from swag_engine.evaluation.metrics import render_image
-from swag_engine.experiments.evaluate_run import newest, render_run
+from swag_engine.experiments.evaluate_run import load_newest, render_run
 from swag_engine.kernels.reference.transfer import to_display, to_light
 from swag_engine.planning.plan import plan_scene
 from swag_engine.scene.colmap import load_scene
@@ -33,12 +34,13 @@ from swag_engine.water.light import apply_gain
 from swag_engine.water.medium import Medium, open_water, through_water
 
 SETTINGS = TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1)
-OFF = "water=off,lamp=off,exposure=off,caustics=off,moving_objects=off"
+OFF = "water=off,lamp=off,exposure=off,vignetting=off,caustics=off,moving_objects=off"
 CODE = {
     "attenuation": through_water,
     "backscatter": open_water,
     "lamp": lit,
     "exposure": Exposure.log_gain,
+    "vignetting": Vignetting.log_gain,
     "caustics": Illumination.log_gain,
     "moving_objects": moving_mask,
 }
@@ -89,7 +91,8 @@ def test_everything_on_is_learned_and_resumes_bit_equal(tiny_scene, tmp_path):
     train(tiny_scene, tmp_path / "parts", chosen, resume=True)
     expected, got = (load_checkpoint(tmp_path / name)[0] for name in ("whole", "parts"))
     assert expected.keys() == got.keys() and all(torch.equal(expected[name], got[name]) for name in expected)
-    assert {"lamp.log_tau", "exposure.raw", "caustics.log_light", "medium.veil"} <= expected.keys()
+    learned = {"lamp.log_tau", "exposure.raw", "vignetting.coefficients", "caustics.log_light", "medium.veil"}
+    assert learned <= expected.keys() and expected["vignetting.coefficients"].abs().min() > 0
     assert expected["exposure.raw"].std() > 0 and expected["caustics.log_light"].std() > 0
     assert float(expected["lamp.log_tau"]) != 0
 
@@ -98,7 +101,7 @@ def test_restored_images_have_no_effects(tiny_scene, tmp_path):
     run, name = tmp_path / "run", "view_02.png"
     effects = "water=off,moving_objects=off,lamp=on,exposure=on,caustics=on"
     train(tiny_scene, run, replace(SETTINGS, iterations=10, effects=effects))
-    cloud, effects, _ = newest(run)
+    cloud, effects, _ = load_newest(run)
     (camera,) = [view.camera for view in load_scene(tiny_scene).views if view.name == name]
     (restored,) = render_run(run, tmp_path / "restored", name, 0.0)
     plain = render_image(cloud, camera, SETTINGS.sh_degree)

@@ -262,4 +262,4 @@ def test_frames_lie_between_training_images_and_count_for_color_only(tmp_path, m
 def test_poor_frames_are_not_used(tmp_path):
     scene = load_scene(make_tiny_scene(tmp_path / "scene", views=12))
     note, frames = frames_between(lambda a, b, t: np.zeros_like(a), scene, load_images(scene, scene.views, 64))
-    assert not frames and note.startswith("No interpolated frames: Interpolated frames miss the photographs")
+    assert not frames and note.startswith("No interpolated frames: Interpolated frames differ from the images")

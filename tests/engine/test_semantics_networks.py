@@ -219,7 +219,7 @@ def test_boxes_are_of_the_words_whose_tokens_they_answer(tmp_path: Path, bert: P
     detector = dino(tmp_path, bert, fixed)
     pixels = np.full((60, 100, 3), 100, np.uint8)
     found = detector.boxes(pixels, ["wreck", "coral", "anchor"])
-    assert [box.name for box in found] == ["coral", "anchor"]  # the third box lies over the first
+    assert [box.label for box in found] == ["coral", "anchor"]  # the third box lies over the first
     assert np.allclose(found[0].corners, (0, 0, 50, 60)) and np.allclose(found[1].corners, (50, 0, 100, 30))
     assert found[0].score == pytest.approx(1 / (1 + np.exp(-3)), abs=1e-4)
     assert detector.boxes(pixels, ["wreck"]) == []
@@ -228,7 +228,7 @@ def test_boxes_are_of_the_words_whose_tokens_they_answer(tmp_path: Path, bert: P
 def test_words_that_fill_several_texts_are_all_looked_for(tmp_path: Path, bert: Path) -> None:
     detector = dino(tmp_path, bert, fixed=True)
     words = [f"wreck {number}" for number in range(300)] + ["coral"]
-    assert [box.name for box in detector.boxes(np.zeros((50, 50, 3), np.uint8), words)] == ["coral"]
+    assert [box.label for box in detector.boxes(np.zeros((50, 50, 3), np.uint8), words)] == ["coral"]
 
 
 @pytest.mark.parametrize("size", ["H,W,3", "1,3,1024,1024"])

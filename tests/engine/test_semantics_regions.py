@@ -67,7 +67,7 @@ def test_labels_come_in_the_order_of_the_words_then_by_size() -> None:
     provider = Boxes(("wreck", (0, 0, 60, 20)), ("coral", (0, 20, 60, 30)), ("fish", (0, 30, 30, 40)))
     found = find_regions(images, provider, Descriptor())
     assert found.labels == ("wreck", "coral", "fish")
-    assert np.allclose(found.shares(), [0.125, 0.5, 0.25, 0.125])
+    assert np.allclose(found.pixel_fractions(), [0.125, 0.5, 0.25, 0.125])
     asked = find_regions(images, provider, Descriptor(), ["fish", "eel"])
     assert asked.labels == ("fish", "wreck", "coral") and provider.words[-1] == ("fish", "eel")
     assert asked.notes == ("Nothing was found for eel.",)
@@ -217,7 +217,7 @@ def test_masks_are_freed_of_the_lens_as_the_photograph_is() -> None:
     image = load_images(scene, scene.views[:1], 484)[0]
     pixels = cv2.imread(str(scene.views[0].path), cv2.IMREAD_GRAYSCALE)
     smooth = cv2.GaussianBlur(pixels, (0, 0), 6)
-    seen = MaskFolder._seen(scene.views[0], smooth, image)
+    seen = MaskFolder._undistorted(scene.views[0], smooth, image)
     shown = cv2.GaussianBlur(cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY), (0, 0), 3)
     assert seen.shape == shown.shape
     assert np.abs(seen.astype(float) - shown)[image.valid].mean() < 1.5
@@ -236,7 +236,7 @@ def test_masks_that_do_not_fit_are_named(tmp_path: Path, reef: Scene, reef_image
     mask = tmp_path / "coral" / "reef_001.png"
     for values, message in (
         (np.zeros((100, 100), np.uint8), "reef_001.png is 100 x 100 pixels, .* 640 x 360: make it from the image"),
-        (np.full((360, 640, 3), (0, 0, 255), np.uint8), "reef_001.png is a mask in colours"),
+        (np.full((360, 640, 3), (0, 0, 255), np.uint8), "reef_001.png is a mask in color"),
     ):
         write_mask(mask, values)
         with pytest.raises(InputError, match=message):

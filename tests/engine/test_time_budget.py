@@ -98,7 +98,7 @@ def test_too_little_time_is_refused_with_how_much_is_needed(tiny_scene, tmp_path
 def test_a_finished_run_can_be_continued_for_longer(tiny_scene, tmp_path):
     run = tmp_path / "run"
     train(tiny_scene, run, SHORT)
-    with pytest.raises(InputError, match="finished already.*More --iterations than 60"):
+    with pytest.raises(InputError, match="finished already.*more --iterations than 60"):
         train(tiny_scene, run, SHORT, resume=True)
     longer = train(tiny_scene, run, replace(SHORT, iterations=90), resume=True)["metrics"]
     assert (longer["iteration"], longer["interrupted"]) == (90, False)

@@ -27,7 +27,7 @@ import cv2
 import numpy as np
 
 from swag_engine.base.errors import InputError
-from tests.hardcases.test_damaged_files import THINGS, bytes_changed, values_changed
+from tests.hardcases.changed_files import THINGS, bytes_changed, values_changed
 
 MEMORY = 6 << 30
 Door = Callable[[Path], object]

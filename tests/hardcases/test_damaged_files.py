@@ -15,24 +15,11 @@ from swag_engine.base.errors import InputError
 from swag_engine.formats.gltf import read_glb, write_glb
 from swag_engine.formats.ply import read_ply, write_ply
 from swag_engine.scene.cameras import Camera
-from swag_engine.splats.splats import Splats
+from tests.hardcases.changed_files import NUMBERS, bytes_changed, some_splats, values_changed
 
 INPUTS = 1000
 """Changed files of each kind; there are five kinds."""
-NUMBERS = [0, 1, -1, 3, 255, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 10**18, 10**400, -(10**18), 1e308, float("nan"), 0.5]
-THINGS = [*NUMBERS, None, True, "", "x", "../../etc/passwd", "file:///dev/zero", [], {}, [0] * 50, [[]], {"a": {}}]
 WORDS = [b"nan", b"-inf", b"1e999", b"", b"x", b"\xff", b"uchar", b"double", b"list uchar int", b"\n", b"vertex", b"sh"]
-
-
-def some_splats(count: int = 6, degree: int = 1) -> Splats:
-    random = np.random.default_rng(degree)
-
-    def normal(*shape: int) -> np.ndarray:
-        return random.standard_normal((count, *shape), np.float32)
-
-    label = np.arange(count, dtype=np.int32)
-    return Splats(normal(3), normal(4), np.exp(normal(3)), random.random(count, np.float32),
-                  normal((degree + 1) ** 2, 3), {"label": label, "likeness": normal()})  # fmt: skip
 
 
 def binary_ply(path: Path) -> bytes:
@@ -67,28 +54,6 @@ def glb(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def bytes_changed(data: bytes, random: np.random.Generator) -> bytes:
-    """Set, remove, repeat or replace some bytes, more often near the beginning, where headers are."""
-    changed = bytearray(data)
-    for _ in range(random.integers(1, 4)):
-        place = int(len(changed) * random.random() ** random.choice([0.5, 2]))
-        length = int(random.integers(1, 40))
-        match random.integers(6):
-            case 0:
-                changed[place : place + 1] = random.bytes(1)
-            case 1:
-                del changed[place : place + length]
-            case 2:
-                changed[place:place] = changed[place : place + length]
-            case 3:
-                changed[place : place + 4] = struct.pack("<I", int(random.choice([0, 1, 2**31, 2**32 - 1])))
-            case 4:
-                changed[place : place + 4] = struct.pack("<f", random.choice([np.nan, np.inf, -1e38, 1e-45]))
-            case 5:
-                del changed[place:]
-    return bytes(changed)
-
-
 def header_changed(data: bytes, random: np.random.Generator) -> bytes:
     """Change a number or a word in the header of a PLY, or remove, repeat or move a line."""
     header, end, body = data.partition(b"end_header\n")
@@ -119,27 +84,6 @@ def words_changed(data: bytes, random: np.random.Generator) -> bytes:
     for _ in range(random.integers(1, 4)):
         words[int(random.integers(len(words)))] = WORDS[int(random.integers(len(WORDS)))]
     return header + end + b"".join(words)
-
-
-def values_changed(data: bytes, random: np.random.Generator) -> bytes:
-    """Replace or remove values somewhere in a JSON document, or replace the whole document."""
-    if random.random() < 0.05:
-        return json.dumps(THINGS[int(random.integers(len(THINGS)))]).encode()
-    document = json.loads(data)
-    for _ in range(random.integers(1, 4)):
-        place: dict | list = document
-        while isinstance(place, dict | list) and place:
-            keys = list(place) if isinstance(place, dict) else list(range(len(place)))
-            key = keys[int(random.integers(len(keys)))]
-            if isinstance(place[key], dict | list) and place[key] and random.random() < 0.7:
-                place = place[key]
-                continue
-            if random.random() < 0.2:
-                del place[key]
-            else:
-                place[key] = THINGS[int(random.integers(len(THINGS)))]
-            break
-    return json.dumps(document).encode()
 
 
 def glb_json_changed(data: bytes, random: np.random.Generator) -> bytes:

@@ -1,36 +1,29 @@
-"""Node and a browser for the programs that judge our files."""
+"""Node and a browser for the programs of others that read our files."""
 
-import shutil
+import os
+import platform
 import subprocess
+import sys
 import tempfile
 import threading
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 
 import pytest
 
-HERE = Path(__file__).parent
-# WebGL by the processor: the machines that test have no graphics card.
-CHROMIUM_FLAGS = ("--headless=new", "--no-sandbox", "--no-first-run", "--use-angle=swiftshader",
+from tests.interop.install import CHROMIUM, HERE, NODE, install
+
+# WebGL on the processor: the machines that test have no graphics card.
+CHROMIUM_FLAGS = ("--headless", "--no-sandbox", "--no-first-run", "--use-angle=swiftshader",
                   "--enable-unsafe-swiftshader")  # fmt: skip
 
 
 @pytest.fixture(scope="session")
-def npm_packages():
+def npm_packages(missing):
     """The packages of package-lock.json are installed, once."""
-    if not (shutil.which("node") and shutil.which("npm")):
-        pytest.skip("node and npm are not installed")
-    lock, installed = HERE / "package-lock.json", HERE / "node_modules" / ".package-lock.json"
-    if installed.exists() and installed.stat().st_mtime >= lock.stat().st_mtime:
-        return
-    command = ["npm", "ci", "--ignore-scripts", "--omit=peer", "--no-audit", "--no-fund"]
     try:
-        done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, timeout=300)
-    except subprocess.TimeoutExpired:
-        pytest.skip("the npm packages of tests/interop did not arrive within 5 minutes")
-    if done.returncode:
-        reason = next((line for line in done.stderr.splitlines() if line.startswith("npm error")), "npm failed")
-        pytest.skip(f"the npm packages of tests/interop cannot be had: {reason}")
+        install()
+    except (OSError, subprocess.SubprocessError) as error:
+        missing(f"tests/interop needs Node and npm packages: run `make .venv/ready` and {HERE}/install.py ({error}).")
 
 
 @pytest.fixture(scope="session")
@@ -38,7 +31,7 @@ def node(npm_packages):
     """Runs a script of tests/interop with node and returns what it printed."""
 
     def run(script, *arguments):
-        done = subprocess.run(["node", HERE / script, *arguments], capture_output=True, text=True, timeout=120)
+        done = subprocess.run([NODE, HERE / script, *arguments], capture_output=True, text=True, timeout=120)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
@@ -46,11 +39,11 @@ def node(npm_packages):
 
 
 @pytest.fixture(scope="session")
-def browser(npm_packages):
+def browser(npm_packages, missing):
     """Opens a page of tests/interop on a GLB in headless Chromium; returns the PNG that the page draws."""
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if chromium is None:
-        pytest.skip("Chromium is not installed")
+    if (sys.platform, platform.machine()) != ("linux", "x86_64"):
+        missing("The Chromium of tests/interop runs on Linux on x86-64 processors only: use such a machine.")
+    environment = os.environ | {"LD_LIBRARY_PATH": str(CHROMIUM / "al2023" / "lib")}
 
     def show(page, glb, width, height):
         answer = {}
@@ -75,8 +68,9 @@ def browser(npm_packages):
         with ThreadingHTTPServer(("127.0.0.1", 0), Server) as server, tempfile.TemporaryDirectory() as profile:
             threading.Thread(target=server.serve_forever, daemon=True).start()
             address = f"http://127.0.0.1:{server.server_port}/{page}?width={width}&height={height}"
-            command = [chromium, *CHROMIUM_FLAGS, f"--user-data-dir={profile}", address]
-            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            command = [CHROMIUM / "chromium", *CHROMIUM_FLAGS, f"--user-data-dir={profile}", address]
+            silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+            process = subprocess.Popen(command, env=environment, **silent)
             try:
                 answered.wait(120)
             finally:

@@ -1,4 +1,4 @@
-"""Programs that are not ours read what we write: Khronos' glTF validator and PlayCanvas' splat-transform."""
+"""Other programs read the files that are written here: Khronos' glTF validator and PlayCanvas' splat-transform."""
 
 import json
 
@@ -41,8 +41,8 @@ def some_splats(count=200, degree=3, extras=True):
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_khronos_validator_objects_to_nothing_but_prefixed_names(node, tmp_path, degree):
-    """The validator of 2024 does not know extensions' attribute names with a colon; all else must be clean."""
+def test_the_khronos_validator_rejects_only_prefixed_names(node, tmp_path, degree):
+    """The validator of 2024 does not know extensions' attribute names with a colon; it may report nothing else."""
     path = tmp_path / "with spaces & ü.glb"
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation_matrices(np.array([0.5, -0.5, 0.5, 0.5])), (1, 2, 3)
@@ -56,7 +56,7 @@ def test_khronos_validator_objects_to_nothing_but_prefixed_names(node, tmp_path,
     assert {code for code, _ in found} == {"MESH_PRIMITIVE_INVALID_ATTRIBUTE"}
     assert {pointer for _, pointer in found} == allowed and len(found) == len(allowed)
     others = {m["code"] for m in report["issues"]["messages"] if m["severity"] >= 2}
-    assert others <= {"UNSUPPORTED_EXTENSION"}  # the validator says that it does not look into ours
+    assert others <= {"UNSUPPORTED_EXTENSION"}  # the validator does not check this extension
     assert report["info"]["totalVertexCount"] == 200
 
 
@@ -71,11 +71,11 @@ def test_splat_transform_reads_and_writes_the_same_ply(convert, tmp_path, degree
     np.testing.assert_allclose(theirs.scales, splats.scales, rtol=1e-6)
     np.testing.assert_allclose(theirs.opacities, splats.opacities, atol=1e-7)
     for name, values in splats.extras.items():
-        # Its writer knows no signed integers: the bits are ours, their type is uint.
+        # splat-transform writes signed integers as unsigned ones of the same bits.
         np.testing.assert_array_equal(theirs.extras[name].astype(values.dtype), values)
 
 
-def test_splat_transform_sees_our_numbers_in_its_table(convert, tmp_path):
+def test_splat_transform_reads_the_same_numbers_into_its_table(convert, tmp_path):
     splats = some_splats(50, 1)
     write_ply(tmp_path / "ours.ply", splats)
     table = np.genfromtxt(convert(tmp_path / "ours.ply", tmp_path / "table.csv"), delimiter=",", names=True)
@@ -87,8 +87,8 @@ def test_splat_transform_sees_our_numbers_in_its_table(convert, tmp_path):
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_its_glb_equals_ours(convert, tmp_path, degree):
-    """It turns a PLY half around z on its way to Y up, we leave the turn to the node: so compare in our world."""
+def test_the_glb_of_splat_transform_is_the_same(convert, tmp_path, degree):
+    """splat-transform rotates a PLY by 180 degrees around z for Y up, here the glTF node does: compare in the world."""
     splats = some_splats(degree=degree, extras=False)
     write_ply(tmp_path / "ours.ply", splats)
     theirs = read_glb(convert(tmp_path / "ours.ply", tmp_path / "theirs.glb"), up=(0, 1, 0))
@@ -101,14 +101,14 @@ def test_its_glb_equals_ours(convert, tmp_path, degree):
     np.testing.assert_allclose(theirs.sh, ours.sh, atol=1e-6)
 
 
-def test_a_turn_by_splat_transform_equals_ours(node, tmp_path):
+def test_a_rotation_by_splat_transform_is_the_same(node, tmp_path):
     """Positions, covariances and harmonics after 35 degrees around x and a scale of 2, done by the two programs."""
     splats = some_splats(extras=False)
     write_ply(tmp_path / "ours.ply", splats)
     program = "node_modules/@playcanvas/splat-transform/bin/cli.mjs"
     node(program, "--quiet", tmp_path / "ours.ply", "-r", "35,0,0", "-s", "2", tmp_path / "turned.ply")
     theirs = read_ply(tmp_path / "turned.ply")
-    # It turns in its own Y-up world, half around z from the file's: there, a turn around x is one the other way.
+    # Its Y-up world is rotated by 180 degrees around z from the file's: rotations around x have the opposite sign.
     cosine, sine = np.cos(np.radians(-35)), np.sin(np.radians(-35))
     matrix = np.eye(4)
     matrix[:3, :3] = 2 * np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
@@ -118,7 +118,7 @@ def test_a_turn_by_splat_transform_equals_ours(node, tmp_path):
     np.testing.assert_allclose(theirs.sh, ours.sh, atol=1e-5)
 
 
-def test_through_spz_and_back(convert, tmp_path):
+def test_splats_survive_conversion_to_spz_and_back(convert, tmp_path):
     """SPZ quantises: the same splats in the same order, to its precision."""
     splats = some_splats(extras=False)
     write_ply(tmp_path / "ours.ply", splats)
@@ -137,8 +137,8 @@ def test_through_spz_and_back(convert, tmp_path):
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_its_compressed_ply_is_read(convert, tmp_path, degree):
-    """The same numbers as from its own reader, and those that were compressed, to the format's precision."""
+def test_a_compressed_ply_of_splat_transform_is_read(convert, tmp_path, degree):
+    """The numbers equal those of its own reader, and the originals to the format's precision."""
     splats = some_splats(600, degree, extras=False)  # more than two chunks
     write_ply(tmp_path / "ours.ply", splats)
     small = convert(tmp_path / "ours.ply", tmp_path / "small.compressed.ply")
@@ -150,17 +150,17 @@ def test_its_compressed_ply_is_read(convert, tmp_path, degree):
     np.testing.assert_allclose(np.abs(np.sum(ours.rotations * theirs.rotations, axis=1)), 1, atol=1e-6)
     np.testing.assert_allclose(ours.opacities, theirs.opacities, atol=1e-6)
     np.testing.assert_allclose(ours.sh, theirs.sh, atol=1e-5)
-    # Its writer sorts the splats along a curve: each has its nearest among those that went in.
+    # splat-transform sorts the splats along a curve: match each with the nearest original.
     nearest = np.linalg.norm(ours.positions[:, None] - splats.positions, axis=2).argmin(axis=1)
     assert sorted(nearest) == list(range(600))
-    went_in = splats.subset(nearest)
-    np.testing.assert_allclose(ours.positions, went_in.positions, atol=5e-3)
-    np.testing.assert_allclose(ours.opacities, went_in.opacities, atol=3e-3)
-    assert np.abs(np.sum(ours.rotations * went_in.rotations, axis=1)).min() > 0.999
-    np.testing.assert_allclose(ours.sh, went_in.sh, atol=0.03)
+    originals = splats.subset(nearest)
+    np.testing.assert_allclose(ours.positions, originals.positions, atol=5e-3)
+    np.testing.assert_allclose(ours.opacities, originals.opacities, atol=3e-3)
+    assert np.abs(np.sum(ours.rotations * originals.rotations, axis=1)).min() > 0.999
+    np.testing.assert_allclose(ours.sh, originals.sh, atol=0.03)
 
 
-def test_a_damaged_compressed_ply_ends_in_one_sentence(convert, tmp_path):
+def test_a_damaged_compressed_ply_is_refused_in_one_sentence(convert, tmp_path):
     write_ply(tmp_path / "ours.ply", some_splats(300, 1, extras=False))
     small = convert(tmp_path / "ours.ply", tmp_path / "small.compressed.ply")
     data = small.read_bytes()

@@ -1,4 +1,4 @@
-"""Web viewers show our GLB as the engine does: through the glTF camera in it, in a browser without a graphics card."""
+"""Web viewers render an exported GLB through its glTF camera as the engine does; the browser has no graphics card."""
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 320, 200
 
 
 def heap():
-    """2000 splats of every shape and colour in front of the origin; nothing about it is symmetric."""
+    """2000 splats of every shape and colour in front of the origin; without any symmetry."""
     random = np.random.default_rng(3)
     count = 2000
     rotations = random.normal(size=(count, 4))
@@ -40,7 +40,7 @@ def side_camera():
     return Camera("side", WIDTH, HEIGHT, 220.0, 220.0, WIDTH / 2, HEIGHT / 2, np.linalg.inv(pose))
 
 
-def drawn_by_the_engine(splats, camera):
+def render_by_engine(splats, camera):
     positions, rotations, scales, opacities, sh = (
         torch.from_numpy(array)
         for array in (splats.positions, splats.rotations, splats.scales, splats.opacities, splats.sh)
@@ -52,8 +52,8 @@ def drawn_by_the_engine(splats, camera):
 
 
 @pytest.mark.parametrize("page", ["babylon.html", "playcanvas.html"])
-def test_the_viewers_picture_is_the_engines(browser, tmp_path, page):
-    """Up is somewhere, the scene was turned and scaled: what the viewer shows is what the engine's camera sees."""
+def test_a_viewers_image_equals_the_engines(browser, tmp_path, page):
+    """The up direction is no axis, and the scene was rotated and scaled: both images are equal."""
     turn = np.eye(4)
     turn[:3, :3] = 1.7 * cv2.Rodrigues(np.array([-0.4, 1.1, 0.3]))[0]
     turn[:3, 3] = 1, -2, 3
@@ -62,7 +62,7 @@ def test_the_viewers_picture_is_the_engines(browser, tmp_path, page):
     png = browser(page, tmp_path / "heap.glb", WIDTH, HEIGHT)
     (tmp_path / page).with_suffix(".png").write_bytes(png)
     theirs = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[..., ::-1] / 255
-    ours = drawn_by_the_engine(heap(), side_camera())
+    ours = render_by_engine(heap(), side_camera())
     cv2.imwrite(str(tmp_path / "engine.png"), (ours[..., ::-1] * 255).round().astype(np.uint8))
     psnr, mirrored = (-10 * np.log10(np.mean((picture - ours) ** 2)) for picture in (theirs, theirs[:, ::-1]))
     print(page, psnr)

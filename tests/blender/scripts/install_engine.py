@@ -1,0 +1,60 @@
+"""Install Engine, Check Engine and Remove Engine in the preferences."""
+
+import bpy
+from bl_ext.user_default.swag_splatting.swag_blender import engine_process
+
+preferences = bpy.context.preferences.addons["bl_ext.user_default.swag_splatting"].preferences
+status = bpy.context.window_manager.swag
+# Blender's own Python has torch here; with this it counts as having no engine.
+engine_process.PACKAGES = ("no_such_package",)
+
+
+def message_of(operator):
+    try:
+        operator()
+    except RuntimeError as error:
+        return str(error)
+    return status.message
+
+
+def install_check_and_remove(wheels):
+    found = {"offline": message_of(bpy.ops.swag.install_engine)}
+    preferences.wheels_folder = wheels
+    found["look up"] = message_of(bpy.ops.swag.look_up_engine)
+    found["complete after look-up"] = engine_process.environment_is_whole()
+    found["install"] = message_of(bpy.ops.swag.install_engine)
+    found["complete"] = engine_process.environment_is_whole()
+    found["python"] = engine_process.engine_python()
+    found["doctor"] = status.doctor
+    found["check"] = message_of(bpy.ops.swag.check_engine)
+    found["remove"] = message_of(bpy.ops.swag.remove_engine)
+    found["exists after removal"] = engine_process.environment_folder().exists()
+    found["check after removal"] = message_of(bpy.ops.swag.check_engine)
+    return found
+
+
+def install_from(folder):
+    """What an installation from a folder without wheels says; the log that the user can open."""
+    preferences.wheels_folder = folder
+    message = message_of(bpy.ops.swag.install_engine)
+    bpy.ops.swag.show_log()
+    return {
+        "message": message,
+        "log": bpy.data.texts["SWAG Log"].as_string(),
+        "complete": engine_process.environment_is_whole(),
+        "check": message_of(bpy.ops.swag.check_engine),
+    }
+
+
+def complete_with_a_dead_link():
+    """Whether an environment counts as complete whose Python links to a Blender that was removed."""
+    python = engine_process.environment_python()
+    python.parent.mkdir(parents=True)
+    python.symlink_to("/no/such/blender/python")
+    (engine_process.environment_folder() / "installed.json").write_text("{}")
+    return engine_process.environment_is_whole()
+
+
+def check(python):
+    preferences.engine_python = python
+    return message_of(bpy.ops.swag.check_engine)

@@ -1,0 +1,47 @@
+"""Words that the interface shows."""
+
+import re
+
+import bpy
+
+KINDS = (
+    bpy.types.Operator,
+    bpy.types.Panel,
+    bpy.types.Menu,
+    bpy.types.PropertyGroup,
+    bpy.types.AddonPreferences,
+    bpy.types.FileHandler,
+)
+
+
+def subclasses(kind):
+    """Yield the classes below a class."""
+    for cls in kind.__subclasses__():
+        yield cls
+        yield from subclasses(cls)
+
+
+def shown_words():
+    """Names and descriptions of the extension's registered classes and their properties."""
+    classes = {cls for kind in KINDS for cls in subclasses(kind)}
+    found = set()
+    for cls in classes:
+        # SwagStatus is for scripts: panels show its values alone.
+        if "swag_splatting" not in cls.__module__ or "bl_rna" not in vars(cls) or cls.__name__ == "SwagStatus":
+            continue
+        rna = cls.bl_rna
+        if issubclass(cls, bpy.types.Operator):
+            rna = getattr(bpy.ops.swag, cls.bl_idname.partition(".")[2]).get_rna_type()
+            found.add(rna.description)
+        found.add(getattr(cls, "bl_label", ""))
+        own = {
+            name
+            for base in cls.__mro__
+            if "swag_splatting" in base.__module__
+            for name in vars(base).get("__annotations__", ())
+        }
+        for prop in (rna.properties[name] for name in own & set(rna.properties.keys())):
+            if not prop.is_hidden:
+                for item in (prop, *getattr(prop, "enum_items", ())):
+                    found |= {item.description} | ({item.name} - {item.identifier})
+    return sorted(word for word in found if re.search("[A-Za-z]{2}", word))
