@@ -2,7 +2,7 @@
 PYTHON ?= python3.11
 VENV := .venv/bin/python
 
-.PHONY: demo test check search lint contracts extension release clean
+.PHONY: demo test check search lint contracts docs extension release clean
 
 demo: .venv/ready
 	$(VENV) demo/run.py
@@ -15,7 +15,7 @@ test: .venv/ready
 	$(PYTEST) -m "quick and not search"
 	@echo "Left out: whole runs, other Blender versions, hard cases, other programs. 'make check' runs them."
 
-check: lint contracts extension
+check: lint contracts docs extension
 	$(PYTEST)
 
 # Wide random searches, and what other Blender versions repeat.
@@ -25,11 +25,18 @@ search: .venv/ready
 lint: .venv/ready
 	$(VENV) -m ruff check .
 	$(VENV) -m ruff format --check .
-	$(VENV) -m mypy
+	$(VENV) .ci/typecheck.py
 
 # Which package may import which (.importlinter).
 contracts: .venv/ready
 	$(VENV) .ci/contracts.py
+
+# The documentation: what is made from results and code must be current; the site goes to site/.
+docs: .venv/ready
+	$(VENV) docs/scripts/tables.py --check
+	$(VENV) docs/scripts/import_diagram.py --check
+	$(VENV) docs/scripts/command_line.py --check
+	NO_MKDOCS_2_WARNING=1 $(VENV) -m mkdocs build --strict --quiet --site-dir site
 
 # The extension's zip, with the kernels of this machine or of every platform.
 extension: .venv/ready
@@ -45,4 +52,4 @@ release: .venv/ready
 	touch $@
 
 clean:
-	rm -rf .venv dist demo/output swag_engine/kernels/lib
+	rm -rf .venv dist site demo/output swag_engine/kernels/lib

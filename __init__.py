@@ -1,9 +1,34 @@
-"""SWAG Splatting: underwater photographs become 3D Gaussians in Blender. Registers the extension, nothing else."""
+"""SWAG Splatting: underwater photos become 3D Gaussians in Blender. This file only registers the extension."""
 
 from . import operators
-from .swag_blender import assets, commands, engine_process, job, panels, preferences, properties, translations, water
+from .swag_blender import (
+    assets,
+    commands,
+    engine_process,
+    job,
+    label_list,
+    labels,
+    panels,
+    preferences,
+    properties,
+    translations,
+    water,
+)
 
-_MODULES = (properties, preferences, engine_process, job, operators, panels, water, assets, commands, translations)
+_MODULES = (
+    properties,
+    preferences,
+    engine_process,
+    job,
+    labels,
+    operators,
+    label_list,
+    panels,
+    water,
+    assets,
+    commands,
+    translations,
+)
 
 
 def register() -> None:
@@ -13,6 +38,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take everything out of Blender again."""
+    """Undo `register`."""
     for module in reversed(_MODULES):
         module.unregister()

@@ -27,15 +27,15 @@ from torch import Tensor
 
 from benchmarks.common import write_results
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.kernels import cuda
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels.cuda import CudaKernels
 from swag_engine.rasterize.api import contributions, rasterize
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.training.losses import photometric
 from swag_engine.water.medium import Medium
-from tests.engine.cuda_fibres import Fibres
-from tests.engine.test_cuda import DEVICE, ON_CARD
-from tests.engine.test_rasterize import GRADIENTS, blend_by_the_book, make_scene, relative_error
+from tests.engine.cuda_fibres import DEVICE, ON_CARD, Fibres
+from tests.engine.raster_scenes import GRADIENTS, blend_by_definition, make_scene, relative_error
 
 TOLERANCE = 1e-4
 """Largest relative error of everything but gradients through SSIM."""
@@ -146,12 +146,12 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         if not ON_CARD:
             fibres = Fibres(Path(folder))
-            cuda.driver = lambda: fibres
+            KERNELS["cuda"] = CudaKernels(lambda: fibres)
         for number in range(options.seed, options.seed + options.scenes):
             scene = random_scene(number)
             found = errors(scene)
             over = {" ".join(key): error for key, error in found.items() if not error <= tolerance(*key)}
-            if over and blend_by_the_book(scene)[2] < NEAR_A_COMPARISON:
+            if over and blend_by_definition(scene)[2] < NEAR_A_COMPARISON:
                 ties.append(number)
                 continue
             if over:

@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.common import write_results
 from swag_engine.effects.caustics import Illumination
 from swag_engine.effects.image_gain import apply_log_gains
-from swag_engine.water.light import to_display, to_light
+from swag_engine.kernels.reference.transfer import to_display, to_light
 
 ROWS, COLUMNS, VIEWS, STEPS = 60, 96, 16, 640
 WAYS = ("no model", "weight", "field")

@@ -29,10 +29,12 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.common import RESULTS, save_figure, write_results
 
-EFFECTS = ("attenuation", "backscatter", "lamp", "exposure", "caustics")
+EFFECTS = ("attenuation", "backscatter", "lamp", "exposure", "vignetting", "caustics")
 STATES = ("on", "off", "unknown")
 SEEN = 5.0
 """Change (8-bit display values, 95th percentile over pixels) above which an effect counts as visible."""
+LEAST_FALLOFF = 0.03
+"""Fraction of its light that a lens must lose at the corners; less is not visible and counts as absent."""
 NO_WATER = {"beta_D": (0.0, 0.0, 0.0), "beta_B": (0.0, 0.0, 0.0), "B_inf": (0.0, 0.0, 0.0)}
 BLUE = {"beta_D": (0.17, 0.062, 0.042), "beta_B": (0.13, 0.08, 0.068), "B_inf": (0.03, 0.175, 0.255)}
 GREEN = {"beta_D": (0.25, 0.10, 0.14), "beta_B": (0.20, 0.12, 0.13), "B_inf": (0.05, 0.20, 0.12)}
@@ -41,6 +43,7 @@ SCENES: dict[str, dict] = {
     "clear, exposure": {"exposure": 0.12},
     "clear, caustics": {"caustics": 0.8},
     "clear, lens": {"vignetting": 0.35},
+    "clear, faint lens": {"vignetting": 0.02},
     "clear, lamp": {"lamp": 1.0},
     "blue": {"water": BLUE},
     "blue, weak": {"water": BLUE, "amount": 0.35},
@@ -50,6 +53,8 @@ SCENES: dict[str, dict] = {
     "green, lamp, exposure": {"water": GREEN, "lamp": 0.8, "exposure": 0.08},
     "green, weak, caustics, exposure": {"water": GREEN, "amount": 0.4, "caustics": 0.5, "exposure": 0.06},
     "blue, lens": {"water": BLUE, "vignetting": 0.35},
+    "green, lens, exposure": {"water": GREEN, "vignetting": 0.3, "exposure": 0.1},
+    "blue, lamp, lens": {"water": BLUE, "lamp": 1.0, "vignetting": 0.35},
     "green, fish": {"water": GREEN, "fish": True},
 }
 SKY = NO_WATER | {"B_inf": (0.35, 0.55, 0.95)}
@@ -77,6 +82,8 @@ BOXES: dict[str, dict[str, dict]] = {
 SURVEYS = ("nadir", "survey")
 """Patterns at a constant height over flat ground: range follows the position in the image, so that water, lamp and
 vignetting cannot be separated and "undetermined" is the right decision."""
+OF_RANGE = ("attenuation", "backscatter", "lamp", "vignetting")
+"""Effects that cannot be separated there."""
 
 
 @dataclass(frozen=True)
@@ -220,14 +227,22 @@ def color_errors(passes, settings, fit) -> dict[str, float]:
 def effect_sizes(passes, settings, truth: dict) -> dict[str, float]:
     """Measure how much each effect changes the pixels (8-bit display values, 95th percentile).
 
-    Each is compared with the effect held at its value at the median range: a change that is constant over range and
-    images cannot be distinguished from the scene itself. Exposure is everything that scales one image as a whole:
-    gain, the gain of a phone's white balance, and the mean of the caustics over the image.
+    Each is compared with the effect held at its value at the median range, vignetting with that at the image centre: a
+    change that is constant over range and images cannot be distinguished from the scene itself. Exposure is everything
+    that scales one image as a whole: gain, the gain of a phone's white balance, and the mean of the caustics over it.
     """
-    from tests.scenes.make_scene import caustic_pattern, focal_length, lamp_light, srgb, world_points
+    from tests.scenes.make_scene import (
+        caustic_pattern,
+        focal_length,
+        lamp_light,
+        squared_radius,
+        srgb,
+        world_points,
+    )
 
     water, reference = settings.water, truth["range"]["median"]
     gains = list(truth["exposure"]["gains"].values())
+    falloff = settings.vignetting if settings.vignetting >= LEAST_FALLOFF else 0.0
     differences: dict[str, list[np.ndarray]] = {name: [] for name in EFFECTS}
     for k, (view, pose) in list(enumerate(zip(passes.still, passes.poses, strict=True)))[::4]:
         z = view.range[::5, ::5]
@@ -240,13 +255,14 @@ def effect_sizes(passes, settings, truth: dict) -> dict[str, float]:
                 np.random.default_rng((settings.seed, 3, k)),
             )
             waves = 1 + settings.caustics * (view.sun_share * (pattern - 1))[::5, ::5][solid]
-        balance = np.random.default_rng((settings.seed, 5, k)).normal(0, 0.03 * settings.phone, 3)  # as in `developed`
+        balance = np.random.default_rng((settings.seed, 5, k)).normal(0, 0.03 * settings.phone, 3)  # process_as_phone
         lamp = lamp_light(r, settings.lamp, settings.lamp_tau, reference)
         parts = {
             "attenuation": np.exp(-np.array(water.beta_D) * r[:, None]),
             "backscatter": np.array(water.B_inf) * (1 - np.exp(-np.array(water.beta_B) * r[:, None])),
             "lamp": lamp[:, None],
             "exposure": np.full((1, 1), gains[k] * waves.mean() * np.exp(balance.mean())),
+            "vignetting": 1 - falloff * squared_radius(view.range.shape)[::5, ::5][solid][:, None],
             "caustics": waves[:, None] / waves.mean(),
         }
         usual = {
@@ -254,12 +270,13 @@ def effect_sizes(passes, settings, truth: dict) -> dict[str, float]:
             "backscatter": np.array(water.B_inf) * (1 - np.exp(-np.array(water.beta_B) * reference)),
             "lamp": np.ones(1),
             "exposure": np.ones(1),
+            "vignetting": np.ones(1),
             "caustics": np.ones(1),
         }
 
         def shown(parts: dict, J: np.ndarray = J) -> np.ndarray:
             direct = J * parts["lamp"] * parts["caustics"] * parts["attenuation"]
-            return srgb(parts["exposure"] * (direct + parts["backscatter"])).clip(0, 1) * 255
+            return srgb(parts["exposure"] * parts["vignetting"] * (direct + parts["backscatter"])).clip(0, 1) * 255
 
         whole = shown(parts)
         for name in EFFECTS:
@@ -278,7 +295,7 @@ def judge(row: dict, name: str) -> tuple[str, bool | None]:
         return "absent", state != "on"
     if size <= SEEN:
         return "slight", None
-    if row["pattern"] in SURVEYS and name in ("attenuation", "backscatter", "lamp"):
+    if (row["pattern"] in SURVEYS and name in OF_RANGE) or (name == "vignetting" and "lamp" in row["truth"]):
         return "present", state in ("unknown", "on")
     return "present", state == "on"
 

@@ -42,7 +42,7 @@ CASES = (
     ("green", "oblique"),
     ("murky", "orbit"),
 )
-THERE = {"attenuation": True, "backscatter": True, "lamp": False, "exposure": False, "caustics": False}
+THERE = {effect: effect in ("attenuation", "backscatter") for effect in EFFECTS}
 
 
 def run_case(name: str, pattern: str, clean: Path) -> dict:

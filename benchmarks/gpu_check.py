@@ -26,7 +26,10 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.common import RESULTS, write_results
-from swag_engine.kernels import build, cuda
+from swag_engine.kernels import build
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels.cuda import GROUP, CudaKernels
+from swag_engine.kernels.protocol import Projection
 from swag_engine.rasterize.api import contributions, rasterize
 
 PTXAS = "nvidia-cuda-nvcc-cu12"
@@ -144,15 +147,22 @@ def activated(p: Tensors) -> tuple[torch.Tensor, ...]:
     return p["means"], p["quats"], p["log_scales"].exp(), p["opacity_logits"].sigmoid()
 
 
+def cuda_kernels() -> CudaKernels:
+    """Return the CUDA backend."""
+    kernels = KERNELS["cuda"]
+    assert isinstance(kernels, CudaKernels)
+    return kernels
+
+
 def loss(picture: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """Return .8 L1 + .2 (1 - SSIM)."""
-    l1, ssim = cuda.l1_ssim(picture, target)
+    l1, ssim = cuda_kernels().l1_ssim(picture, target)
     return 0.8 * l1 + 0.2 * (1 - ssim)
 
 
 def iteration(n: int, width: int, height: int) -> Step:
     """Return one training iteration: project, blend, L1 + SSIM, backward, Adam."""
-    p = make_parameters(n, width, height)
+    cuda, p = cuda_kernels(), make_parameters(n, width, height)
     camera, background = make_camera(width, height), torch.rand(3, device=DEVICE)
     target = torch.rand(height, width, 3, device=DEVICE)
     moments = {name: (torch.zeros_like(tensor), torch.zeros_like(tensor)) for name, tensor in p.items()}
@@ -193,7 +203,7 @@ def gsplat_iteration(n: int, width: int, height: int) -> Step:
 
 def stages(n: int, width: int, height: int) -> dict[str, Step]:
     """Return each part of an iteration separately."""
-    p = make_parameters(n, width, height)
+    cuda, p = cuda_kernels(), make_parameters(n, width, height)
     camera, background = make_camera(width, height), torch.rand(3, device=DEVICE)
     sh, directions = [p["sh0"], p["shN"]], torch.nn.functional.normalize(p["means"].detach(), dim=1)
     *geometry, opacities = (tensor.detach().requires_grad_() for tensor in activated(p))
@@ -201,9 +211,10 @@ def stages(n: int, width: int, height: int) -> dict[str, Step]:
     seen = cuda.project(*geometry, opacities, colors.detach(), *camera, width, height)
     means2d, conics, depths, radii = seen.means2d, seen.conics, seen.depths, seen.radii
     leaves = [tensor.detach().requires_grad_() for tensor in (means2d, conics, opacities, colors)]
-    flat = means2d.detach(), conics.detach(), opacities.detach(), depths, radii, width, height
-    pairs = cuda._pairs(*flat)
-    picture, _ = cuda.blend(*leaves, background, depths, radii, width, height)
+    flat = Projection(means2d.detach(), conics.detach(), depths, radii), opacities.detach(), width, height
+    pairs = cuda.tile_pairs(*flat)
+    blended = Projection(leaves[0], leaves[1], depths, radii), *leaves[2:], background, width, height
+    picture, _ = cuda.blend(*blended)
     image = picture.detach().requires_grad_()
     target, by_picture = torch.rand(2, height, width, 3, device=DEVICE)
     moments = [(torch.zeros_like(tensor), torch.zeros_like(tensor)) for tensor in p.values()]
@@ -216,18 +227,17 @@ def stages(n: int, width: int, height: int) -> dict[str, Step]:
         incoming = [torch.ones_like(tensor) for tensor in outputs]
         return lambda: torch.autograd.grad(outputs, inputs, incoming, retain_graph=True)
 
-    seen_through = background, depths, radii, width, height
     return {
         "project": lambda: cuda.project(*geometry, opacities, colors.detach(), *camera, width, height),
         "project, backward": gradient([means2d, conics], geometry),
         "colours": lambda: cuda.sh_colors(*sh, directions, 3),
         "colours, backward": gradient([colors], sh),
-        "pairs, sorted": lambda: cuda._pairs(*flat),
-        "blend": lambda: cuda._blend(pairs, leaves[3].detach(), background, width, height),
+        "pairs, sorted": lambda: cuda.tile_pairs(*flat),
+        "blend": lambda: cuda.blend_pairs(pairs, leaves[3].detach(), background, width, height),
         "blend, backward": gradient([picture], leaves),
         "L1 + SSIM, both ways": lambda: torch.autograd.grad(loss(image, target), image),
         "Adam": adam,
-        "contributions": lambda: cuda.contributions(*leaves, *seen_through, target, by_picture),
+        "contributions": lambda: cuda.contributions(*blended, target, by_picture),
     }
 
 
@@ -264,7 +274,7 @@ def small_scene() -> None:
     n, width, height = 500, 100, 70
     iteration(n, width, height)()
     camera = make_camera(width, height)
-    for channels in range(1, cuda.GROUP + 1):
+    for channels in range(1, GROUP + 1):
         values = torch.rand(n, channels, device=DEVICE).requires_grad_()
         background = torch.rand(channels, device=DEVICE)
         inputs = *activated(make_parameters(n, width, height)), values, *camera, width, height, background
@@ -281,7 +291,7 @@ def main() -> None:
         return
     record_registers()
     start = time.perf_counter()
-    if reason := cuda.reason():
+    if reason := cuda_kernels().unavailable_reason():
         sys.exit(f"There is no GPU to check here: {reason}")
     properties = torch.cuda.get_device_properties(torch.cuda.current_device())
     results: dict[str, object] = {

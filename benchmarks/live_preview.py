@@ -72,8 +72,7 @@ def steps():
     """Yield the waits (seconds) between the steps of the measurement."""
     install()
     yield 1.0
-    from bl_ext.user_default.swag_splatting.operators import train
-    from bl_ext.user_default.swag_splatting.swag_blender import runs, scene_import
+    from bl_ext.user_default.swag_splatting.swag_blender import runs, scene_import, training
     from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply, write_ply
 
     window, _, _ = view3d()
@@ -100,7 +99,7 @@ def steps():
                 work()
                 times.append(time.perf_counter())
             own.append(np.diff(times))
-        reading.append(train._reader.submit(read_ply, path))
+        reading.append(training._reader.submit(read_ply, path))
 
     update_nodes = bpy.context.view_layer.update
     yield from frames(arrive)

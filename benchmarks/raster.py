@@ -28,8 +28,10 @@ import torch
 from benchmarks.common import processor, save_figure, write_results
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.kernels import cpu
-from swag_engine.rasterize import projection, reference
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels.protocol import Projection
+from swag_engine.kernels.reference.blending import Samples, tiles_of
+from swag_engine.kernels.reference.kernels import REFERENCE
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.training.losses import photometric
@@ -89,14 +91,15 @@ def raster(n: int, width: int, height: int, backend: str) -> Callable[[], None]:
     viewmat, K = torch.eye(4), torch.from_numpy(camera.K).float()
     channels = cloud.colors(torch.zeros(3), 3).detach()
     inputs = cloud.means, cloud.quats, cloud.scales, cloud.opacities, channels
-    projected = projection.project(*inputs, viewmat, K, width, height)
+    projected = REFERENCE.project(*inputs, viewmat, K, width, height)
     leaves = [t.detach().clone() for t in (projected.means2d, projected.conics, cloud.opacities, channels)]
     leaves = [leaf.requires_grad_() for leaf in leaves]
     background, gradient = torch.tensor([0.1, 0.2, 0.3]), torch.randn(height, width, 3)
 
     def step() -> None:
-        blend = cpu.blend if backend == "cpu" else reference.blend
-        picture, _ = blend(*leaves, background, projected.depths, projected.radii, width, height)
+        means2d, conics, opacities, values = leaves
+        seen = Projection(means2d, conics, projected.depths, projected.radii)
+        picture, _ = KERNELS[backend].blend(seen, opacities, values, background, width, height)
         torch.autograd.grad((picture * gradient).sum(), leaves)
 
     def gsplat_step() -> None:
@@ -115,13 +118,13 @@ def raster(n: int, width: int, height: int, backend: str) -> Callable[[], None]:
 
 
 def accepted_pairs(
-    leaves: list[torch.Tensor], projected: projection.Projection, width: int, height: int
+    leaves: list[torch.Tensor], projected: Projection, width: int, height: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """List Gaussian, pixel and image of all blended pairs, by pixel and depth."""
     means2d, conics, opacities, _ = (leaf.detach() for leaf in leaves)
     gaussians, pixels = [], []
-    for _, meets, at in reference._tiles(means2d, projected.depths, projected.radii, width, height):
-        samples = reference._Samples(means2d[meets], conics[meets], opacities[meets], at)
+    for _, meets, at in tiles_of(projected, width, height):
+        samples = Samples(means2d[meets], conics[meets], opacities[meets], at)
         pixel, which = (samples.alpha > 0).T.nonzero(as_tuple=True)
         gaussians.append(meets[which])
         pixels.append(at[pixel, 1].long() * width + at[pixel, 0].long())

@@ -31,7 +31,7 @@ from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import TrainingImage, load_images, read_picture
 from swag_engine.scene.split import split_views
-from swag_engine.semantics.assign import assign, label_weights, rendered_labels, semantic_loss, targets_in_view
+from swag_engine.semantics.assign import assign, label_weights, render_labels, semantic_loss, targets_in_view
 from swag_engine.semantics.embed import Descriptor
 from swag_engine.semantics.masks import MaskFolder
 from swag_engine.semantics.regions import RegionProvider, SceneRegions, find_regions
@@ -84,7 +84,7 @@ def demo(run: Path) -> dict[str, Any]:
     behind = regions.labels.index("open water") + 1
     truth = {name: truth_of(masks, images[name], regions) for name in (*split.test, *split.validation)}
     shown = {
-        name: rendered_labels(cloud, assignment.labels, len(regions.labels), images[name].camera, behind)
+        name: render_labels(cloud, assignment.labels, len(regions.labels), images[name].camera, behind)
         for name in truth
     }
     aside = {name: np.roll(truth[name], 1, axis=1) for name in split.test}
@@ -108,8 +108,8 @@ def truth_of(masks: MaskFolder, image: TrainingImage, regions: SceneRegions) -> 
     """Return the labels (H, W) that the masks give, as indices into the regions' labels plus one."""
     truth = np.zeros(image.valid.shape, int)
     for region in masks.regions(image, []):
-        if region.name in regions.labels:
-            truth[region.mask] = regions.labels.index(region.name) + 1
+        if region.label in regions.labels:
+            truth[region.mask] = regions.labels.index(region.label) + 1
     return truth
 
 

@@ -1,78 +1,101 @@
-"""What a user can do: one module a verb. Each names its CLASSES and may have register() and unregister()."""
+"""What a user can do: one module for each verb.
+
+A module lists its classes in CLASSES and may have register() and unregister().
+"""
+
+from typing import Any
 
 import bpy
 
+from ..swag_blender.blender_types import present
 from . import (
     cancel,
+    check_engine,
     export_splats,
     forecast,
     import_scene,
     import_splats,
     inspect_scene,
     install_engine,
-    labels,
+    isolate_label,
+    keep_mask,
+    label_run,
+    look_up_engine,
+    merge_splats,
     node_assets,
+    pause,
+    pick_scale,
     plan,
     prepare_render,
+    read_labels,
+    remove_engine,
+    reset_effects,
+    search_labels,
+    select_label,
+    separate_splats,
     set_scale,
+    show_labels,
     show_log,
     train,
     water_objects,
 )
 
-_MODULES = (
-    inspect_scene,
-    import_scene,
-    plan,
-    forecast,
-    train,
-    cancel,
-    show_log,
-    import_splats,
-    labels,
-    prepare_render,
-    water_objects,
-    set_scale,
-    export_splats,
-    node_assets,
-    install_engine,
+_GROUPS = (
+    (inspect_scene, import_scene),
+    (plan, reset_effects),
+    (forecast, train, cancel, pause, show_log),
+    (import_splats,),
+    (label_run, read_labels, show_labels, isolate_label, select_label, search_labels, keep_mask),
+    (separate_splats, merge_splats),
+    (prepare_render, water_objects),
+    (set_scale, pick_scale),
+    (export_splats,),
+    (node_assets, look_up_engine, install_engine, check_engine, remove_engine),
 )
-
-
-# These act on one line of the list of labels, and stand beside it alone.
-_ON_A_LABEL = (labels.SWAG_OT_isolate_label, labels.SWAG_OT_select_label, labels.SWAG_OT_keep_mask)
+"""The modules in the order of the menu, where a line separates the groups."""
+_MODULES = tuple(module for group in _GROUPS for module in group)
+_NOT_IN_MENU = (isolate_label, select_label, keep_mask)
+"""They act on one line of the list of labels, where their buttons are."""
 
 
 class SWAG_MT_splatting(bpy.types.Menu):
-    """Every operator, so that F3 finds it and a shortcut can be given to it"""
+    """Menu of all operators, so that F3 finds them and they can get shortcuts"""
 
     bl_label = "SWAG Splatting"
 
-    def draw(self, context: bpy.types.Context) -> None:
-        self.layout.operator_context = "INVOKE_DEFAULT"
-        for module in _MODULES:
-            for cls in module.CLASSES:
-                if issubclass(cls, bpy.types.Operator) and cls not in _ON_A_LABEL:
-                    self.layout.operator(cls.bl_idname)
-            self.layout.separator()
+    def draw(self, context: bpy.types.Context | None) -> None:
+        """Draw the menu; Blender calls this."""
+        layout = present(self.layout)
+        layout.operator_context = "INVOKE_DEFAULT"
+        for group in _GROUPS:
+            for module in group:
+                for cls in module.CLASSES:
+                    if issubclass(cls, bpy.types.Operator) and module not in _NOT_IN_MENU:
+                        layout.operator(cls.bl_idname)
+            layout.separator()
 
 
-def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+_parent_menu: Any = bpy.types.VIEW3D_MT_object  # as Any: the stubs declare another signature of append
+
+
+def _menu(menu: Any, context: bpy.types.Context) -> None:
     menu.layout.menu(SWAG_MT_splatting.__name__)
 
 
 def register() -> None:
+    """Register all operators and the menu Object > SWAG Splatting."""
     for module in _MODULES:
         for cls in module.CLASSES:
             bpy.utils.register_class(cls)
         if hasattr(module, "register"):
             module.register()
     bpy.utils.register_class(SWAG_MT_splatting)
-    bpy.types.VIEW3D_MT_object.append(_menu)
+    _parent_menu.append(_menu)
 
 
 def unregister() -> None:
-    bpy.types.VIEW3D_MT_object.remove(_menu)
+    """Undo `register`."""
+    _parent_menu.remove(_menu)
     bpy.utils.unregister_class(SWAG_MT_splatting)
     for module in reversed(_MODULES):
         if hasattr(module, "unregister"):

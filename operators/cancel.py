@@ -1,43 +1,30 @@
-"""Stop the job that runs, with what exists kept, or hold it for a while."""
+"""Stop the job that runs."""
 
 import bpy
 
+from ..swag_blender.blender_types import OperatorResult
+from ..swag_blender.properties import status_of
+
 
 class SWAG_OT_cancel(bpy.types.Operator):
-    """Stop what is running and keep what exists so far"""
+    """Stop the running job and keep its result so far"""
 
     bl_idname = "swag.cancel"
     bl_label = "Cancel"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        status = context.window_manager.swag
+        """Whether a job runs that was not asked to stop."""
+        status = status_of(context)
         if status.stopping:
-            cls.poll_message_set("It is stopping already")
+            cls.poll_message_set("The job is stopping already")
         return bool(status.job) and not status.stopping
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        status = context.window_manager.swag
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Ask the job to stop."""
+        status = status_of(context)
         status.stopping, status.text = True, "Stopping"
         return {"FINISHED"}
 
 
-class SWAG_OT_pause(bpy.types.Operator):
-    """Hold the training where it is, or let a held one go on; its result is the same as without"""
-
-    bl_idname = "swag.pause"
-    bl_label = "Pause or Go On"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        status = context.window_manager.swag
-        cls.poll_message_set("No training is running")
-        return status.job == "Training" and not status.stopping
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        status = context.window_manager.swag
-        status.paused = not status.paused
-        return {"FINISHED"}
-
-
-CLASSES = (SWAG_OT_cancel, SWAG_OT_pause)
+CLASSES = (SWAG_OT_cancel,)

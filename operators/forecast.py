@@ -1,25 +1,26 @@
-"""Ask what each quality would take here, before a training begins."""
+"""Forecast time, quality and memory of each preset before a training."""
 
 from typing import Any
 
-import bpy
-
 from ..swag_blender.job import SceneJob
+from ..swag_blender.properties import SwagScene
 
 
-class SWAG_OT_forecast(SceneJob, bpy.types.Operator):
-    """Train for some seconds and say what each quality would take on this machine: time, PSNR, memory; Escape stops"""
+class SWAG_OT_forecast(SceneJob):
+    """Train for some seconds and forecast the time, PSNR and memory of each quality on this machine; Escape stops"""
 
     bl_idname = "swag.forecast"
     bl_label = "Forecast"
     bl_options = {"REGISTER", "UNDO"}
     job = "Forecast"
 
-    def question(self, swag: bpy.types.PropertyGroup) -> dict[str, Any]:
+    def request(self, swag: SwagScene) -> dict[str, Any]:
+        """The request with the scene's settings."""
         self._asked = swag.forecast_question()
         return {"request": "forecast", "settings": swag.train_settings()}
 
-    def take(self, swag: bpy.types.PropertyGroup, event: dict[str, Any]) -> str:
+    def take(self, swag: SwagScene, event: dict[str, Any]) -> str:
+        """Store the forecast with the scene."""
         swag.keep_forecast(self._asked, event["presets"])
         return "; ".join(" ".join(line) for line in swag.forecast_lines())
 

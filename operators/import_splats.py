@@ -1,18 +1,18 @@
-"""Open splat files: 3DGS PLY and glTF with KHR_gaussian_splatting, through the menu or dropped into the window."""
+"""Open splat files, through the menu or dropped into the window."""
 
 from pathlib import Path
+from typing import Annotated, Any
 
 import bpy
 from bpy.props import CollectionProperty, EnumProperty, IntProperty, StringProperty
 
-from ..swag_blender import scene_import, splats
-from ..swag_engine.base.errors import InputError
-from ..swag_engine.formats.gltf import read_glb
-from ..swag_engine.formats.ply import read_ply
-
-READERS = {".ply": read_ply, ".glb": read_glb}
+from ..swag_blender import splats
+from ..swag_blender.blender_types import OperatorResult, present, with_properties
+from ..swag_blender.splat_formats import FILE_ENDINGS, FILE_FILTER, menu_text
+from ..swag_blender.splat_import import open_splats
 
 
+@with_properties
 class SWAG_OT_import_splats(bpy.types.Operator):
     """Open Gaussian splats from PLY or GLB files"""
 
@@ -20,65 +20,60 @@ class SWAG_OT_import_splats(bpy.types.Operator):
     bl_label = "Import Gaussian Splats"
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
-    filepath: StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
-    directory: StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})
-    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE"})
-    filter_glob: StringProperty(default="*.ply;*.glb", options={"HIDDEN"})
+    filepath: Annotated[str, StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})]
+    directory: Annotated[str, StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE"})]
+    files: Annotated[
+        "bpy.types.bpy_prop_collection_idprop[bpy.types.OperatorFileListElement]",
+        CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE"}),
+    ]
+    filter_glob: Annotated[str, StringProperty(default=FILE_FILTER, options={"HIDDEN"})]
 
-    frame: EnumProperty(
-        name="Place",
-        items=[
-            ("UPRIGHT", "Upright", "As splat viewers show the file: a PLY has its y axis down, a GLB its y axis up"),
-            ("SCENE", "In the Scene", "Where the file's splats were trained, in the imported scene they belong to"),
-        ],
-    )
-    sh_degree: IntProperty(
-        name="SH Degree", description="Less takes less memory: 0 keeps colours that do not change with the view",
-        default=3, min=0, max=3,
-    )  # fmt: skip
+    frame: Annotated[
+        str,
+        EnumProperty(
+            name="Placement",
+            items=[
+                (
+                    "UPRIGHT",
+                    "Upright",
+                    "As splat viewers show the file: a PLY has its y axis down, a GLB its y axis up",
+                ),
+                ("SCENE", "COLMAP Scene", "In the COLMAP coordinates of the imported scene that the file belongs to"),
+            ],
+        ),
+    ]
+    sh_degree: Annotated[
+        int,
+        IntProperty(
+            name="SH Degree",
+            description="Highest degree of spherical harmonics; a lower one takes less memory, and 0 makes colours the "
+            "same from every view",
+            default=3,
+            min=0,
+            max=3,
+        ),
+    ]
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Ask for files where none are given."""
         if self.filepath or self.files:
             return self.execute(context)
-        context.window_manager.fileselect_add(self)
+        present(context.window_manager).fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Open the files; those that cannot be opened are reported."""
         names = [file.name for file in self.files if file.name]
         paths = [Path(bpy.path.abspath(self.directory)) / name for name in names]
         paths = paths or [Path(bpy.path.abspath(self.filepath))]
-        opened, failed = [], []
-        for path in paths:
-            try:
-                opened.append(self._open(context, path))
-            except InputError as error:
-                failed.append(str(error))
-        for obj in context.selected_objects if opened else ():
-            obj.select_set(False)
-        for obj in opened:
-            obj.select_set(True)
-            context.view_layer.objects.active = obj
+        opened, failed = open_splats(context, paths, self.frame == "SCENE", self.sh_degree)
         for message in failed:
             self.report({"ERROR"}, message)
         if not opened:
             return {"CANCELLED"}
-        count = sum(len(obj.data.points) for obj in opened)
+        count = sum(splats.count(obj) for obj in opened)
         self.report({"INFO"}, f"{count} splats from {len(opened)} {'file' if len(opened) == 1 else 'files'}.")
         return {"FINISHED"}
-
-    def _open(self, context: bpy.types.Context, path: Path) -> bpy.types.Object:
-        if path.suffix.lower() not in READERS:
-            raise InputError(f"{path.name or 'Nothing'} is no splat file: choose a file that ends in .ply or .glb.")
-        root = scene_import.active_root(context) if self.frame == "SCENE" else None
-        if self.frame == "SCENE" and root is None:
-            raise InputError(f"{path.name} has no scene to stand in: import its COLMAP scene, or place it upright.")
-        up = {"up": scene_import.up_of(root)} if root and path.suffix.lower() == ".glb" else {}
-        loaded = READERS[path.suffix.lower()](path, **up)
-        loaded.sh = loaded.sh[:, : (self.sh_degree + 1) ** 2]
-        obj = splats.new_splat_object(path.stem, loaded, context.collection, root)
-        if root is None:
-            obj.matrix_world = splats.FILE_FRAME
-        return obj
 
 
 class SWAG_FH_splats(bpy.types.FileHandler):
@@ -87,23 +82,29 @@ class SWAG_FH_splats(bpy.types.FileHandler):
     bl_idname = "SWAG_FH_splats"
     bl_label = "Gaussian Splats"
     bl_import_operator = SWAG_OT_import_splats.bl_idname
-    bl_file_extensions = ".ply;.glb"
+    bl_file_extensions = FILE_ENDINGS
 
     @classmethod
-    def poll_drop(cls, context: bpy.types.Context) -> bool:
-        return context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
+    def poll_drop(cls, context: bpy.types.Context | None) -> bool:
+        """Whether files can be dropped here."""
+        return context is not None and context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
 
 
-def _menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    menu.layout.operator(SWAG_OT_import_splats.bl_idname, text="Gaussian Splats (.ply, .glb)")
+_parent_menu: Any = bpy.types.TOPBAR_MT_file_import  # as Any: the stubs declare another signature of append
+
+
+def _menu(menu: Any, context: bpy.types.Context) -> None:
+    menu.layout.operator(SWAG_OT_import_splats.bl_idname, text=menu_text(), translate=False)
 
 
 def register() -> None:
-    bpy.types.TOPBAR_MT_file_import.append(_menu)
+    """Add the operator to File > Import."""
+    _parent_menu.append(_menu)
 
 
 def unregister() -> None:
-    bpy.types.TOPBAR_MT_file_import.remove(_menu)
+    """Remove it from there."""
+    _parent_menu.remove(_menu)
 
 
 CLASSES = (SWAG_OT_import_splats, SWAG_FH_splats)

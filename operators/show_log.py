@@ -1,10 +1,9 @@
-"""Show what the engine wrote while it worked."""
+"""Show the engine's log."""
 
 import bpy
 
 from ..swag_blender import job
-
-NAME = "SWAG Log"
+from ..swag_blender.blender_types import OperatorResult
 
 
 class SWAG_OT_show_log(bpy.types.Operator):
@@ -15,22 +14,13 @@ class SWAG_OT_show_log(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether there is a log."""
         cls.poll_message_set("No job has written a log yet")
         return bool(job.last_log)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        text = bpy.data.texts.get(NAME) or bpy.data.texts.new(NAME)
-        text.from_string("\n".join(job.last_log) + "\n")
-        if bpy.app.background:
-            print(text.as_string())
-            return {"FINISHED"}
-        areas = (area for window in context.window_manager.windows for area in window.screen.areas)
-        area = next((area for area in areas if area.type == "TEXT_EDITOR"), None)
-        if area is None:
-            bpy.ops.wm.window_new()
-            area = context.window_manager.windows[-1].screen.areas[0]
-            area.type = "TEXT_EDITOR"
-        area.spaces.active.text = text
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Show the log."""
+        job.show_log(context)
         return {"FINISHED"}
 
 

@@ -1,4 +1,4 @@
-"""How the engine appears in Blender. Nothing here trains, and nothing here imports torch."""
+"""The engine in Blender: objects, panels, the engine's process. Nothing here trains or imports torch."""
 
-# The extension's full name, such as bl_ext.user_default.swag_splatting.
 EXTENSION = __package__.rpartition(".")[0]
+"""Full name of the extension, such as bl_ext.user_default.swag_splatting."""

@@ -1,41 +1,53 @@
-"""The node groups as assets: a .blend in the extension's own folder, listed as a library in the asset browser.
+"""The node groups as an asset library: a .blend in the extension's own folder, listed in the asset browser.
 
 The library is in the preferences only while the extension is enabled.
 """
 
 import shutil
 from pathlib import Path
+from typing import Any, cast
 
 import bpy
 
-from . import EXTENSION
+from ..swag_engine.base.errors import InputError
+from . import EXTENSION, water
+from .blender_types import present
 from .nodes import splat_preview, water_shader
 from .water_values import WaterValues
 
 LIBRARY = "SWAG Splatting"
 DESCRIPTIONS = {
-    splat_preview.NAME: "Draws a point cloud with the attributes of Gaussian splats, as a modifier",
-    water_shader.NAME: "Light as it is seen through water, for materials",
+    splat_preview.NAME: "Modifier that draws a point cloud with the attributes of Gaussian splats",
+    water_shader.NAME: "Light seen through water, for materials",
 }
 
 
 def folder() -> Path:
-    """Where the library is; it need not exist."""
+    """Folder of the library; it need not exist."""
     return Path(bpy.utils.extension_path_user(EXTENSION)) / "assets"
 
 
-def install(values: WaterValues) -> Path:
-    """Write the library and list it, in place of an older one; returns its file.
+def install(context: bpy.types.Context) -> Path:
+    """Write the library, over an older one, and list it; returns its file. The open file does not change.
 
-    values: the water whose figures the water's node group begins with. The open file is left as it is.
+    The water's node group gets the water of the active splat object, else of the scene, as default values. Raises
+    InputError when the library cannot be written.
     """
-    mine = (bpy.data.node_groups, bpy.data.materials)
+    source = water.find(present(context.scene), context.active_object)
+    try:
+        return _write_library(water.water_of(source) or WaterValues())
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"The asset library cannot be written: {error}") from error
+
+
+def _write_library(values: WaterValues) -> Path:
+    mine: tuple[Any, ...] = (bpy.data.node_groups, bpy.data.materials)
     before = [set(blocks) for blocks in mine]
-    groups = {splat_preview.node_group(), water_shader.free_group(values)}
+    groups: set[bpy.types.ID] = {splat_preview.node_group(), water_shader.free_group(values)}
     unmarked = [group for group in groups if not group.asset_data]
     for group in unmarked:
         group.asset_mark()
-        group.asset_data.description = DESCRIPTIONS[group.name]
+        present(group.asset_data).description = DESCRIPTIONS[group.name]
     path = folder() / "nodes.blend"
     path.parent.mkdir(parents=True, exist_ok=True)
     bpy.data.libraries.write(str(path), groups, fake_user=True)
@@ -49,20 +61,26 @@ def install(values: WaterValues) -> Path:
 
 
 def remove() -> None:
-    """Take the library away, from the disk too."""
+    """Remove the library from the preferences, and its files."""
     unregister()
     shutil.rmtree(folder(), ignore_errors=True)
 
 
 def register() -> None:
+    """List the library in the preferences if it exists."""
     if folder().exists() and not _listed():
-        bpy.context.preferences.filepaths.asset_libraries.new(name=LIBRARY, directory=str(folder()))
+        present(bpy.context.preferences).filepaths.asset_libraries.new(name=LIBRARY, directory=str(folder()))
 
 
 def unregister() -> None:
+    """Remove the library from the preferences."""
     for library in _listed():
-        bpy.context.preferences.filepaths.asset_libraries.remove(library)
+        present(bpy.context.preferences).filepaths.asset_libraries.remove(library)
 
 
 def _listed() -> list[bpy.types.UserAssetLibrary]:
-    return [one for one in bpy.context.preferences.filepaths.asset_libraries if Path(one.path) == folder()]
+    return [
+        one
+        for one in present(bpy.context.preferences).filepaths.asset_libraries
+        if Path(cast(Any, one).path) == folder()
+    ]

@@ -1,4 +1,4 @@
-"""Blender's cameras as the engine's pinholes, for files."""
+"""Blender's cameras as pinhole cameras of the engine, for export."""
 
 from collections.abc import Sequence
 
@@ -7,32 +7,35 @@ import numpy as np
 
 from ..swag_engine.scene.cameras import Camera
 from . import scene_import
+from .blender_types import present
 
 
 def cameras_of(context: bpy.types.Context, roots: Sequence[bpy.types.Object]) -> list[Camera]:
-    """The photographs' cameras under the scene roots, in Blender's world; without any, the scene's own cameras.
+    """The cameras of the images below the scene roots, in Blender's world; without any, the Blender scene's cameras.
 
-    The scene's own are the visible ones with perspective, at the size of a render.
+    Of the latter, those that are visible and have perspective, at the size of a render.
     """
     depsgraph = context.evaluated_depsgraph_get()
-    imported = [obj for root in roots for obj in root.children_recursive if scene_import.SIZE_KEY in obj]
+    imported = [obj for root in roots for obj in root.children_recursive if obj.get(scene_import.SIZE_KEY) is not None]
     if imported:
-        sizes = [obj[scene_import.SIZE_KEY] for obj in imported]
+        sizes = [obj.get(scene_import.SIZE_KEY) for obj in imported]
         return [
             _camera(obj, depsgraph, int(width), int(height), aspect)
             for obj, (width, height, aspect) in zip(imported, sizes, strict=True)
         ]
-    render = context.scene.render
+    render = present(context.scene).render
     width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
     aspect = render.pixel_aspect_x / render.pixel_aspect_y
-    own = [obj for obj in context.visible_objects if obj.type == "CAMERA" and obj.data.type == "PERSP"]
+    own = [
+        obj for obj in context.visible_objects if isinstance(obj.data, bpy.types.Camera) and obj.data.type == "PERSP"
+    ]
     return [_camera(obj, depsgraph, width, height, aspect) for obj in own]
 
 
 def _camera(
     obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, width: int, height: int, pixel_aspect: float
 ) -> Camera:
-    """One camera object at a picture of width x height pixels, each `pixel_aspect` times as wide as high."""
+    """One camera object for an image of width x height pixels, each `pixel_aspect` times as wide as high."""
     x, y = max(pixel_aspect, 1.0), max(1 / pixel_aspect, 1.0)
     projection = np.array(obj.calc_matrix_camera(depsgraph, x=width, y=height, scale_x=x, scale_y=y), np.float64)
     # Parents may scale, the pose of a camera does not.

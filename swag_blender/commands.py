@@ -1,9 +1,9 @@
-"""`blender --background --command swag ...`: the engine's own command line, in the engine's Python; and `import`, which
-makes a .blend in this one."""
+"""`blender --background --command swag ...`: the engine's command line, and `import`, which makes a .blend."""
 
 import argparse
 import contextlib
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,8 +13,11 @@ import bpy
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.ply import read_ply
+from ..swag_engine.formats.registry import SUFFIXES
 from ..swag_engine.formats.run_folder import RunFolder, read_json
 from . import engine_process, runs
+from .blender_types import call_operator, present
+from .render_setup import prepare_render
 
 BAD_USAGE = 2
 PROG = "blender --background --command swag"
@@ -27,15 +30,17 @@ def run(arguments: list[str]) -> int:
         return import_(arguments[1:])
     try:
         command = [engine_process.engine_python(), "-m", "swag_engine", *arguments]
-        # A batch log is one stream in the order of events; with --json stdout carries the document alone.
+        # One stream keeps the order of the lines in a log file; with --json stdout has the document alone.
         errors = None if "--json" in arguments else subprocess.STDOUT
         environment = engine_process.clean_environment() | {"SWAG_PROG": PROG}
         child = subprocess.Popen(command, env=environment, stderr=errors)
+        # A service may stop Blender alone; the child then keeps what exists, and its exit code becomes Blender's.
+        signal.signal(signal.SIGTERM, lambda number, frame: child.terminate())
     except (engine_process.EngineError, OSError) as error:
         print(error, file=sys.stderr)
         return BAD_USAGE
     while True:
-        # Ctrl-C reaches the child too: it stops in its own time and keeps what exists.
+        # Ctrl-C reaches the child too, which then stops and keeps its result so far.
         with contextlib.suppress(KeyboardInterrupt):
             code = child.wait()
             if arguments in ([], ["-h"], ["--help"]):
@@ -44,17 +49,21 @@ def run(arguments: list[str]) -> int:
 
 
 def import_parser() -> argparse.ArgumentParser:
+    """Parser of the command `import`."""
     parser = argparse.ArgumentParser(
-        prog=f"{PROG} import", description="Make a .blend of a COLMAP scene, of a training run, or of a splat file."
+        prog=f"{PROG} import", description="Make a .blend from a COLMAP scene, a training run or a splat file."
     )
-    parser.add_argument("path", metavar="SCENE|RUN|FILE", type=Path, help="folder of a scene or run, or .ply or .glb")
+    what = f"folder of a scene or run, or {' or '.join(SUFFIXES)}"
+    parser.add_argument("path", metavar="SCENE|RUN|FILE", type=Path, help=what)
     parser.add_argument("--out", metavar="FILE.blend", type=Path, required=True, help="file to write")
-    parser.add_argument("--json", action="store_true", help="one JSON document on stdout, behind Blender's own lines")
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON document to stdout, after Blender's own lines"
+    )
     return parser
 
 
 def import_(arguments: list[str]) -> int:
-    """Make a .blend. Exit codes as the engine's: 0 done, 2 bad input or usage."""
+    """Make a .blend; returns the exit code: 0 done, 2 wrong input or usage."""
     try:
         asked = import_parser().parse_args(arguments)
     except SystemExit as leave:
@@ -67,13 +76,13 @@ def import_(arguments: list[str]) -> int:
         asked.out.parent.mkdir(parents=True, exist_ok=True)
         bpy.ops.wm.save_as_mainfile(filepath=str(asked.out.absolute()))
     except (InputError, RuntimeError, OSError) as error:
-        # An operator's report comes as a RuntimeError with "Error: " before it.
+        # A RuntimeError has the report of an operator after "Error: ".
         sentence = str(error).strip().removeprefix("Error: ")
         if asked.json:
             print(json.dumps({"error": sentence}))
         print(sentence, file=sys.stderr)
         return BAD_USAGE
-    kinds = [obj.type for obj in bpy.context.scene.objects]
+    kinds = [obj.type for obj in present(bpy.context.scene).objects]
     made = {"out": str(asked.out), "cameras": kinds.count("CAMERA"), "clouds": kinds.count("POINTCLOUD")}
     if asked.json:
         print(json.dumps(made))
@@ -83,26 +92,31 @@ def import_(arguments: list[str]) -> int:
 
 
 def bring_in(path: Path) -> None:
-    """What the path holds into the open scene. Raises InputError, or RuntimeError with an operator's report."""
+    """Import a scene, a run or a splat file to the open Blender scene.
+
+    Raises InputError, or RuntimeError with an operator's report.
+    """
     run = RunFolder(path.absolute())
-    if path.suffix.lower() in (".ply", ".glb"):
-        bpy.ops.swag.import_splats(filepath=str(path.absolute()))
+    if path.suffix.lower() in SUFFIXES:
+        call_operator("import_splats", filepath=str(path.absolute()))
     elif not run.config.exists():
-        bpy.ops.swag.import_scene(directory=str(path.absolute()))
+        call_operator("import_scene", directory=str(path.absolute()))
     else:
-        scene = bpy.context.scene
-        metrics = read_json(run.metrics, f"{path} holds no result yet: train it to an end first.")
-        photographs = str(run.read_config()[0])
-        bpy.ops.swag.import_scene(directory=photographs)
-        obj = runs.show_splats(scene, read_ply(run.ply), str(run.path), photographs)
+        scene = present(bpy.context.scene)
+        metrics = read_json(run.metrics, f"{path} holds no result yet: finish its training first.")
+        images = str(run.read_config()[0])
+        call_operator("import_scene", directory=images)
+        obj = runs.show_splats(scene, read_ply(run.ply), str(run.path), images)
         runs.remember_training(obj, run, metrics)
-        bpy.ops.swag.prepare_render()
+        prepare_render(scene, display_values=False, engine="CYCLES")
 
 
 def register() -> None:
+    """Register the command."""
     global _handle
     _handle = bpy.utils.register_cli_command("swag", run)
 
 
 def unregister() -> None:
+    """Remove the command."""
     bpy.utils.unregister_cli_command(_handle)

@@ -1,42 +1,54 @@
-"""The plan of a scene as a list: which effects it calls for, why, what each costs, and what the user says instead."""
+"""The plan of a scene as a list: the decision, evidence and cost of each effect, and the user's choice."""
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 from bpy.types import PropertyGroup
 
-STATES = {"on": "CHECKMARK", "off": "X", "unknown": "QUESTION"}
+from .blender_types import with_properties
+
+STATE_ICONS: dict[str, Literal["CHECKMARK", "X", "QUESTION"]] = {"on": "CHECKMARK", "off": "X", "unknown": "QUESTION"}
 
 
+@with_properties
 class SwagEffect(PropertyGroup):
     """One line of the plan; `name` is the engine's name of the effect."""
 
-    state: StringProperty(name="Plan", description="What the photographs say: on, off or unknown")
-    reason: StringProperty(name="Evidence", description="The figures behind it, each beside its threshold")
-    cost_ms: FloatProperty(name="Cost", description="Milliseconds that the effect adds to an iteration here")
-    choice: EnumProperty(
-        name="Choice",
-        description="Whether training simulates this effect",
-        items=[
-            ("PLAN", "Plan", "What the photographs say; what they cannot tell stays off", "DOT", 0),
-            ("ON", "On", "Simulate it whatever the photographs say", "CHECKBOX_HLT", 1),
-            ("OFF", "Off", "Leave it out whatever the photographs say", "CHECKBOX_DEHLT", 2),
-        ],
-        options=set(),
-    )
+    state: Annotated[str, StringProperty(name="Plan", description="Decision of the plan: on, off or undetermined")]
+    reason: Annotated[
+        str, StringProperty(name="Evidence", description="Figures of the decision, with their thresholds")
+    ]
+    cost_ms: Annotated[
+        float, FloatProperty(name="Cost", description="Milliseconds that the effect adds to an iteration here")
+    ]
+    choice: Annotated[
+        str,
+        EnumProperty(
+            name="Choice",
+            description="Whether training models this effect",
+            items=[
+                ("PLAN", "Plan", "As the plan decided; undetermined effects stay off", "DOT", 0),
+                ("ON", "On", "Model it, whatever the plan decided", "CHECKBOX_HLT", 1),
+                ("OFF", "Off", "Do not model it, whatever the plan decided", "CHECKBOX_DEHLT", 2),
+            ],
+            options=set(),
+        ),
+    ]
 
     @property
     def title(self) -> str:
+        """Name of the effect in the interface."""
         return self.name.replace("_", " ").capitalize()
 
 
+@with_properties
 class SwagPlan(PropertyGroup):
-    """`scene.swag.plan`: the lines, in the engine's order."""
+    """`scene.swag.plan`: one line for each effect, in the engine's order."""
 
-    lines: CollectionProperty(type=SwagEffect)
-    active: IntProperty(name="Effect", options=set())
-    stale: BoolProperty(description="Other photographs have been chosen since")
+    lines: Annotated["bpy.types.bpy_prop_collection_idprop[SwagEffect]", CollectionProperty(type=SwagEffect)]
+    active: Annotated[int, IntProperty(name="Effect", options=set())]
+    stale: Annotated[bool, BoolProperty(description="Other photos were chosen after the plan was made")]
 
     def take(self, plan: dict[str, Any]) -> None:
         """Show a plan as plan.json has it; the user's choices stay."""
@@ -54,11 +66,23 @@ class SwagPlan(PropertyGroup):
 
 
 class SWAG_UL_effects(bpy.types.UIList):
-    """The lines of the plan."""
+    """List of the effects: name, decision, cost, choice."""
 
-    def draw_item(self, context, layout, data, item, icon, active_data, active_property) -> None:
+    def draw_item(
+        self,
+        context: bpy.types.Context | None,
+        layout: bpy.types.UILayout,
+        data: Any,
+        item: Any,
+        icon: int | None,
+        active_data: Any,
+        active_property: str | None,
+        index: int | None,
+        flt_flag: int | None,
+    ) -> None:
+        """Draw one effect; Blender calls this."""
         row = layout.row(align=True)
-        row.label(text=item.title, icon=STATES.get(item.state, "QUESTION"))
+        row.label(text=item.title, icon=STATE_ICONS.get(item.state, "QUESTION"))
         cost = row.row()
         cost.alignment = "RIGHT"
         cost.label(text=f"{item.cost_ms:.1f} ms" if item.cost_ms else "")

@@ -1,6 +1,6 @@
-"""The engine's child process: which Python runs it, how messages travel, how it ends.
+"""The engine's child process: which Python runs it, how messages are exchanged, how it ends.
 
-Blender and the child exchange one JSON object a line: requests on its stdin, events on its stdout, logs on its stderr.
+They exchange one JSON object per line: requests on the child's stdin, events on its stdout, logs on its stderr.
 """
 
 import atexit
@@ -22,37 +22,42 @@ from typing import Any
 import bpy
 
 from . import EXTENSION
+from .blender_types import present
 
 ROOT = Path(__file__).resolve().parents[1]
-# With these a Python is taken to have the whole engine.
 PACKAGES = ("torch", "pycolmap")
-# Seconds that a cancelled child gets to keep what it has, and that a terminated one gets before it is killed.
-CANCEL_SECONDS, TERMINATE_SECONDS = 60.0, 5.0
-# Seconds that a child whose stdin has been closed gets to end by itself.
+"""A Python that has these packages is assumed to have all that the engine needs."""
+CANCEL_SECONDS = 60.0
+"""Time that a cancelled child gets to save its state before it is terminated."""
+TERMINATE_SECONDS = 5.0
+"""Time that a terminated child gets before it is killed."""
 CLOSE_SECONDS = 2.0
+"""Time that a child gets to end by itself after its stdin was closed."""
 NICENESS = 10
+"""Lower priority of the child: it uses the processors that Blender does not need."""
 
 _running: set["Engine"] = set()
 
 
 class EngineError(Exception):
-    """The engine did not do what was asked; the message is one sentence for the user."""
+    """The engine failed or cannot be started; the message is one sentence for the user."""
 
 
 def environment_folder() -> Path:
-    """Where Install Engine puts its Python environment; it need not exist."""
+    """Folder of the Python environment that Install Engine makes; it need not exist."""
     return Path(bpy.utils.extension_path_user(EXTENSION)) / "engine"
 
 
 def environment_python() -> Path:
+    """The Python of that environment; it need not exist."""
     name = ("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")
     return environment_folder().joinpath(*name)
 
 
 def environment_is_whole() -> bool:
-    """Whether an installation came to its end: make_environment.py writes installed.json last.
+    """Whether the installation was completed: make_environment.py writes installed.json last.
 
-    The Python in it is gone when the Blender that made it is.
+    The environment's Python is a link that is broken once the Blender that made it was removed.
     """
     return (environment_folder() / "installed.json").is_file() and environment_python().exists()
 
@@ -66,12 +71,12 @@ def blender_finds(package: str) -> bool:
 def engine_python() -> str:
     """Path of the Python that runs the engine.
 
-    The preference comes first, then the variable SWAG_ENGINE_PYTHON, then Blender's own Python if it can find torch,
-    then the environment of Install Engine. Raises EngineError when there is none, or when a named one is not there.
+    The preference comes first, then the variable SWAG_ENGINE_PYTHON, then Blender's own Python if it finds torch, then
+    the environment of Install Engine. Raises EngineError when there is none, or when the chosen one cannot be run.
     """
-    preferences = bpy.context.preferences.addons[EXTENSION].preferences
+    own: Any = present(bpy.context.preferences).addons[EXTENSION].preferences
     for named, place in (
-        (bpy.path.abspath(preferences.engine_python), "the preferences of SWAG Splatting"),
+        (bpy.path.abspath(own.engine_python), "the preferences of SWAG Splatting"),
         (os.environ.get("SWAG_ENGINE_PYTHON", ""), "the variable SWAG_ENGINE_PYTHON"),
     ):
         if named:
@@ -83,30 +88,33 @@ def engine_python() -> str:
     if environment_is_whole():
         return str(environment_python())
     raise EngineError(
-        "The engine is not installed: press Install Engine in the preferences of SWAG Splatting, or name a Python."
+        "The engine is not installed: press Install Engine in the preferences of SWAG Splatting, or set a Python there."
     )
 
 
 def clean_environment() -> dict[str, str]:
-    """Environment variables for the engine: it finds this extension's swag_engine, and none of Blender's Python."""
+    """Environment variables for the engine: it finds this extension's swag_engine, and no modules of Blender's."""
     kept = {key: value for key, value in os.environ.items() if key not in ("PYTHONHOME", "PYTHONPATH", "LD_PRELOAD")}
-    # PYTHONSAFEPATH: modules in the folder that Blender was started from stay out.
+    # PYTHONSAFEPATH: modules in the folder that Blender was started from are not imported.
     return kept | {"PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1", "PYTHONUNBUFFERED": "1"}
 
 
 class Engine:
-    """A child process that speaks the protocol; `command` is the engine's worker unless said otherwise.
+    """A child process that exchanges messages as app/protocol.py of the engine describes.
 
-    Raises EngineError when it cannot be started.
+    Args:
+        command: what to run; the engine's worker by default.
+
+    Raises:
+        EngineError: it cannot be started.
     """
 
     def __init__(self, command: list[str] | None = None) -> None:
         command = command or [engine_python(), "-m", "swag_engine.app.worker"]
-        # A session of its own: Ctrl-C in the terminal reaches Blender, which then decides what becomes of the child.
-        # A lower priority: the child takes all processors that Blender leaves, and the window stays quick.
-        apart: dict[str, Any] = {"start_new_session": True}
-        if os.name == "nt":
-            apart = {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.BELOW_NORMAL_PRIORITY_CLASS}
+        # A session of its own: Ctrl-C in the terminal reaches Blender alone, which then cancels or stops the child.
+        options: dict[str, Any] = {"start_new_session": True}
+        if sys.platform == "win32":
+            options = {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.BELOW_NORMAL_PRIORITY_CLASS}
         try:
             self._process = subprocess.Popen(
                 command,
@@ -116,7 +124,7 @@ class Engine:
                 encoding="utf-8",
                 errors="replace",
                 env=clean_environment(),
-                **apart,
+                **options,
             )
         except OSError as error:
             raise EngineError(f"The engine's Python {command[0]} cannot be started: {error.strerror}.") from error
@@ -136,15 +144,16 @@ class Engine:
         _running.add(self)
 
     def send(self, request: dict[str, Any]) -> None:
-        """Send one request. A child that has died is noticed by `poll`."""
+        """Send one request. A child that has died is reported by `poll`."""
+        stdin = present(self._process.stdin)
         with contextlib.suppress(OSError, ValueError):
-            self._process.stdin.write(json.dumps(request) + "\n")
-            self._process.stdin.flush()
+            stdin.write(json.dumps(request) + "\n")
+            stdin.flush()
 
     def poll(self) -> list[dict[str, Any]]:
         """The events that arrived since the last call; never waits.
 
-        Raises EngineError with the child's last line of log when it has died. An `error` event raises it too.
+        Raises EngineError for an `error` event, and with the last line of the log when the child has died.
         """
         events: list[dict[str, Any]] = []
         while not self._ended:
@@ -168,22 +177,22 @@ class Engine:
                 raise EngineError(event["message"])
             events.append(event)
         if self._ended and not events:
-            raise EngineError(self._last_words())
+            raise EngineError(self._how_it_ended())
         if self._deadline is not None and time.monotonic() > self._deadline:
-            self._end_sooner()
+            self._terminate_or_kill()
         return events
 
     def cancel(self) -> None:
-        """Ask for a stop that keeps what exists. `poll` goes on; it terminates and then kills a child that is deaf."""
+        """Ask for a stop that keeps the result so far; `poll` terminates and then kills a child that does not stop."""
         if self._deadline is None:
             self._deadline = time.monotonic() + CANCEL_SECONDS
             self.send({"request": "cancel"})
 
     def stop(self) -> None:
-        """End the child now, within a few seconds; what it has saved stays."""
+        """End the child within a few seconds; files that it has saved stay."""
         _running.discard(self)
         with contextlib.suppress(OSError):
-            self._process.stdin.close()
+            present(self._process.stdin).close()
         for seconds, end in ((CLOSE_SECONDS, self._process.terminate), (TERMINATE_SECONDS, self._process.kill)):
             try:
                 self._process.wait(seconds)
@@ -200,14 +209,14 @@ class Engine:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def _end_sooner(self) -> None:
+    def _terminate_or_kill(self) -> None:
         if self._terminated:
             self._process.kill()
         else:
             self._process.terminate()
             self._terminated, self._deadline = True, time.monotonic() + TERMINATE_SECONDS
 
-    def _last_words(self) -> str:
+    def _how_it_ended(self) -> str:
         code = self._process.wait()
         self._readers[1].join(1.0)
         self._print_log()
@@ -221,7 +230,7 @@ class Engine:
 
 
 def _read(pipe: Any, put: Callable[[str | None], None]) -> None:
-    """Runs in a thread that holds only the pipe and where its lines go: Blender's data may be gone when it ends."""
+    """Pass the lines of a pipe on, then None (in a thread, which must not use Blender's data: it may be freed)."""
     with contextlib.suppress(OSError, ValueError), pipe:
         for line in pipe:
             put(line.rstrip("\n"))
@@ -265,10 +274,12 @@ def stop_all() -> bool:
 
 
 def register() -> None:
+    """Stop all children when Blender ends."""
     atexit.register(stop_all)
 
 
 def unregister() -> None:
+    """Stop all children now."""
     stop_all()
     atexit.unregister(stop_all)
     blender_finds.cache_clear()

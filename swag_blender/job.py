@@ -1,4 +1,4 @@
-"""Operators that follow a child process: modal with a window, waiting and printing without one."""
+"""Base classes of operators that run a child process: modal with a window, blocking and printing without one."""
 
 import contextlib
 import time
@@ -8,18 +8,23 @@ from typing import Any
 import bpy
 
 from ..swag_engine.base.errors import InputError
+from .blender_types import OperatorResult, present
 from .engine_process import Engine, EngineError, stop_all, wait_for_result
+from .properties import SwagScene, status_of, swag_of
 
 TIMER_SECONDS = 0.1
-# A redraw can take long on a machine without a graphics card.
+"""Time between two looks at the child's events while a window is open."""
 REDRAW_SECONDS = 0.5
+"""Shortest time between two redraws of the sidebar: one can take long without a graphics card."""
 PRINT_SECONDS = 1.0
-# What the engine wrote during the last job.
+"""Shortest time between two printed lines of progress."""
+LOG_NAME = "SWAG Log"
 last_log: list[str] = []
+"""Lines that the engine wrote to its log during the last job."""
 
 
-class Job:
-    """Mixin of such an operator, which gives `job` (a name to show), `start`, `on_event` and `on_result`.
+class Job(bpy.types.Operator):
+    """Operator that gives `job` (a name to show), `start`, `on_event` and `on_result`.
 
     One job runs at a time. `window_manager.swag` shows it, and its `stopping` stops it; so does Escape.
     """
@@ -27,34 +32,41 @@ class Job:
     job: str
 
     def start(self, context: bpy.types.Context) -> Engine:
-        """The child process, with the request sent. Raises EngineError or InputError."""
+        """Start the child process and send the request. Raises EngineError or InputError."""
         raise NotImplementedError
 
     def on_event(self, context: bpy.types.Context, event: dict[str, Any]) -> None:
-        """Called for each event that is neither progress nor result."""
+        """Handle an event that is neither progress nor result."""
 
     def on_timer(self, context: bpy.types.Context) -> None:
-        """Called ten times a second in a window, after the events."""
+        """Do what is due ten times a second while a window is open, after the events."""
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
-        """Take in the `result` event; returns what to tell the user. Raises EngineError or InputError."""
+        """Handle the `result` event; returns what to tell the user. Raises EngineError or InputError."""
         raise NotImplementedError
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return nothing_runs(cls, context)
+        """Whether no job runs."""
+        return no_job_runs(cls, context)
 
     # -- without a window ---------------------------------------------------------------------------------------------
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.run_waiting(context)
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Run to the end; Blender calls this for scripts."""
+        return self.run_blocking(context)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return self.run_waiting(context) if bpy.app.background else self.run_modal(context)
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Run without blocking the window; Blender calls this for buttons."""
+        return self.run(context)
 
-    def run_waiting(self, context: bpy.types.Context) -> set[str]:
+    def run(self, context: bpy.types.Context) -> OperatorResult:
+        """Run without blocking the window; to the end where there is none."""
+        return self.run_blocking(context) if bpy.app.background else self.run_modal(context)
+
+    def run_blocking(self, context: bpy.types.Context) -> OperatorResult:
         """Run to the end and print progress. For `execute`: a call from a script returns when all is done."""
-        status = context.window_manager.swag
+        status = status_of(context)
         status.begin(self.job)
         printed = -PRINT_SECONDS
 
@@ -78,25 +90,27 @@ class Job:
         except (EngineError, InputError) as error:
             return self._fail(context, error)
         finally:
-            # Only an unforeseen exception leaves it set.
+            # Only an unexpected exception leaves it set.
             status.job = ""
 
     # -- with a window ------------------------------------------------------------------------------------------------
 
-    def run_modal(self, context: bpy.types.Context) -> set[str]:
-        """Start, and follow from a timer while the user goes on working. For `invoke`."""
-        context.window_manager.swag.begin(self.job)
+    def run_modal(self, context: bpy.types.Context) -> OperatorResult:
+        """Start, and read events from a timer while the user continues to work. For `invoke`."""
+        window_manager = present(context.window_manager)
+        status_of(context).begin(self.job)
         try:
             self._engine = self.start(context)
         except (EngineError, InputError) as error:
             return self._fail(context, error)
         self._drawn, self._paused = 0.0, False
-        self._timer = context.window_manager.event_timer_add(TIMER_SECONDS, window=context.window)
-        context.window_manager.modal_handler_add(self)
+        self._timer = window_manager.event_timer_add(TIMER_SECONDS, window=context.window)
+        window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        status = context.window_manager.swag
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Handle Escape and the timer; Blender calls this for every event."""
+        status = status_of(context)
         if event.type == "ESC" and event.value == "PRESS":
             status.stopping = True
             redraw(context)
@@ -122,19 +136,20 @@ class Job:
         return outcome or {"PASS_THROUGH"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Blender calls this when it takes the operator away: another file is opened, the window closes."""
+        """End the job; Blender calls this when another file is opened or the window closes."""
         self._close(context)
-        context.window_manager.swag.job = ""
+        status_of(context).job = ""
 
-    def _follow(self, context: bpy.types.Context) -> set[str] | None:
+    def _follow(self, context: bpy.types.Context) -> OperatorResult | None:
+        """Handle the events that arrived; returns how the operator ended, None while it runs."""
         events = self._engine.poll()
-        # A pile of previews that came while Blender was busy: the last is enough.
+        # Several previews may have arrived while Blender was busy: only the last one is shown.
         previews = [event for event in events if event["event"] == "preview"]
         for event in events:
             if event["event"] == "result":
                 return self._succeed(context, event)
             if event["event"] == "progress":
-                context.window_manager.swag.show(event)
+                status_of(context).show(event)
             elif event not in previews[:-1]:
                 self.on_event(context, event)
         self.on_timer(context)
@@ -147,64 +162,90 @@ class Job:
         self._engine.stop()
         keep_log(self._engine)
         with contextlib.suppress(ReferenceError, RuntimeError):
-            context.window_manager.event_timer_remove(self._timer)
+            present(context.window_manager).event_timer_remove(self._timer)
 
-    def _succeed(self, context: bpy.types.Context, event: dict[str, Any]) -> set[str]:
+    def _succeed(self, context: bpy.types.Context, event: dict[str, Any]) -> OperatorResult:
         message = self.on_result(context, event)
-        context.window_manager.swag.end(message, False)
+        status_of(context).end(message, False)
         self.report({"INFO"}, message)
         return {"FINISHED"}
 
-    def _fail(self, context: bpy.types.Context, error: Exception) -> set[str]:
-        context.window_manager.swag.end(str(error), True)
+    def _fail(self, context: bpy.types.Context, error: Exception) -> OperatorResult:
+        status_of(context).end(str(error), True)
         self.report({"ERROR"}, str(error))
         return {"CANCELLED"}
 
 
 class SceneJob(Job):
-    """Mixin of a job that asks about the chosen photographs, which gives `job`, `question` and `take`.
+    """Job that sends one request about the chosen images, and gives `job`, `request` and `take`.
 
-    The answer goes to the Blender scene that asked, though another be open by then.
+    The result goes to the Blender scene that was open at the start, even if another one is open by then.
     """
 
-    def question(self, swag: bpy.types.PropertyGroup) -> dict[str, Any]:
-        """The request, without its folder."""
+    def request(self, swag: SwagScene) -> dict[str, Any]:
+        """The request without the scene's folder."""
         raise NotImplementedError
 
-    def take(self, swag: bpy.types.PropertyGroup, event: dict[str, Any]) -> str:
-        """Take in the `result` event; returns what to tell the user."""
+    def take(self, swag: SwagScene, event: dict[str, Any]) -> str:
+        """Handle the `result` event; returns what to tell the user."""
         raise NotImplementedError
 
     def start(self, context: bpy.types.Context) -> Engine:
-        swag = context.scene.swag
-        if not swag.scene_folder:
-            raise EngineError("Choose the folder with the photographs and their COLMAP model first.")
-        self._scene = context.scene.name
+        """Start the engine and send the request. Raises InputError when no images are chosen."""
+        scene = present(context.scene)
+        folder = chosen_scene(swag_of(scene))
+        self._scene = scene.name
         engine = Engine()
-        engine.send({**self.question(swag), "scene": swag.scene_path})
+        engine.send({**self.request(swag_of(scene)), "scene": folder})
         return engine
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
+        """Give the result to the scene that was open at the start."""
         scene = bpy.data.scenes.get(self._scene)
         if not scene:
-            raise EngineError(f"The scene {self._scene} is gone; begin again.")
-        return self.take(scene.swag, event)
+            raise InputError(f"The scene {self._scene} was removed; start again.")
+        return self.take(swag_of(scene), event)
 
 
-def nothing_runs(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """For the `poll` of an operator that waits for the end of any job."""
-    operator.poll_message_set("Something is running: wait for its end, or cancel it")
-    return not context.window_manager.swag.job
+def no_job_runs(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether no job runs, for `poll` of an operator that must wait for the end of any job."""
+    operator.poll_message_set("A job is running: wait for its end, or cancel it")
+    return not status_of(context).job
+
+
+def chosen_scene(swag: SwagScene) -> str:
+    """Absolute path of the chosen images. Raises InputError when none are chosen."""
+    if not swag.scene_folder:
+        raise InputError("Choose the folder with the photos and their COLMAP model first.")
+    return swag.scene_path
 
 
 def keep_log(engine: Engine) -> None:
-    """Keep what the engine wrote, for Show Log."""
+    """Keep the engine's log for show_log."""
     last_log[:] = engine.log
 
 
+def show_log(context: bpy.types.Context) -> None:
+    """Open the log of the last job in a text editor, in a new window if none is open; print it without a window."""
+    text = bpy.data.texts.get(LOG_NAME) or bpy.data.texts.new(LOG_NAME)
+    text.from_string("\n".join(last_log) + "\n")
+    if bpy.app.background:
+        print(text.as_string())
+        return
+    windows = present(context.window_manager).windows
+    areas = (area for window in windows for area in window.screen.areas)
+    area = next((area for area in areas if area.type == "TEXT_EDITOR"), None)
+    if area is None:
+        bpy.ops.wm.window_new()
+        area = windows[-1].screen.areas[0]
+        area.type = "TEXT_EDITOR"
+    editor: Any = area.spaces.active
+    editor.text = text
+
+
 def redraw(context: bpy.types.Context) -> None:
-    """Draw the sidebars and the preferences again, and nothing else."""
-    for window in context.window_manager.windows:
+    """Redraw the sidebars and the preferences, and nothing else."""
+    for window in present(context.window_manager).windows:
         for area in window.screen.areas:
             for region in area.regions:
                 if (area.type, region.type) in {("VIEW_3D", "UI"), ("PREFERENCES", "WINDOW")}:
@@ -212,29 +253,32 @@ def redraw(context: bpy.types.Context) -> None:
 
 
 _stopped_by_load = ""
+"""Name of the job that was running when another file was opened."""
 
 
 @bpy.app.handlers.persistent
 def _before_load(*_: object) -> None:
     global _stopped_by_load
-    _stopped_by_load = bpy.context.window_manager.swag.job
+    _stopped_by_load = status_of(bpy.context).job
     stop_all()
 
 
 @bpy.app.handlers.persistent
 def _after_load(*_: object) -> None:
-    # A .blend can have been saved while a job ran; the one that is open now has none.
-    status = bpy.context.window_manager.swag
+    # The file may have been saved while a job ran; no job runs now.
+    status = status_of(bpy.context)
     status.begin(_stopped_by_load)
     if _stopped_by_load:
         status.end("Stopped, because another file was opened; what was saved until then is kept.", False)
 
 
 def register() -> None:
+    """Stop the running job when another file is opened."""
     bpy.app.handlers.load_pre.append(_before_load)
     bpy.app.handlers.load_post.append(_after_load)
 
 
 def unregister() -> None:
+    """Undo `register`."""
     bpy.app.handlers.load_post.remove(_after_load)
     bpy.app.handlers.load_pre.remove(_before_load)

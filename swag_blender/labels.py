@@ -1,15 +1,16 @@
-"""Labels of splats: what is shown of them, what is chosen by them, and what is searched among them.
+"""Labels of splats: which are shown, selecting and searching by them, separating and merging objects.
 
 Point attributes beside those of splats.py, all usable in geometry nodes: `swag:label` (INT, 0 for none),
 `swag:similarity` (FLOAT, -1..1, of the last search), `swag:selected` (BOOLEAN), `swag:hidden` (BOOLEAN: the preview
-leaves these out), `swag:tint` (FLOAT_COLOR: the preview mixes this colour in, by its alpha), and `mask:NAME` (BOOLEAN)
-for each selection that was kept.
+does not draw these), `swag:tint` (FLOAT_COLOR: the preview mixes this colour in, by its alpha), and `mask:NAME`
+(BOOLEAN) for each selection that was saved as a mask.
 """
 
 import colorsys
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, cast
 
 import bpy
 import numpy as np
@@ -31,6 +32,7 @@ from ..swag_engine.base.strict_json import from_json
 from ..swag_engine.splats.splats import Splats, concatenate
 from ..swag_engine.splats.transform import transformed
 from . import splats, water
+from .blender_types import present, with_properties
 from .nodes.splat_preview import HIDDEN, TINT, copy_inputs
 
 LABEL, SIMILARITY = "swag:label", "swag:similarity"
@@ -38,98 +40,132 @@ SELECTED = "swag:selected"
 MASK_PREFIX = "mask:"
 TABLE, FEATURES = "labels.json", "semantics.safetensors"
 SELECTED_COLOR = (1.0, 0.45, 0.0, 0.6)
+"""Tint of selected splats, linear light and alpha: the orange of Blender's own selection."""
 TINT_STRENGTH = 0.65
+"""Alpha of a label's colour where colours are shown."""
+
+Source = Annotated[
+    str,
+    EnumProperty(
+        name="Source",
+        description="What assigns the labels",
+        items=[
+            ("AUTO", "Scene", "The masks in the scene's folder labels, or salient regions where it has none"),
+            ("MASKS", "Masks", "Your own mask images: one folder for each label, with an image for each photo"),
+            ("WORDS", "Words", "Networks that find what you name in the photos"),
+            ("SALIENCY", "Salient Regions", "Open water, salient regions and the rest; needs no networks"),
+        ],
+    ),
+]
+Words = Annotated[str, StringProperty(name="Words", description="What to label, as in coral, wreck, open water")]
+Masks = Annotated[str, StringProperty(name="Masks", description="Folder of the masks", subtype="DIR_PATH")]
+Download = Annotated[
+    bool,
+    BoolProperty(
+        name="Download Networks", description="Download networks that are not on this machine from their authors"
+    ),
+]
 
 
-SOURCE = EnumProperty(
-    name="By",
-    description="What the splats are labelled by",
-    items=[
-        ("AUTO", "Scene", "The scene's own masks, where it has some in its folder labels, else what stands out"),
-        ("MASKS", "Masks", "Your own mask images: one folder a label, with a picture for each photograph"),
-        ("WORDS", "Words", "Networks that find what you name in the photographs"),
-        ("SALIENCY", "What Stands Out", "Open water, what stands out, and the rest; needs nothing"),
-    ],
-)
-WORDS = StringProperty(name="Words", description="What to label, as in coral, wreck, open water")
-MASKS = StringProperty(name="Masks", description="Folder of the masks", subtype="DIR_PATH")
-DOWNLOAD = BoolProperty(
-    name="Fetch Networks", description="Get networks that are not on this machine from their authors"
-)
-
-
+@with_properties
 class SwagLabel(PropertyGroup):
     """One label of an object's splats."""
 
-    number: IntProperty(description="The value of swag:label")
-    count: IntProperty(description="Splats with this label")
-    visible: BoolProperty(
-        name="Visible",
-        description="Show the splats with this label",
-        default=True,
-        update=lambda self, context: show(self.id_data),
-    )
-    color: FloatVectorProperty(
-        name="Colour", subtype="COLOR", size=3, min=0, max=1, update=lambda self, context: show(self.id_data)
-    )
+    number: Annotated[int, IntProperty(description="Value of swag:label")]
+    count: Annotated[int, IntProperty(description="Splats with this label")]
+    visible: Annotated[
+        bool,
+        BoolProperty(
+            name="Visible",
+            description="Show the splats with this label",
+            default=True,
+            update=lambda self, context: show(self.id_data),
+        ),
+    ]
+    color: Annotated[
+        Sequence[float],
+        FloatVectorProperty(
+            name="Colour", subtype="COLOR", size=3, min=0, max=1, update=lambda self, context: show(self.id_data)
+        ),
+    ]
 
 
+@with_properties
 class SwagLabels(PropertyGroup):
     """`object.swag_labels`: the labels of a splat object and how they are shown."""
 
-    entries: CollectionProperty(type=SwagLabel)
-    active: IntProperty(name="Label")
-    tinted: BoolProperty(
-        name="Show Colours",
-        description="Mix the colour of its label into each splat",
-        update=lambda self, context: show(self.id_data),
-    )
-    words: StringProperty(name="Search", description="What to look for, such as coral")
-    threshold: FloatProperty(
-        name="Threshold",
-        description="Splats that are more similar than this to what was searched are selected",
-        default=0.5,
-        min=-1,
-        max=1,
-        update=lambda self, context: select_similar(self.id_data),
-    )
-    folder: StringProperty(description="Folder of the run that the names are from", subtype="DIR_PATH")
-    source: SOURCE
-    wanted: WORDS
-    masks: MASKS
-    download: DOWNLOAD
+    entries: Annotated["bpy.types.bpy_prop_collection_idprop[SwagLabel]", CollectionProperty(type=SwagLabel)]
+    active: Annotated[int, IntProperty(name="Label")]
+    tinted: Annotated[
+        bool,
+        BoolProperty(
+            name="Show Colours",
+            description="Mix the colour of its label into each splat",
+            update=lambda self, context: show(self.id_data),
+        ),
+    ]
+    words: Annotated[str, StringProperty(name="Search", description="What to look for, such as coral")]
+    threshold: Annotated[
+        float,
+        FloatProperty(
+            name="Threshold",
+            description="Splats with a higher similarity than this to the search are selected",
+            default=0.5,
+            min=-1,
+            max=1,
+            update=lambda self, context: select_similar(self.id_data),
+        ),
+    ]
+    folder: Annotated[str, StringProperty(description="Run folder that the names are from", subtype="DIR_PATH")]
+    source: Source
+    wanted: Words
+    masks: Masks
+    download: Download
 
 
-def take_labels(obj: bpy.types.Object, made: Splats, folder: str) -> int:
-    """Give a splat object the labels of its run's result, `made`, in `folder`, and list them; returns how many.
+def labels_of(obj: bpy.types.Object) -> SwagLabels:
+    """The labels of a splat object."""
+    return cast(Any, obj).swag_labels
 
-    Splats that stand in another order, as after separating and merging, are replaced; masks and selections go then.
-    Raises InputError when the object has fewer or more splats than the run.
+
+def take_labels(obj: bpy.types.Object, result: Splats, folder: str) -> int:
+    """Give a splat object the labels of its run's result and list them; returns how many there are.
+
+    Splats in another order than the result's, as after separating and merging, are replaced by it, which removes masks
+    and the selection.
+
+    Args:
+        obj: a splat object.
+        result: the splats of the run, with labels.
+        folder: the run's folder.
+
+    Raises:
+        InputError: the object has fewer or more splats than the run.
     """
-    count = len(obj.data.points)
-    if count != len(made):
+    count = splats.count(obj)
+    if count != len(result):
         raise InputError(
-            f"The run has {len(made)} splats and {obj.name} {count}: merge its parts, or open result.ply again."
+            f"The run has {len(result)} splats and {obj.name} has {count}: merge its parts, or open result.ply again."
         )
-    if np.array_equal(splats.read_splats(obj).positions, made.positions):
-        _set(obj, LABEL, "INT", made.extras["label"])
+    if np.array_equal(splats.read_splats(obj).positions, result.positions):
+        _set(obj, LABEL, "INT", result.extras["label"])
     else:
-        splats.replace_splats(obj, made)
-    obj.swag_labels.entries.clear()
+        splats.replace_splats(obj, result)
+    labels_of(obj).entries.clear()
     return read_labels(obj, folder)
 
 
 def read_labels(obj: bpy.types.Object, folder: str) -> int:
     """List the labels of a splat object, with the names of labels.json in `folder` where there is one.
 
-    Returns how many there are. What was hidden stays hidden. Raises InputError when the splats have no labels, or the
-    file is damaged.
+    Hidden labels stay hidden. Returns how many labels there are. Raises InputError when the splats have no labels, or
+    the file is damaged.
     """
     values = attribute(obj, LABEL)
     if values is None:
         raise InputError(f"The splats of {obj.name} have no labels: label the run, then open its result.ply again.")
     names = names_in(Path(folder)) if folder else {}
-    own = obj.swag_labels
+    own = labels_of(obj)
     known = {entry.number: (entry.name, entry.visible, tuple(entry.color)) for entry in own.entries}
     own.entries.clear()
     numbers, counts = np.unique(values, return_counts=True)
@@ -138,7 +174,7 @@ def read_labels(obj: bpy.types.Object, folder: str) -> int:
         before, visible, color = known.get(number, new)
         entry = own.entries.add()
         entry.number, entry.count, entry.name = number, count, names.get(number, before)
-        entry["visible"], entry["color"] = visible, color  # not by the properties, which would show each time
+        entry["visible"], entry["color"] = visible, color  # not by the properties, which would call `show` each time
     own.active = min(own.active, len(own.entries) - 1)
     if names:
         own.folder = folder
@@ -147,7 +183,7 @@ def read_labels(obj: bpy.types.Object, folder: str) -> int:
 
 
 def names_in(folder: Path) -> dict[int, str]:
-    """Names by number in the labels.json of a run; none where it has none. Raises InputError when it is damaged."""
+    """Names by number in the labels.json of a run; empty without the file. Raises InputError when it is damaged."""
     path = folder / TABLE
     if not path.is_file():
         return {}
@@ -159,10 +195,10 @@ def names_in(folder: Path) -> dict[int, str]:
 
 
 def show(obj: bpy.types.Object) -> None:
-    """Write what the preview reads: hidden labels, colours of labels, the selection."""
+    """Write the attributes that the preview reads: hidden labels, colours of labels, the selection."""
     values = attribute(obj, LABEL)
-    own = obj.swag_labels
-    count = len(obj.data.points)
+    own = labels_of(obj)
+    count = splats.count(obj)
     if values is None:
         values = np.zeros(count, np.int32)
     hidden = np.isin(values, [entry.number for entry in own.entries if not entry.visible])
@@ -179,75 +215,85 @@ def show(obj: bpy.types.Object) -> None:
 
 
 def isolate(obj: bpy.types.Object, number: int) -> None:
-    """Show one label alone; all again where it was alone already."""
-    entries = obj.swag_labels.entries
+    """Show one label alone; all labels where it was shown alone already."""
+    entries = labels_of(obj).entries
     alone = all(entry.visible == (entry.number == number) for entry in entries)
     for entry in entries:
         entry["visible"] = alone or entry.number == number
     show(obj)
 
 
+def show_all(obj: bpy.types.Object) -> None:
+    """Show all labels."""
+    for entry in labels_of(obj).entries:
+        entry["visible"] = True
+    show(obj)
+
+
 def select(obj: bpy.types.Object, mask: np.ndarray) -> int:
-    """Make mask (N,) bool the selection; returns how many splats it has."""
+    """Select the splats of a mask (N,) bool; returns how many there are."""
     _set(obj, SELECTED, "BOOLEAN", mask)
     show(obj)
     return int(mask.sum())
 
 
 def select_label(obj: bpy.types.Object, number: int, extend: bool = False) -> int:
-    """Select the splats of a label, beside what is selected where `extend`."""
+    """Select the splats of a label, in addition to the selection with `extend`; returns how many are selected."""
     values = attribute(obj, LABEL)
-    mask = np.zeros(len(obj.data.points), bool) if values is None else values == number
+    mask = np.zeros(splats.count(obj), bool) if values is None else values == number
     before = attribute(obj, SELECTED)
     return select(obj, mask | before if extend and before is not None else mask)
 
 
 def select_similar(obj: bpy.types.Object) -> int:
-    """Select what the last search found above the object's threshold."""
+    """Select the splats whose similarity to the last search is above the threshold; returns how many."""
     similarity = attribute(obj, SIMILARITY)
-    return 0 if similarity is None else select(obj, similarity > obj.swag_labels.threshold)
+    return 0 if similarity is None else select(obj, similarity > labels_of(obj).threshold)
 
 
 def selection(obj: bpy.types.Object) -> np.ndarray:
-    """(N,) bool: what is selected. Raises InputError when nothing is."""
+    """Mask (N,) bool of the selected splats. Raises InputError when there are none."""
     mask = attribute(obj, SELECTED)
     if mask is None or not mask.any():
         raise InputError(f"No splats of {obj.name} are selected: select a label, or search, first.")
     return mask
 
 
-def called(obj: bpy.types.Object, words: str) -> list[int]:
-    """The numbers of the labels whose name has the words in it."""
+def numbers_named(obj: bpy.types.Object, words: str) -> list[int]:
+    """Numbers of the labels whose name has the words in it, whatever the case."""
     wanted = " ".join(words.split()).casefold()
-    return [entry.number for entry in obj.swag_labels.entries if entry.number and wanted in entry.name.casefold()]
+    return [entry.number for entry in labels_of(obj).entries if entry.number and wanted in entry.name.casefold()]
 
 
 def similarity_to_labels(obj: bpy.types.Object, numbers: list[int]) -> np.ndarray:
-    """(N,) float32: the largest cosine of each splat's feature with one of these labels'.
+    """Similarity (N,) float32 of each splat to labels: the largest cosine between its feature and theirs.
 
-    Where the run's features are not at hand, 1 for splats with one of these labels and 0 for others.
+    Without features of the same number of splats in the run folder: 1 for splats with one of these labels, else 0.
     """
-    tensors = _tensors(Path(obj.swag_labels.folder) / FEATURES) if obj.swag_labels.folder else None
-    if tensors and len(tensors["features"]) == len(obj.data.points):
+    folder = labels_of(obj).folder
+    tensors = _tensors(Path(folder) / FEATURES) if folder else None
+    if tensors and len(tensors["features"]) == splats.count(obj):
         return (tensors["features"] @ tensors["prototypes"][[number - 1 for number in numbers]].T).max(1)
-    return np.isin(attribute(obj, LABEL), numbers).astype(np.float32)
+    return np.isin(present(attribute(obj, LABEL)), numbers).astype(np.float32)
 
 
 def set_similarity(obj: bpy.types.Object, similarity: np.ndarray) -> int:
-    """Keep what a search found, (N,) numbers, and select what is above the threshold; returns how many that are.
+    """Write the similarity (N,) of a search and select the splats above the threshold; returns how many.
 
-    Raises InputError when the numbers are of other splats.
+    Raises InputError when there are more or fewer values than splats.
     """
-    if len(similarity) != len(obj.data.points):
-        raise InputError(
-            f"The run has {len(similarity)} splats and {obj.name} {len(obj.data.points)}: open its result.ply again."
-        )
+    count = splats.count(obj)
+    if len(similarity) != count:
+        raise InputError(f"The run has {len(similarity)} splats and {obj.name} has {count}: open its result.ply again.")
     _set(obj, SIMILARITY, "FLOAT", similarity)
     return select_similar(obj)
 
 
 def keep_mask(obj: bpy.types.Object, name: str) -> str:
-    """Keep the selection as an attribute for geometry nodes; returns its name. Raises InputError without one."""
+    """Save the selection as an attribute for geometry nodes; returns the attribute's name.
+
+    Raises InputError when nothing is selected.
+    """
     mask = selection(obj)
     attribute_name = MASK_PREFIX + (name.strip() or "selection")
     _set(obj, attribute_name, "BOOLEAN", mask)
@@ -255,7 +301,7 @@ def keep_mask(obj: bpy.types.Object, name: str) -> str:
 
 
 def separate(obj: bpy.types.Object) -> bpy.types.Object:
-    """Move the selected splats to a new object beside this one, which hangs and stands as it does.
+    """Move the selected splats to a new object with the same parent, transform and collection.
 
     Raises InputError when nothing or everything is selected.
     """
@@ -263,10 +309,11 @@ def separate(obj: bpy.types.Object) -> bpy.types.Object:
     if mask.all():
         raise InputError(f"All splats of {obj.name} are selected: select a part of them.")
     whole = splats.read_splats(obj)
-    chosen = np.unique(attribute(obj, LABEL)[mask]) if attribute(obj, LABEL) is not None else []
-    names = [entry.name for entry in obj.swag_labels.entries if entry.number in chosen]
+    values = attribute(obj, LABEL)
+    chosen = set() if values is None else set(values[mask].tolist())
+    names = [entry.name for entry in labels_of(obj).entries if entry.number in chosen]
     title = f"{obj.name} {names[0]}" if len(names) == 1 else f"{obj.name} part"
-    collection = obj.users_collection[0] if obj.users_collection else bpy.context.scene.collection
+    collection = obj.users_collection[0] if obj.users_collection else present(bpy.context.scene).collection
     made = splats.new_splat_object(title, whole.subset(mask), collection, obj.parent)
     made.matrix_parent_inverse = obj.matrix_parent_inverse.copy()
     made.matrix_basis = obj.matrix_basis.copy()
@@ -278,10 +325,10 @@ def separate(obj: bpy.types.Object) -> bpy.types.Object:
 
 
 def merge(target: bpy.types.Object, others: list[bpy.types.Object]) -> int:
-    """Bring the splats of `others` into `target`, where they stand, and remove those objects; returns how many it has.
+    """Move the splats of `others` to `target`, at the same place, and remove those objects; returns how many it has.
 
-    Labels are joined by number: objects that were separated come back as they were. Names that only the others have are
-    taken over.
+    Labels are merged by number, so that objects that were separated become what they were. Labels that only the others
+    have keep their names.
     """
     depsgraph = bpy.context.evaluated_depsgraph_get()
     frame = target.evaluated_get(depsgraph).matrix_world.copy()
@@ -289,27 +336,35 @@ def merge(target: bpy.types.Object, others: list[bpy.types.Object]) -> int:
     for obj in others:
         to_target = frame.inverted() @ obj.evaluated_get(depsgraph).matrix_world
         parts.append(transformed(splats.read_splats(obj), np.array(to_target, np.float64)))
-    known = {entry.number for entry in target.swag_labels.entries}
+    known = {entry.number for entry in labels_of(target).entries}
     for obj in others:
-        for entry in obj.swag_labels.entries:
+        for entry in labels_of(obj).entries:
             if entry.number not in known:
                 known.add(entry.number)
-                taken = target.swag_labels.entries.add()
+                taken = labels_of(target).entries.add()
                 taken.number, taken.name = entry.number, entry.name
                 taken["visible"], taken["color"] = entry.visible, tuple(entry.color)
     splats.replace_splats(target, concatenate(parts))
     for obj in others:
-        data = obj.data
+        data = splats.pointcloud_of(obj)
         bpy.data.objects.remove(obj)
         if data.users == 0:
             bpy.data.pointclouds.remove(data)
     _list_again(target)
-    return len(target.data.points)
+    return splats.count(target)
+
+
+def merge_selected(context: bpy.types.Context, target: bpy.types.Object) -> int:
+    """Merge the other selected splat objects into `target`, as `merge`. Raises InputError when there are none."""
+    others = [obj for obj in context.selected_objects if splats.is_splats(obj) and obj != target]
+    if not others:
+        raise InputError("Only one object with splats is selected: select the objects to merge, the one to keep last.")
+    return merge(target, others)
 
 
 def attribute(obj: bpy.types.Object, name: str) -> np.ndarray | None:
-    """The values (N,) of one of the attributes above; None where the object has none."""
-    found = obj.data.attributes.get(name)
+    """Values (N,) of a point attribute; None where the object does not have it."""
+    found: Any = splats.pointcloud_of(obj).attributes.get(name)
     if found is None:
         return None
     values = np.empty(len(found.data), {"INT": np.int32, "BOOLEAN": bool}.get(found.data_type, np.float32))
@@ -318,98 +373,38 @@ def attribute(obj: bpy.types.Object, name: str) -> np.ndarray | None:
 
 
 def color_of(number: int) -> tuple[float, float, float]:
-    """A colour for a label, linear light, far from those of its neighbours: hues in steps of the golden ratio."""
+    """Colour of a label in linear light: hues in steps of the golden ratio, so that neighbours differ."""
     shown = colorsys.hsv_to_rgb(number * 0.618034 % 1, 0.75, 0.95) if number else (0.5, 0.5, 0.5)
-    return tuple(Color(shown).from_srgb_to_scene_linear())
-
-
-def draw_labels(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
-    """The label list of a splat object with its buttons and the search, for a panel."""
-    own = obj.swag_labels
-    if not own.entries:
-        layout.operator("swag.read_labels", icon="FILE_REFRESH")
-        return
-    row = layout.row()
-    row.template_list("SWAG_UL_labels", "", own, "entries", own, "active", rows=4)
-    column = row.column(align=True)
-    column.operator("swag.read_labels", text="", icon="FILE_REFRESH")
-    column.operator("swag.show_labels", text="", icon="HIDE_OFF")
-    column.prop(own, "tinted", text="", icon="COLOR")
-    row = layout.row(align=True)
-    row.prop(own, "words", text="", icon="VIEWZOOM")
-    row.operator("swag.search_labels", text="Search")
-    row = layout.row()
-    row.enabled = SIMILARITY in obj.data.attributes
-    row.prop(own, "threshold", slider=True)
-    row = layout.row(align=True)
-    row.operator("swag.keep_mask", text="Mask")
-    row.operator("swag.separate_splats", text="Separate")
-    row.operator("swag.merge_splats", text="Merge")
-
-
-def draw_labelling(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
-    """What a run's splats are labelled by, and the button that does it, for a panel."""
-    own = obj.swag_labels
-    layout.prop(own, "source")
-    if own.source == "WORDS":
-        layout.prop(own, "wanted")
-        layout.prop(own, "download")
-    elif own.source == "MASKS":
-        layout.prop(own, "masks")
-    button = layout.operator("swag.label_run", icon="BOOKMARKS")
-    button.source, button.words, button.masks, button.download = own.source, own.wanted, own.masks, own.download
-
-
-class SWAG_UL_labels(bpy.types.UIList):
-    """One line a label: colour, name, count, and its buttons."""
-
-    def draw_item(
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        data: Any,
-        item: SwagLabel,
-        icon: int,
-        active_data: Any,
-        active_property: str,
-    ) -> None:
-        row = layout.row(align=True)
-        swatch = row.row()
-        swatch.ui_units_x = 0.8
-        swatch.prop(item, "color", text="")
-        row.prop(item, "name", text="", emboss=False)
-        count = row.row()
-        count.alignment = "RIGHT"
-        count.label(text=f"{item.count}")
-        row.operator("swag.select_label", text="", icon="RESTRICT_SELECT_OFF", emboss=False).number = item.number
-        row.operator("swag.isolate_label", text="", icon="ZOOM_SELECTED", emboss=False).number = item.number
-        row.prop(item, "visible", text="", icon="HIDE_OFF" if item.visible else "HIDE_ON", emboss=False)
+    red, green, blue = Color(shown).from_srgb_to_scene_linear()[:]
+    return red, green, blue
 
 
 def _list_again(obj: bpy.types.Object) -> None:
-    """After the splats are others: nothing is selected, and the list counts what is there."""
-    if LABEL in obj.data.attributes:
+    """List the labels again after the splats were replaced."""
+    if LABEL in splats.pointcloud_of(obj).attributes:
         read_labels(obj, "")
     else:
         show(obj)
 
 
 def _copy_settings(source: bpy.types.Object, target: bpy.types.Object) -> None:
-    """The label list, and how the preview draws."""
-    for entry in source.swag_labels.entries:
-        copied = target.swag_labels.entries.add()
+    """Copy the label list, the extension's properties and the inputs of the preview."""
+    for entry in labels_of(source).entries:
+        copied = labels_of(target).entries.add()
         copied.number, copied.name = entry.number, entry.name
         copied["visible"], copied["color"] = entry.visible, tuple(entry.color)
-    target.swag_labels["tinted"] = source.swag_labels.tinted
+    labels_of(target)["tinted"] = labels_of(source).tinted
     for key in source.keys():  # noqa: SIM118 (an ID, not a dict)
-        if key.startswith("swag_") and key not in ("swag_labels",):
+        if key.startswith("swag_") and key != "swag_labels":
             target[key] = source[key]
     copy_inputs(source, target)
     water.follow_slider(target)
 
 
 def _set(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray) -> None:
-    attributes = obj.data.attributes
+    """Write values (N,) or (N, 4) to a point attribute; an attribute of that name with another type is replaced."""
+    pointcloud = splats.pointcloud_of(obj)
+    attributes: Any = pointcloud.attributes
     found = attributes.get(name)
     if found is not None and (found.data_type != kind or found.domain != "POINT"):
         attributes.remove(found)
@@ -418,12 +413,14 @@ def _set(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray) -> Non
     field = "color" if kind == "FLOAT_COLOR" else "value"
     dtype = {"BOOLEAN": bool, "INT": np.int32}.get(kind, np.float32)
     found.data.foreach_set(field, np.ascontiguousarray(values, dtype).ravel())
-    obj.data.update_tag()
+    pointcloud.update_tag()
 
 
 def _tensors(path: Path) -> dict[str, np.ndarray] | None:
-    """The float32 arrays of a safetensors file (8 bytes of length, a JSON header, the data); None where it cannot be
-    read. Blender's Python has no package for it."""
+    """Read the float32 arrays of a safetensors file; None where it cannot be read.
+
+    Blender's Python has no package for it. The file has 8 bytes with the length of a JSON header, the header, the data.
+    """
     try:
         data = path.read_bytes()
         length = int.from_bytes(data[:8], "little")
@@ -438,12 +435,18 @@ def _tensors(path: Path) -> dict[str, np.ndarray] | None:
         return None
 
 
-CLASSES = (SwagLabel, SwagLabels, SWAG_UL_labels)
+_CLASSES = (SwagLabel, SwagLabels)
 
 
 def register() -> None:
-    bpy.types.Object.swag_labels = PointerProperty(type=SwagLabels)
+    """Register the property groups and give every object its labels."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    cast(Any, bpy.types.Object).swag_labels = PointerProperty(type=SwagLabels)
 
 
 def unregister() -> None:
-    del bpy.types.Object.swag_labels
+    """Undo `register`."""
+    del cast(Any, bpy.types.Object).swag_labels
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,12 +1,12 @@
 """Make the engine's Python environment: `python make_environment.py TASK`, with the task as JSON.
 
-A child process of Install Engine, with the worker's manners: events as JSON lines on stdout, the log on stderr (and in
-FOLDER/install.log), and an end when stdin closes or `{"request": "cancel"}` comes. Standard library only; it runs under
-Blender's own Python.
+A child process of Install Engine with the worker's protocol: events as JSON lines on stdout, the log on stderr (and in
+FOLDER/install.log); it stops when stdin closes or `{"request": "cancel"}` arrives. It runs in Blender's own Python and
+imports only the standard library.
 
-pip says which wheels are needed and where they are; they are fetched here, so that their size is known beforehand, a
-download that broke off goes on where it stopped, and pip installs from files alone. `FOLDER/installed.json` is written
-last: without it the environment is not whole.
+pip reports which wheels are needed and their addresses. This script downloads them, so that their size is known first
+and an interrupted download continues where it stopped; pip then installs from files. `FOLDER/installed.json` is written
+last: without it the environment is incomplete.
 """
 
 import contextlib
@@ -27,22 +27,29 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlparse
 
-# Seconds of silence after which a server is asked again, and bytes that are taken at once.
-TIMEOUT, CHUNK = 15, 1 << 18
-RETRIES = 3
-# Shares of the progress bar, in thousandths: looking up, fetching, unpacking, checking.
-LOOKED_UP, FETCHED, UNPACKED, ALL = 50, 800, 950, 1000
+TIMEOUT = 15
+"""Seconds without an answer after which a download is tried again."""
+CHUNK = 1 << 18
+"""Bytes that are read at a time."""
+ATTEMPTS = 3
+"""How often a download is tried."""
+LOOKED_UP, DOWNLOADED, UNPACKED, ALL = 50, 800, 950, 1000
+"""Progress after looking up, downloading, unpacking and checking, in thousandths."""
 
 
 class Cancelled(Exception):
-    pass
+    """The user cancelled the installation."""
 
 
 class Installer:
     """One installation.
 
-    folder: of the environment. root: of the extension. index: a further package index, "" for none. wheels: a folder
-    to install from without any network, "" for none. look_only: say what would be fetched, and stop.
+    Args:
+        folder: folder of the environment.
+        root: folder of the extension.
+        index: address of an additional package index; "" for none.
+        wheels: folder of wheels to install from without network; "" for none.
+        look_only: look up what would be downloaded, and stop.
     """
 
     def __init__(self, folder: str, root: str, index: str, wheels: str, look_only: bool) -> None:
@@ -54,6 +61,7 @@ class Installer:
         self.cancelled = False
 
     def listen(self) -> None:
+        """Wait for a cancel request or the end of stdin, then stop."""
         for line in sys.stdin:
             if "cancel" in line:
                 break
@@ -62,7 +70,7 @@ class Installer:
             self.child.terminate()
 
     def run(self, done: int, text: str, *command: str, errors_in_log: bool = True) -> str:
-        """Run one command; returns its output. Raises RuntimeError with its first error, or last line, if it fails."""
+        """Run a command; returns its output. Raises RuntimeError with its first error, or last line, if it fails."""
         self.progress(done, text)
         self.child = subprocess.Popen(
             command,
@@ -71,7 +79,7 @@ class Installer:
             stderr=subprocess.STDOUT if errors_in_log else None,
             encoding="utf-8",
             errors="replace",
-            # What is installed must not come from what Blender's own Python finds.
+            # Packages that Blender's own Python finds must not count as installed.
             env={**os.environ, "PYTHONPATH": str(self.root), "PYTHONNOUSERSITE": "1"},
         )
         assert self.child.stdout
@@ -83,16 +91,17 @@ class Installer:
             if self.cancelled:
                 raise Cancelled
             errors = [line.removeprefix("ERROR:").strip() for line in output if line.startswith("ERROR:")]
-            lines = errors or [line for line in reversed(output) if line] or ["it said nothing"]
+            lines = errors or [line for line in reversed(output) if line] or ["no output"]
             raise RuntimeError(f"{text} failed: {lines[0].rstrip('.')}.")
         return "\n".join(output)
 
     def pip(self, done: int, text: str, *arguments: str) -> str:
+        """Run `pip install` with the environment's Python; as `run`."""
         quiet = ("--disable-pip-version-check", "--no-input", "--progress-bar", "off")
         return self.run(done, text, str(self.python), "-m", "pip", "install", *quiet, *arguments)
 
     def work(self) -> dict[str, Any]:
-        """All steps; returns what the `result` event carries."""
+        """Do all steps; returns the contents of the `result` event."""
         whole = self.folder / "installed.json"
         if not self.look_only:
             whole.unlink(missing_ok=True)
@@ -101,11 +110,13 @@ class Installer:
         wheels, sizes = self.look_up()
         total, here = sum(sizes), sum(self.present(wheel, size) for wheel, size in zip(wheels, sizes, strict=True))
         torch = next((w["metadata"]["version"] for w in wheels if w["metadata"]["name"].lower() == "torch"), "?")
-        found = {"torch": torch, "packages": len(wheels), "bytes": total, "present": here}
+        found: dict[str, Any] = {"torch": torch, "packages": len(wheels), "bytes": total, "present": here}
         if self.look_only:
             return found
-        files = self.fetch(wheels, sizes, total)
-        self.pip(FETCHED, f"Unpacking {len(files)} packages", "--no-index", "--no-deps", "--upgrade", *map(str, files))
+        files = self.download_all(wheels, sizes, total)
+        self.pip(
+            DOWNLOADED, f"Unpacking {len(files)} packages", "--no-index", "--no-deps", "--upgrade", *map(str, files)
+        )
         doctor = self.run(
             UNPACKED, "Checking the engine", str(self.python), "-m", "swag_engine.app.doctor", errors_in_log=False
         )
@@ -120,7 +131,7 @@ class Installer:
     # -- what is needed -----------------------------------------------------------------------------------------------
 
     def look_up(self) -> tuple[list[dict[str, Any]], list[int]]:
-        """The wheels that pip would install, as in its installation report, and their sizes in bytes."""
+        """Look up the wheels that pip would install, as in its report, and their sizes in bytes."""
         report = self.folder / "report.json"
         where = ["--no-index", "--find-links", self.wheels] if self.wheels else []
         if self.index and not self.wheels:
@@ -130,7 +141,7 @@ class Installer:
         try:
             self.pip(10, "Looking up the packages", *options, *where, *files)
         except RuntimeError as error:
-            # With a pinned version that is not there, pip speaks of a conflict.
+            # For a pinned version that does not exist pip reports a conflict.
             missing = re.search(r"Cannot install ([\w.-]+)|No matching distribution found for ([\w.-]+)", str(error))
             if not missing:
                 raise
@@ -148,7 +159,7 @@ class Installer:
         return wheels, sizes
 
     def size(self, url: str) -> int:
-        """Bytes of a wheel; 0 where its server does not say."""
+        """Size of a wheel in bytes; 0 where its server does not tell it."""
         if url.startswith("file:"):
             return local_path(url).stat().st_size
         request = urllib.request.Request(url, method="HEAD")
@@ -159,20 +170,21 @@ class Installer:
             return 0
 
     def present(self, wheel: dict[str, Any], size: int) -> int:
-        """How many bytes of a wheel are on this machine."""
+        """Number of bytes of a wheel that are on this machine."""
         url = wheel["download_info"]["url"]
         if url.startswith("file:"):
             return size
         path = self.download_path(url)
         return next((p.stat().st_size for p in (path, part_of(path)) if p.exists()), 0)
 
-    # -- fetching it --------------------------------------------------------------------------------------------------
+    # -- downloading it -----------------------------------------------------------------------------------------------
 
     def download_path(self, url: str) -> Path:
+        """File that a wheel is downloaded to."""
         return self.downloads / unquote(urlparse(url).path.rsplit("/", 1)[-1])
 
-    def fetch(self, wheels: list[dict[str, Any]], sizes: list[int], total: int) -> list[Path]:
-        """All wheels as files; those that a broken run fetched are not fetched again."""
+    def download_all(self, wheels: list[dict[str, Any]], sizes: list[int], total: int) -> list[Path]:
+        """Download all wheels; returns their files. Files of an interrupted installation are not downloaded again."""
         self.downloads.mkdir(exist_ok=True)
         files, before = [], 0
         for wheel, size in zip(wheels, sizes, strict=True):
@@ -186,12 +198,12 @@ class Installer:
         return files
 
     def download(self, url: str, digest: str, before: int, total: int) -> Path:
-        """One wheel; begun ones go on where they broke off. Raises RuntimeError when it cannot be had."""
+        """Download a wheel, or the rest of it; returns its file. Raises RuntimeError when it cannot be downloaded."""
         path = self.download_path(url)
         if path.exists():
             return path
         part, problem = part_of(path), ""
-        for attempt in range(RETRIES):
+        for attempt in range(ATTEMPTS):
             if attempt:
                 self.log(f"{path.name}: {problem}; trying again")
                 time.sleep(attempt)
@@ -204,20 +216,31 @@ class Installer:
                 os.replace(part, path)
                 return path
             part.unlink()
-            problem = "its contents are not what the index promised"
-        raise RuntimeError(f"The download of {path.name} broke off: {problem}.")
+            problem = "its contents do not match the checksum of the index"
+        raise RuntimeError(f"The download of {path.name} failed: {problem}.")
 
     def download_rest(self, url: str, part: Path, before: int, total: int) -> None:
+        """Append the bytes that a partial file lacks.
+
+        Args:
+            url: address of the wheel.
+            part: the partial file.
+            before: bytes of the wheels before it, for the progress.
+            total: bytes of all wheels.
+
+        Raises:
+            OSError: the connection failed.
+        """
         have = part.stat().st_size if part.exists() else 0
         request = urllib.request.Request(url, headers={"Range": f"bytes={have}-"} if have else {})
         try:
             answer = self.open(request)
         except urllib.error.HTTPError as error:
-            if error.code != 416:  # 416: nothing is left to send
+            if error.code != 416:  # range not satisfiable: the file is complete
                 raise
             return
         with answer, open(part, "ab") as file:
-            if have and answer.status != 206:  # a server without ranges sends all of it
+            if have and answer.status != 206:  # the server does not support ranges and sends the whole file
                 file.truncate(0)
                 have = 0
             left = int(answer.headers.get("Content-Length", 0))
@@ -226,65 +249,74 @@ class Installer:
                     raise Cancelled
                 file.write(chunk)
                 have, left = have + len(chunk), left - len(chunk)
-                share = (before + have) / max(1, total, before + have)
+                fraction = (before + have) / max(1, total, before + have)
                 self.progress(
-                    LOOKED_UP + int((FETCHED - LOOKED_UP) * share),
+                    LOOKED_UP + int((DOWNLOADED - LOOKED_UP) * fraction),
                     f"Downloading {part.name.split('-')[0]}, {(before + have) / 1e6:.0f} of {total / 1e6:.0f} MB",
                 )
         if left > 0:
             raise OSError("the connection ended early")
 
     def open(self, request: urllib.request.Request) -> Any:
+        """Open an address with the certificates of the environment's pip."""
         context = ssl.create_default_context()
-        # Blender's Python knows no certificates on some systems; pip brings its own.
+        # On some systems Blender's Python has no certificates; pip has its own.
         for bundle in self.folder.rglob("pip/_vendor/certifi/cacert.pem"):
             context.load_verify_locations(bundle)
         return urllib.request.urlopen(request, timeout=TIMEOUT, context=context)
 
-    # -- telling ------------------------------------------------------------------------------------------------------
+    # -- reporting ----------------------------------------------------------------------------------------------------
 
     def progress(self, done: int, text: str) -> None:
+        """Send a `progress` event. Raises Cancelled after a cancel request."""
         if self.cancelled:
             raise Cancelled
         send({"event": "progress", "stage": "install", "iteration": done, "iterations": ALL, "text": text})
         self.log(text)
 
     def log(self, line: str) -> None:
+        """Write a line to the log."""
         print(line, file=sys.stderr, flush=True)
         with contextlib.suppress(OSError), open(self.folder / "install.log", "a", encoding="utf-8") as log:
             log.write(line + "\n")
 
     def write(self, path: Path, document: dict[str, Any]) -> None:
+        """Write a JSON file, complete or not at all."""
         part = part_of(path)
         part.write_text(json.dumps(document, indent=2), encoding="utf-8")
         os.replace(part, path)
 
 
 def part_of(path: Path) -> Path:
+    """File that holds the part of `path` written so far."""
     return path.with_name(path.name + ".part")
 
 
 def local_path(url: str) -> Path:
+    """Path of a file: address."""
     return Path(urllib.request.url2pathname(urlparse(url).path))
 
 
 def fail(sentence: str) -> None:
+    """Send an `error` event."""
     send({"event": "error", "kind": "input", "message": sentence})
 
 
 def send(event: dict[str, Any]) -> None:
+    """Print an event for Blender."""
     print(json.dumps(event), flush=True)
 
 
 def main() -> None:
+    """Install as the command line asks, and report the outcome."""
     installer = Installer(**json.loads(sys.argv[1]))
     threading.Thread(target=installer.listen, daemon=True).start()
     try:
         found = installer.work()
     except Cancelled:
-        fail("The installation was stopped; Install Engine goes on with it.")
+        fail("The installation was cancelled; Install Engine continues it.")
     except (RuntimeError, OSError, ValueError) as error:
-        fail(f"The engine could not be installed. {error} Install Engine goes on where it stopped.")
+        fail(f"The engine could not be installed. {error} Install Engine continues where it stopped.")
     else:
         send({"event": "result", "request": "install", **found})
 

@@ -1,35 +1,37 @@
-"""The sidebar tab SWAG: a panel for each stage of the work."""
-
-import textwrap
+"""The panels of the sidebar tab SWAG: one for each stage of the work."""
 
 import bpy
 
-from . import EXTENSION, engine_process, labels, splats
-from .properties import sparkline, time_text
+from ..swag_engine.formats.registry import FORMATS
+from . import EXTENSION, engine_process, label_list, splats
+from .blender_types import present, set_button
+from .properties import SETTINGS, status_of, swag_of, time_text
+from .sidebar import SwagPanel, draw_job, draw_outcome, draw_wrapped
+
+MAIN_SETTINGS = ("recipe", "preset", "time_budget")
+"""Settings that are always visible; the others are in the closed panel below them."""
 
 
-class SwagPanel:
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = "SWAG"
+class SWAG_PT_scene(SwagPanel):
+    """Panel that chooses, checks and imports the photos."""
 
-
-class SWAG_PT_scene(SwagPanel, bpy.types.Panel):
     bl_label = "Scene"
     bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, swag, status = self.layout, context.scene.swag, context.window_manager.swag
-        width = context.region.width
+        """Draw the panel; Blender calls this."""
+        layout, swag, status = present(self.layout), swag_of(context.scene), status_of(context)
+        width = present(context.region).width
         column = layout.column()
-        column.label(text="Photographs with COLMAP model")
+        column.label(text="Photos with COLMAP Model")
         column.prop(swag, "scene_folder", text="")
         row = column.row(align=True)
         row.enabled = bool(swag.scene_folder)
         row.operator("swag.inspect_scene", text="Check", icon="VIEWZOOM")
-        row.operator("swag.import_scene", text="Import", icon="IMPORT").directory = swag.scene_path
+        button = row.operator("swag.import_scene", text="Import", icon="IMPORT")
+        set_button(button, directory=swag.scene_path)
         if not swag.scene_folder:
-            draw_wrapped(layout, "Choose the folder first.", width, icon="INFO")
+            draw_wrapped(layout, "Choose the folder with the photos first.", width, icon="INFO")
         elif status.job in ("Import", "Check"):
             draw_job(layout, context)
         elif status.failed and status.last_job in ("Import", "Check"):
@@ -39,60 +41,68 @@ class SWAG_PT_scene(SwagPanel, bpy.types.Panel):
                 draw_wrapped(layout, line, width)
 
 
-class SWAG_PT_effects(SwagPanel, bpy.types.Panel):
+class SWAG_PT_effects(SwagPanel):
+    """Panel that plans the effects and shows the plan."""
+
     bl_label = "Effects"
     bl_order = 1
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, plan, status = self.layout, context.scene.swag.plan, context.window_manager.swag
-        width = context.region.width
+        """Draw the panel; Blender calls this."""
+        layout, swag, status = present(self.layout), swag_of(context.scene), status_of(context)
+        plan, width = swag.plan, present(context.region).width
         if status.job == "Plan":
             draw_job(layout, context)
             return
         row = layout.row(align=True)
-        row.enabled = bool(context.scene.swag.scene_folder)
+        row.enabled = bool(swag.scene_folder)
         row.operator("swag.plan", text="Plan Again" if plan.lines else "Plan", icon="VIEWZOOM")
         row.operator("swag.reset_effects", text="", icon="LOOP_BACK")
         if status.failed and status.last_job == "Plan":
             draw_outcome(layout, context)
         if not plan.lines:
-            draw_wrapped(layout, "The photographs tell which effects training should simulate.", width, icon="INFO")
+            draw_wrapped(
+                layout, "Plan determines from the photos which effects training should model.", width, icon="INFO"
+            )
             return
         if plan.stale:
-            draw_wrapped(layout, "This plan is of other photographs: plan again.", width, icon="ERROR")
+            draw_wrapped(layout, "This plan was made for other photos: plan again.", width, icon="ERROR")
         layout.template_list("SWAG_UL_effects", "", plan, "lines", plan, "active", rows=len(plan.lines))
         line = plan.lines[plan.active]
         layout.prop(line, "choice", expand=True)
         draw_wrapped(layout.box(), line.reason, width - 20)
 
 
-class SWAG_PT_train(SwagPanel, bpy.types.Panel):
+class SWAG_PT_train(SwagPanel):
+    """Panel that trains, continues and forecasts."""
+
     bl_label = "Train"
     bl_order = 2
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, swag, status = self.layout, context.scene.swag, context.window_manager.swag
-        width = context.region.width
+        """Draw the panel; Blender calls this."""
+        layout, swag, status = present(self.layout), swag_of(context.scene), status_of(context)
+        width = present(context.region).width
         if status.job in ("Training", "Forecast"):
             draw_job(layout, context)
             return
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in ("recipe", "preset", "time_budget"):
+        for name in MAIN_SETTINGS:
             column.prop(swag, name)
         try:
             engine_process.engine_python()
-            problem = "" if swag.scene_folder else "Choose the photographs in the panel Scene first."
+            problem = "" if swag.scene_folder else "Choose the photos in the panel Scene first."
         except engine_process.EngineError as error:
             problem = str(error)
         row = layout.row(align=True)
         row.scale_y = 1.4
         row.enabled = not problem
-        row.operator("swag.train", text="Train", icon="PLAY").resume = False
+        set_button(row.operator("swag.train", text="Train", icon="PLAY"), resume=False)
         can_continue = swag.can_continue
         if can_continue:
-            row.operator("swag.train", text="Continue", icon="FRAME_NEXT").resume = True
+            set_button(row.operator("swag.train", text="Continue", icon="FRAME_NEXT"), resume=True)
         row = layout.row()
         row.enabled = not problem
         row.operator("swag.forecast", icon="TIME")
@@ -106,49 +116,52 @@ class SWAG_PT_train(SwagPanel, bpy.types.Panel):
         if problem:
             draw_wrapped(layout, problem, width, icon="INFO")
             if swag.scene_folder:
-                layout.operator(
-                    "preferences.addon_show", text="Open Preferences", icon="PREFERENCES"
-                ).module = EXTENSION
+                button = layout.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES")
+                set_button(button, module=EXTENSION)
         elif status.last_job == "Training" or status.failed and status.last_job == "Forecast":
             draw_outcome(layout, context)
         if can_continue:
-            draw_wrapped(layout, f"{swag.stopped_at} Continue goes on with it.", width, icon="RECOVER_LAST")
+            draw_wrapped(layout, f"{swag.stopped_at} Press Continue to finish it.", width, icon="RECOVER_LAST")
 
 
-class SWAG_PT_train_more(SwagPanel, bpy.types.Panel):
+class SWAG_PT_train_more(SwagPanel):
+    """Panel of the settings that few users change."""
+
     bl_label = "More"
     bl_parent_id = "SWAG_PT_train"
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return context.window_manager.swag.job != "Training"
+        """Whether no training runs."""
+        return status_of(context).job != "Training"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, swag = self.layout, context.scene.swag
+        """Draw the panel; Blender calls this."""
+        layout, swag = present(self.layout), swag_of(context.scene)
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in (
-            *("iterations", "width", "max_gaussians", "stop_when_flat", "effects", "words", "masks", "water_type"),
-            *("metres_per_unit", "sh_degree", "seed", "backend", "run_folder"),
-        ):
+        for name in (*(name for name in SETTINGS if name not in MAIN_SETTINGS), "run_folder"):
             column.prop(swag, name)
 
 
-class SWAG_PT_result(SwagPanel, bpy.types.Panel):
+class SWAG_PT_result(SwagPanel):
+    """Panel of the figures of the last run, of rendering and of opening files."""
+
     bl_label = "Result"
     bl_order = 3
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, swag = self.layout, context.scene.swag
+        """Draw the panel; Blender calls this."""
+        layout, swag = present(self.layout), swag_of(context.scene)
         if not swag.result_ply:
-            draw_wrapped(layout, "Train first, or open a splat file below.", context.region.width, icon="INFO")
+            draw_wrapped(layout, "Train first, or open a splat file below.", present(context.region).width, icon="INFO")
         else:
             column = layout.column(align=True)
             for label, value in (
                 ("Gaussians", f"{swag.result_gaussians}"),
-                ("Held-out PSNR", f"{swag.result_psnr:.2f} dB" if swag.result_psnr else "no such photographs"),
+                ("Held-out PSNR", f"{swag.result_psnr:.2f} dB" if swag.result_psnr else "no held-out photos"),
                 ("Held-out SSIM", f"{swag.result_ssim:.3f}" if swag.result_ssim else ""),
                 ("Time", time_text(swag.result_seconds) + (" (stopped)" if swag.result_interrupted else "")),
             ):
@@ -157,93 +170,65 @@ class SWAG_PT_result(SwagPanel, bpy.types.Panel):
                     row.label(text=label)
                     row.label(text=value)
             if swag.result_water:
-                draw_wrapped(layout, swag.result_water, context.region.width, icon="MOD_OCEAN")
+                draw_wrapped(layout, swag.result_water, present(context.region).width, icon="MOD_OCEAN")
         layout.operator("swag.prepare_render", icon="RESTRICT_RENDER_OFF")
         layout.operator("swag.import_splats", text="Open Splat File", icon="FILE_FOLDER")
 
 
-class SWAG_PT_labels(SwagPanel, bpy.types.Panel):
+class SWAG_PT_labels(SwagPanel):
+    """Panel of the labels of the active splat object."""
+
     bl_label = "Labels"
     bl_parent_id = "SWAG_PT_result"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the active object has splats."""
         return splats.is_splats(context.active_object)
 
     def draw(self, context: bpy.types.Context) -> None:
-        labels.draw_labels(self.layout, context.active_object)
+        """Draw the panel; Blender calls this."""
+        label_list.draw_labels(present(self.layout), present(context.active_object))
 
 
-class SWAG_PT_label(SwagPanel, bpy.types.Panel):
+class SWAG_PT_label(SwagPanel):
+    """Panel that labels the run of the active splat object."""
+
     bl_label = "Make Labels"
     bl_parent_id = "SWAG_PT_labels"
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, status = self.layout, context.window_manager.swag
+        """Draw the panel; Blender calls this."""
+        layout, status = present(self.layout), status_of(context)
         layout.use_property_split = True
         layout.use_property_decorate = False
         if status.job == "Labelling":
             draw_job(layout, context)
             return
-        labels.draw_labelling(layout, context.active_object)
+        label_list.draw_labelling(layout, present(context.active_object))
         if status.last_job == "Labelling":
-            draw_wrapped(layout, status.message, context.region.width, icon="ERROR" if status.failed else "CHECKMARK")
+            draw_wrapped(
+                layout, status.message, present(context.region).width, icon="ERROR" if status.failed else "CHECKMARK"
+            )
 
 
-class SWAG_PT_export(SwagPanel, bpy.types.Panel):
+class SWAG_PT_export(SwagPanel):
+    """Panel that saves splats for other programs."""
+
     bl_label = "Export"
     bl_order = 4
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
+        """Draw the panel; Blender calls this."""
+        layout = present(self.layout)
         column = layout.column(align=True)
         chosen = any(splats.is_splats(obj) for obj in context.selected_objects)
         column.enabled = chosen
-        for label, suffix in (("PLY (3DGS)", ".ply"), ("glTF (GLB)", ".glb")):
-            column.operator("swag.export_splats", text=label, icon="EXPORT").filepath = f"splats{suffix}"
+        for format in FORMATS.values():
+            button = column.operator("swag.export_splats", text=format.title, icon="EXPORT")
+            set_button(button, filepath=f"splats{format.suffix}")
         if not chosen:
-            draw_wrapped(layout, "Select an object with splats first.", context.region.width, icon="INFO")
-
-
-def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """The job that runs: progress, Pause and Cancel, figures, the curve of its quality."""
-    status = context.window_manager.swag
-    text = "Stopping" if status.stopping else "Paused" if status.paused else status.text
-    layout.progress(factor=status.factor, text=text)
-    row = layout.row(align=True)
-    if status.job == "Training":
-        row.operator(
-            "swag.pause", text="Go On" if status.paused else "Pause", icon="PLAY" if status.paused else "PAUSE"
-        )
-    row.operator("swag.cancel", text="Cancel", icon="CANCEL")
-    figures = status.figures()
-    if figures:
-        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
-        for figure in figures:
-            grid.label(text=figure)
-    curve = [float(psnr) for psnr in status.curve.split()]
-    if len(curve) > 1:
-        layout.label(text=f"{curve[0]:.1f} {sparkline(curve)} {curve[-1]:.1f} dB")
-
-
-def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """How the last job ended; after an error with the way to its log."""
-    status = context.window_manager.swag
-    draw_wrapped(layout, status.message, context.region.width, icon="ERROR" if status.failed else "CHECKMARK")
-    if status.failed:
-        layout.operator("swag.show_log", icon="TEXT")
-
-
-def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: str = "NONE") -> None:
-    """A sentence over as many lines as a region of `width` pixels needs."""
-    text = bpy.app.translations.pgettext_iface(text)
-    # Blender's interface font has about 6.4 pixels a character; margins and an icon take their share.
-    pixels = width / bpy.context.preferences.system.ui_scale - (30 if icon == "NONE" else 54)
-    characters = max(20, int(pixels / 6.4))
-    column = layout.column(align=True)
-    column.scale_y = 0.8
-    for number, line in enumerate(textwrap.wrap(text, characters)):
-        column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
+            draw_wrapped(layout, "Select an object with splats first.", present(context.region).width, icon="INFO")
 
 
 _CLASSES = (

@@ -1,44 +1,61 @@
-"""Preferences of the extension: which Python trains, the buttons that make one, and what it has."""
+"""Preferences of the extension: the engine's Python, the buttons that install it, and what it has."""
 
 import json
-from typing import Any
+from typing import Annotated, Any, cast
 
 import bpy
 from bpy.props import StringProperty
 
 from . import EXTENSION, assets, engine_process
-from .panels import draw_job, draw_outcome, draw_wrapped
+from .blender_types import present, set_button, with_properties
+from .properties import status_of
+from .sidebar import draw_job, draw_outcome, draw_wrapped
 
 JOBS = ("Installation", "Look-up", "Engine check")
+"""Names of the jobs whose progress the preferences show."""
 
 
 def preferences() -> "SwagPreferences":
-    return bpy.context.preferences.addons[EXTENSION].preferences
+    """The preferences of the extension."""
+    return cast(SwagPreferences, present(bpy.context.preferences).addons[EXTENSION].preferences)
 
 
+@with_properties
 class SwagPreferences(bpy.types.AddonPreferences):
+    """Preferences of the extension."""
+
     bl_idname = EXTENSION
 
-    engine_python: StringProperty(
-        name="Python",
-        description="A Python that has the engine's packages; left empty: the environment of Install Engine",
-        subtype="FILE_PATH",
-    )
-    package_index: StringProperty(
-        name="Package Index",
-        description="Address of a further package index, for another build of torch than the usual one: PyTorch's own "
-        "has builds for processors alone and for each version of CUDA (pytorch.org, Get Started)",
-    )
-    wheels_folder: StringProperty(
-        name="Folder of Wheels",
-        description="Install from wheels in this folder, without internet; elsewhere, pip download -r requirements.txt "
-        "-c constraints.txt fills it",
-        subtype="DIR_PATH",
-    )
+    engine_python: Annotated[
+        str,
+        StringProperty(
+            name="Python",
+            description="A Python that has the engine's packages; empty: the environment of Install Engine",
+            subtype="FILE_PATH",
+        ),
+    ]
+    package_index: Annotated[
+        str,
+        StringProperty(
+            name="Package Index",
+            description="Address of an additional package index, for another build of torch than the usual one: "
+            "PyTorch's own has builds without CUDA and for each version of CUDA (pytorch.org, Get Started)",
+        ),
+    ]
+    wheels_folder: Annotated[
+        str,
+        StringProperty(
+            name="Folder of Wheels",
+            description="Install from the wheels in this folder, without internet. On a computer with internet, pip "
+            "download -r requirements.txt -c constraints.txt fills it",
+            subtype="DIR_PATH",
+        ),
+    ]
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, status, width = self.layout, context.window_manager.swag, context.region.width
-        layout.label(text="Training runs in a Python of its own; opening, showing and exporting splats needs none.")
+        """Draw the preferences; Blender calls this."""
+        layout, status, width = present(self.layout), status_of(context), present(context.region).width
+        layout.label(text="Training runs in a separate Python; opening, showing and exporting splats needs none.")
         try:
             ready = f"Engine: {engine_process.engine_python()}"
             layout.label(text=ready, icon="CHECKMARK")
@@ -57,9 +74,9 @@ class SwagPreferences(bpy.types.AddonPreferences):
         row.operator("swag.check_engine", icon="VIEWZOOM")
 
         row = layout.row()
-        row.operator("swag.node_assets", icon="ASSET_MANAGER").remove = False
+        set_button(row.operator("swag.node_assets", icon="ASSET_MANAGER"), remove=False)
         if assets.folder().exists():
-            row.operator("swag.node_assets", text="Remove", icon="TRASH").remove = True
+            set_button(row.operator("swag.node_assets", text="Remove", icon="TRASH"), remove=True)
 
         header, body = layout.panel("swag_install", default_closed=bool(ready))
         header.label(text="Install Engine")
@@ -67,11 +84,12 @@ class SwagPreferences(bpy.types.AddonPreferences):
             self.draw_install(body)
 
     def draw_install(self, layout: bpy.types.UILayout) -> None:
+        """Draw the part that installs the engine."""
         layout.use_property_split = True
         layout.use_property_decorate = False
-        layout.label(text="Either name a Python that has the packages of requirements.txt:")
+        layout.label(text="Choose a Python that has the packages of requirements.txt:")
         layout.prop(self, "engine_python")
-        layout.label(text="or make one, into the extension's own folder; half a gigabyte, with CUDA three:")
+        layout.label(text="or install one in the extension's own folder (0.5 GB, with CUDA 3 GB):")
         column = layout.column()
         column.prop(self, "package_index")
         column.prop(self, "wheels_folder")
@@ -94,7 +112,7 @@ class SwagPreferences(bpy.types.AddonPreferences):
 
 
 def draw_doctor(layout: bpy.types.UILayout, found: dict[str, Any]) -> None:
-    """What the engine's Python has, as swag_engine.app.doctor tells it."""
+    """Draw what the engine's Python has, as swag_engine.app.doctor found it."""
     column = layout.column(align=True)
     column.scale_y = 0.8
     column.label(text=f"{found['system']}, {found['cores']} processor cores, Python {found['python']}")
@@ -113,8 +131,10 @@ def draw_doctor(layout: bpy.types.UILayout, found: dict[str, Any]) -> None:
 
 
 def register() -> None:
+    """Register the preferences."""
     bpy.utils.register_class(SwagPreferences)
 
 
 def unregister() -> None:
+    """Undo `register`."""
     bpy.utils.unregister_class(SwagPreferences)

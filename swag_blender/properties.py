@@ -1,11 +1,9 @@
-"""What a scene remembers (saved in the .blend) and what Blender shows of the job that runs (not kept)."""
+"""Properties of a scene (saved in the .blend) and of the job that runs (not saved)."""
 
-import dataclasses
 import json
 import os
-import typing
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, cast
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
@@ -13,133 +11,109 @@ from bpy.types import PropertyGroup
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.run_folder import RunFolder
+from ..swag_engine.settings.field import Setting, settings_of
 from ..swag_engine.settings.settings import TrainSettings
 from . import effects
+from .blender_types import with_properties
 
-SETTINGS = tuple(field.name for field in dataclasses.fields(TrainSettings))
+SETTINGS = tuple(name for name, _, _ in settings_of(TrainSettings))
 
 
-def _mirrored(name: str, label: str, description: str) -> Any:
-    """A property for one field of the engine's TrainSettings; the engine knows its limits and its default."""
-    default = getattr(TrainSettings(), name)
+def setting_property(default: Any, described: Setting) -> Any:
+    """Make the property of one setting of the engine.
+
+    Args:
+        default: Default value; its type chooses the kind of property.
+        described: Label, help, range and choices.
+
+    Returns:
+        What Blender takes as a property's annotation.
+    """
+    words: dict[str, Any] = {"name": described.label, "description": described.description, "default": default}
+    if described.choices:
+        return EnumProperty(items=[(choice, choice, text) for choice, text in described.choices.items()], **words)
     if isinstance(default, bool):
-        return BoolProperty(name=label, description=description, default=default)
+        return BoolProperty(**words)
+    if isinstance(default, str):
+        return StringProperty(subtype="DIR_PATH" if described.is_folder else "NONE", **words)
+    words["min"] = 0 if described.zero else described.least
+    words["max"] = described.most
     if isinstance(default, int):
-        return IntProperty(name=label, description=description, default=default, min=0)
-    if isinstance(default, float):
-        return FloatProperty(name=label, description=description, default=default, min=0, precision=4)
-    kind = TrainSettings.__dataclass_fields__[name].type
-    if kind is str:
-        return StringProperty(name=label, description=description, default=default)
-    choices = typing.get_args(kind)
-    return EnumProperty(
-        name=label, description=description, items=[(choice, choice, "") for choice in choices], default=default
-    )
+        return IntProperty(subtype="PIXEL" if described.unit == "px" else "NONE", **words)
+    return FloatProperty(precision=4, **words)
 
 
+@with_properties
 class SwagScene(PropertyGroup):
-    """`scene.swag`: where the photographs and the run are, the settings of the next run, figures of the last one."""
+    """`scene.swag`: folders of the photos and of the run, settings of the next run, figures of the last one."""
 
-    scene_folder: StringProperty(
-        name="Photographs",
-        description="Folder with the photographs and their COLMAP model",
-        subtype="DIR_PATH",
-        update=lambda self, context: setattr(self.plan, "stale", True),
-    )
-    run_folder: StringProperty(
-        name="Run",
-        description="Folder that the training writes to; left empty: the folder swag_run beside the COLMAP model",
-        subtype="DIR_PATH",
-    )
-    found: StringProperty(description="What the folder of photographs holds, in words")
+    scene_folder: Annotated[
+        str,
+        StringProperty(
+            name="Photos",
+            description="Folder with the photos and their COLMAP model",
+            subtype="DIR_PATH",
+            update=lambda self, context: setattr(self.plan, "stale", True),
+        ),
+    ]
+    run_folder: Annotated[
+        str,
+        StringProperty(
+            name="Run",
+            description="Folder that the training writes to; empty: the folder swag_run beside the COLMAP model",
+            subtype="DIR_PATH",
+        ),
+    ]
+    found: Annotated[str, StringProperty(description="Counts and warnings of the folder of photos")]
 
-    plan: PointerProperty(type=effects.SwagPlan)
-    recipe: _mirrored(
-        "recipe",
-        "Method",
-        "swag takes the water away, 3dgs shows the place as photographed; the others follow published methods",
-    )
-    effects: _mirrored("effects", "Effects", "Parts of the method switched by hand, as in water=off,lamp=on")
-    water_type: _mirrored(
-        "water_type",
-        "Water",
-        "auto asks the photographs; or a Jerlov type (I IA IB II III 1C 3C 5C 7C 9C), or the attenuation of red, green "
-        "and blue per metre as in 0.3,0.1,0.06",
-    )
-    words: _mirrored(
-        "words",
-        "Words",
-        "What to label while training with semantics=on, as in coral, wreck, open water; needs networks",
-    )
-    masks: _mirrored(
-        "masks",
-        "Masks",
-        "Folder of masks to label by instead; without both, the scene's own folder labels, or what stands out",
-    )
-    metres_per_unit: _mirrored(
-        "metres_per_unit", "Metres per Unit", "Metres that one unit of the COLMAP scene is; 0 where that is not known"
-    )
-    preset: _mirrored(
-        "preset", "Quality", "draft to see whether it works, standard, or high for the result that you keep"
-    )
-    time_budget: _mirrored(
-        "time_budget",
-        "Time Budget",
-        "Time that the training may take, as in 90s, 10m or 1h30m; empty: as long as the quality needs",
-    )
-    iterations: _mirrored(
-        "iterations",
-        "Iterations",
-        "Number of optimisation steps, each looks at one photograph; 0: as the quality has it",
-    )
-    width: _mirrored("width", "Width", "Width in pixels that the photographs are trained at; 0: as the quality has it")
-    max_gaussians: _mirrored(
-        "max_gaussians", "Max Gaussians", "Most Gaussians that the scene may grow to; 0: as the quality has it"
-    )
-    stop_when_flat: _mirrored(
-        "stop_when_flat",
-        "Stop When Flat",
-        "End early when more time brings next to nothing on the validation photographs",
-    )
-    sh_degree: _mirrored("sh_degree", "SH Degree", "How finely colour may change with the view: 0 (not at all) to 3")
-    seed: _mirrored("seed", "Seed", "The same seed on the same machine gives the same result")
-    backend: _mirrored("backend", "Backend", "What draws the Gaussians during training")
+    plan: Annotated[effects.SwagPlan, PointerProperty(type=effects.SwagPlan)]
+    # The settings of the next run are added below the class, one for each field of TrainSettings. These are used here.
+    effects: str
+    masks: str
+    metres_per_unit: float
 
-    forecast: StringProperty(description="What the qualities would take, as JSON, with what was asked")
+    forecast: Annotated[
+        str, StringProperty(description="Forecast of each quality and the settings it was made for, as JSON")
+    ]
 
-    water: FloatProperty(
-        name="Water",
-        description="How much of the fitted water is shown: 0 none, 1 as photographed; it can be animated",
-        min=0.0,
-        max=1.0,
-        subtype="FACTOR",
-        # Drivers read the scene, and Blender does not see by itself that a property of an extension changed in it.
-        update=lambda self, context: self.id_data.update_tag(),
-    )
+    water: Annotated[
+        float,
+        FloatProperty(
+            name="Water",
+            description="Fraction of the fitted water that is shown: 0 none, 1 as photographed; it can be animated",
+            min=0.0,
+            max=1.0,
+            subtype="FACTOR",
+            # Drivers read the scene, and Blender does not notice changes of an extension's property by itself.
+            update=lambda self, context: self.id_data.update_tag(),
+        ),
+    ]
 
-    result_ply: StringProperty(name="Result", description="Splats of the last run", subtype="FILE_PATH")
-    result_gaussians: IntProperty(name="Gaussians")
-    result_psnr: FloatProperty(name="PSNR", description="PSNR on photographs that the training never saw, in dB")
-    result_ssim: FloatProperty(name="SSIM", description="SSIM on photographs that the training never saw")
-    result_seconds: FloatProperty(name="Seconds", description="How long the last run took")
-    result_water: StringProperty(name="Water", description="What the last run found of the water")
-    result_interrupted: BoolProperty(name="Interrupted", description="The last run was stopped before its end")
+    result_ply: Annotated[str, StringProperty(name="Result", description="Splats of the last run", subtype="FILE_PATH")]
+    result_gaussians: Annotated[int, IntProperty(name="Gaussians")]
+    result_psnr: Annotated[float, FloatProperty(name="PSNR", description="PSNR on held-out photos, in dB")]
+    result_ssim: Annotated[float, FloatProperty(name="SSIM", description="SSIM on held-out photos")]
+    result_seconds: Annotated[float, FloatProperty(name="Seconds", description="Duration of the last run")]
+    result_water: Annotated[str, StringProperty(name="Water", description="Water that the last run fitted")]
+    result_interrupted: Annotated[
+        bool, BoolProperty(name="Interrupted", description="Whether the last run was stopped before its end")
+    ]
 
     @property
     def scene_path(self) -> str:
-        """Absolute path of the photographs; empty when none are chosen."""
+        """Absolute path of the chosen images; "" when none are chosen."""
         return _absolute(self.scene_folder)
 
     @property
     def run_path(self) -> str:
-        """Absolute path of the run folder; empty when there are no photographs either."""
+        """Absolute path of the run folder; "" when neither it nor images are chosen."""
         if self.run_folder:
             return _absolute(self.run_folder)
         return os.path.join(self.scene_path, "swag_run") if self.scene_folder else ""
 
     @property
     def can_continue(self) -> bool:
-        """Whether the run folder holds a run that did not come to its end."""
+        """Whether the run folder holds an unfinished run."""
         run = RunFolder(Path(self.run_path))
         try:
             return bool(self.run_path) and run.config.exists() and not run.finished()
@@ -148,30 +122,30 @@ class SwagScene(PropertyGroup):
 
     @property
     def stopped_at(self) -> str:
-        """Where the run in the run folder stopped, in words."""
+        """A sentence that says where the run in the run folder stopped."""
         saved = [path.stem.rpartition("-")[2] for path in Path(self.run_path).glob("checkpoint-*.safetensors")]
         where = f"stopped at iteration {int(max(saved))}" if saved else "stopped before its first checkpoint"
         return f"The run {os.path.basename(self.run_path)} {where}."
 
     def train_settings(self) -> dict[str, Any]:
-        """The settings as the engine takes them; what the user says in the list of effects comes last."""
+        """The settings for the engine; choices in the list of effects overrule the setting `effects`."""
         switches = ",".join(filter(None, (self.effects, self.plan.switches())))
         own = {name: getattr(self, name) for name in SETTINGS}
         return own | {"effects": switches, "masks": _absolute(self.masks)}
 
     def forecast_question(self) -> str:
-        """What a forecast depends on, as text: the photographs, and the settings that no quality has a say in."""
+        """What a forecast depends on, as text: the images and the settings that qualities do not change."""
         asked = self.train_settings()
         for name in ("preset", "time_budget", "seed"):
             del asked[name]
         return json.dumps([self.scene_path, asked])
 
     def keep_forecast(self, question: str, presets: dict[str, dict[str, Any]]) -> None:
-        """Remember the answer to a question: the presets of a forecast's `result` event."""
+        """Store a forecast: the presets of its `result` event, and its question."""
         self.forecast = json.dumps({"question": question, "presets": presets})
 
     def forecast_lines(self) -> list[tuple[str, str, str, str]]:
-        """Quality, time, PSNR and memory for each quality; empty where nobody asked with the present settings."""
+        """Name, time, PSNR and memory of each quality; empty without a forecast for the present settings."""
         known = json.loads(self.forecast) if self.forecast else {}
         if known.get("question") != self.forecast_question():
             return []
@@ -183,7 +157,7 @@ class SwagScene(PropertyGroup):
         return lines
 
     def show_metrics(self, event: dict[str, Any]) -> None:
-        """Keep the figures of a training's `result` event."""
+        """Store the figures of a training's `result` event."""
         metrics = event["metrics"]
         self.result_ply = event["ply"]
         self.result_gaussians = metrics["gaussians"]
@@ -194,39 +168,45 @@ class SwagScene(PropertyGroup):
         self.result_interrupted = event["interrupted"]
 
 
+SwagScene.__annotations__ |= {
+    name: setting_property(default, described) for name, default, described in settings_of(TrainSettings)
+}
+
+
+@with_properties
 class SwagStatus(PropertyGroup):
     """`window_manager.swag`: the job that runs now, for panels and scripts."""
 
-    job: StringProperty(description="Name of the job that runs; empty when none does")
-    last_job: StringProperty(description="Name of the last job that ended")
-    stopping: BoolProperty(description="Somebody asked for the job to stop")
-    paused: BoolProperty(description="The training is held where it is")
-    doctor: StringProperty(description="What the engine's Python has, as JSON, when it was last looked at")
-    curve: StringProperty(description="PSNR on the validation photographs so far, in dB")
-    factor: FloatProperty(min=0.0, max=1.0, subtype="FACTOR")
-    text: StringProperty(description="What the job does now")
-    message: StringProperty(description="How the last job ended")
-    failed: BoolProperty(description="The last job ended with an error")
-    iteration: IntProperty()
-    gaussians: IntProperty()
-    loss: FloatProperty()
-    psnr: FloatProperty(description="PSNR on the validation photographs in dB; 0 until measured")
-    speed: FloatProperty(description="Iterations per second")
-    seconds_left: FloatProperty()
+    job: Annotated[str, StringProperty(description="Name of the job that runs; empty when none does")]
+    last_job: Annotated[str, StringProperty(description="Name of the last job that ended")]
+    stopping: Annotated[bool, BoolProperty(description="Whether the job was asked to stop")]
+    paused: Annotated[bool, BoolProperty(description="Whether the training is paused")]
+    doctor: Annotated[str, StringProperty(description="What the last check of the engine's Python found, as JSON")]
+    curve: Annotated[str, StringProperty(description="PSNR on the validation photos so far, in dB")]
+    factor: Annotated[float, FloatProperty(min=0.0, max=1.0, subtype="FACTOR")]
+    text: Annotated[str, StringProperty(description="Step that the job does now")]
+    message: Annotated[str, StringProperty(description="How the last job ended")]
+    failed: Annotated[bool, BoolProperty(description="Whether the last job ended with an error")]
+    iteration: Annotated[int, IntProperty()]
+    gaussians: Annotated[int, IntProperty()]
+    loss: Annotated[float, FloatProperty()]
+    psnr: Annotated[float, FloatProperty(description="PSNR on the validation photos in dB; 0 until measured")]
+    speed: Annotated[float, FloatProperty(description="Iterations per second")]
+    seconds_left: Annotated[float, FloatProperty()]
 
     def begin(self, job: str) -> None:
-        """Forget the last job."""
+        """Reset everything for a new job."""
         for name in SwagStatus.__annotations__:
             if name != "doctor":
                 self.property_unset(name)
         self.job, self.text = job, "Starting"
 
     def end(self, message: str, failed: bool) -> None:
-        """Say how the job ended."""
+        """Store how the job ended."""
         self.job, self.last_job, self.message, self.failed = "", self.job, message, failed
 
     def show(self, event: dict[str, Any]) -> None:
-        """Keep what a `progress` event says."""
+        """Store the values of a `progress` event."""
         self.factor = event["iteration"] / max(1, event["iterations"])
         self.text = event.get("text") or progress_text(event)
         if event["stage"] == "train":
@@ -241,7 +221,7 @@ class SwagStatus(PropertyGroup):
             self.seconds_left = event["seconds_left"] or 0.0
 
     def figures(self) -> list[str]:
-        """The figures of the training in words; empty before the first iteration."""
+        """The figures of the training as texts; empty before the first iteration."""
         if not self.iteration:
             return []
         return [
@@ -253,8 +233,8 @@ class SwagStatus(PropertyGroup):
 
 
 def progress_text(event: dict[str, Any]) -> str:
-    """One `progress` event in a few words."""
-    what = "Iteration" if event["stage"] == "train" else "Photograph"
+    """Text of a `progress` event."""
+    what = "Iteration" if event["stage"] == "train" else "Photo"
     return f"{what} {event['iteration']} of {event['iterations']}"
 
 
@@ -266,7 +246,7 @@ def time_text(seconds: float) -> str:
 
 
 def sparkline(values: list[float]) -> str:
-    """Values as bars of text between the least and the largest of them."""
+    """Values as text bars between the lowest and the highest of them."""
     bars = "▁▂▃▄▅▆▇█"
     low, span = min(values), max(max(values) - min(values), 1e-9)
     return "".join(bars[round((value - low) / span * (len(bars) - 1))] for value in values)
@@ -276,20 +256,32 @@ def _absolute(folder: str) -> str:
     return os.path.abspath(bpy.path.abspath(folder)) if folder else ""
 
 
+def swag_of(scene: bpy.types.Scene | None) -> SwagScene:
+    """Properties of a scene."""
+    return cast(Any, scene).swag
+
+
+def status_of(context: bpy.types.Context) -> SwagStatus:
+    """The job that runs now."""
+    return cast(Any, context.window_manager).swag
+
+
 _CLASSES = (SwagScene, SwagStatus)
 
 
 def register() -> None:
+    """Register the properties with scenes and the window manager."""
     effects.register()
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
-    bpy.types.Scene.swag = PointerProperty(type=SwagScene)
-    bpy.types.WindowManager.swag = PointerProperty(type=SwagStatus)
+    cast(Any, bpy.types.Scene).swag = PointerProperty(type=SwagScene)
+    cast(Any, bpy.types.WindowManager).swag = PointerProperty(type=SwagStatus)
 
 
 def unregister() -> None:
-    del bpy.types.WindowManager.swag
-    del bpy.types.Scene.swag
+    """Undo `register`."""
+    del cast(Any, bpy.types.WindowManager).swag
+    del cast(Any, bpy.types.Scene).swag
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)
     effects.unregister()

@@ -1,4 +1,4 @@
-"""Runs of the engine as objects in a scene: where they are written, shown, and what renders need of them."""
+"""Runs of the engine as objects in a scene: their folders, their splats, and what renders need to know."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ RUN_KEY = "swag_run"
 
 
 def free_run_folder(folder: Path) -> Path:
-    """`folder`, or, when it holds a run already, the first of folder-2, folder-3, ... that does not."""
+    """The folder itself if it holds no run, else the first of folder-2, folder-3, ... that holds none."""
     name, number = folder.name, 1
     while RunFolder(folder).config.exists():
         number += 1
@@ -24,7 +24,13 @@ def free_run_folder(folder: Path) -> Path:
 
 
 def remember_training(obj: bpy.types.Object, run: RunFolder, metrics: dict[str, Any]) -> None:
-    """Keep with the splats what renders need to look as in training: pixel size and background."""
+    """Store with the splats what renders need to look as in training: pixel size, background color, water.
+
+    Args:
+        obj: the object of the run's splats.
+        run: the run's folder.
+        metrics: the metrics of its `result` event.
+    """
     root = scene_import.find_root(obj)
     _, settings, _ = run.read_config()
     pixel_size = scene_import.pixel_size(root, settings.width) if root else 0.0
@@ -32,17 +38,24 @@ def remember_training(obj: bpy.types.Object, run: RunFolder, metrics: dict[str, 
     water.remember_water(obj, run.read_water(), settings.metres_per_unit)
 
 
-def show_splats(scene: bpy.types.Scene, loaded: Splats, run: str, photographs: str) -> bpy.types.Object:
-    """Put splats into the scene, in the object that this run has there already if it has one.
+def show_splats(scene: bpy.types.Scene, loaded: Splats, run: str, images: str) -> bpy.types.Object:
+    """Show splats in the scene, in the run's object if there is one; returns the object.
 
-    The object hangs from the imported scene of the same photographs; without one it stands as it was trained.
+    A new object becomes a child of the imported scene of the same images; without one it has no parent, and its
+    coordinates are those of training.
+
+    Args:
+        scene: the Blender scene.
+        loaded: the splats.
+        run: the run's folder.
+        images: the folder of the images.
     """
     obj = next((o for o in scene.objects if o.get(RUN_KEY) == run and splats.is_splats(o)), None)
     if obj:
         splats.replace_splats(obj, loaded)
         return obj
-    root = next((r for r in scene_import.roots(scene) if r[scene_import.ROOT_KEY] == photographs), None)
+    root = next((r for r in scene_import.roots(scene) if r.get(scene_import.ROOT_KEY) == images), None)
     collection = root.users_collection[0] if root else scene.collection
-    obj = splats.new_splat_object(f"{Path(photographs).name} Splats", loaded, collection, root)
+    obj = splats.new_splat_object(f"{Path(images).name} Splats", loaded, collection, root)
     obj[RUN_KEY] = run
     return obj

@@ -1,33 +1,52 @@
-"""A reconstructed scene as Blender objects: cameras with their photographs, the sparse cloud, one root that places all.
+"""A reconstructed scene as Blender objects: cameras with their images, the sparse cloud, one root for all.
 
-The root is an empty whose local frame is the COLMAP world: its matrix is the one place that says how COLMAP coordinates
-become Blender coordinates (up is +Z, the scene stands near the origin, one unit stays one unit). Cameras, sparse cloud
-and splats are its children with COLMAP coordinates, so moving, turning or scaling the root moves everything together.
+The root is an empty whose local frame is the COLMAP world: its matrix is the only place that converts COLMAP
+coordinates to Blender coordinates (up is +Z, the scene is near the origin, one unit stays one unit). Cameras, sparse
+cloud and splats are its children with COLMAP coordinates, so that moving the root moves all of them.
 """
 
 import math
 from pathlib import Path
+from typing import Any, cast
 
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from .blender_types import present
 from .nodes import point_material
+from .properties import swag_of
 from .splats import new_pointcloud
 
-ROOT_KEY = "swag_scene"  # on the root: the scene's folder
-SIZE_KEY = "swag_size"  # on a camera: image width, height, pixel width / pixel height
-SENSOR_WIDTH = 36.0  # mm; any value does, the focal length follows it
-# OpenCV camera axes (x right, y down, z forward) to Blender's (x right, y up, z backward).
+ROOT_KEY = "swag_scene"
+"""Property of the root: the scene's folder."""
+SIZE_KEY = "swag_size"
+"""Property of a camera: image width, image height, pixel width / pixel height."""
+SENSOR_WIDTH = 36.0
+"""Sensor width of the cameras in mm; any value works, because the focal length is computed from it."""
 OPENCV_TO_BLENDER = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))
+"""OpenCV camera axes (x right, y down, z forward) to Blender's (x right, y up, z backward)."""
 
 
-def import_scene(result: dict, scene: bpy.types.Scene) -> bpy.types.Object:
+def describe(result: dict[str, Any]) -> str:
+    """The result of an `inspect` request in lines: one with the counts, then the warnings."""
+    counts = f"{result['registered']} of {result['images']} photos have a camera, {result['points']['count']} points"
+    return "\n".join((counts, *result["warnings"]))
+
+
+def choose(scene: bpy.types.Scene, result: dict[str, Any]) -> str:
+    """Make the folder of an `inspect` result the scene's chosen images; returns its description."""
+    swag = swag_of(scene)
+    swag.scene_folder, swag.found = result["scene"], describe(result)
+    return swag.found
+
+
+def import_scene(result: dict[str, Any], scene: bpy.types.Scene) -> bpy.types.Object:
     """Build the objects of a worker's `inspect` result in a new collection of the Blender scene; returns the root.
 
     The first camera becomes the active one and gives the render its resolution. The view transform becomes Standard,
-    under which photographs and splats show their own colours.
-    Raises OSError or ValueError when the arrays that the result names cannot be read.
+    which leaves the colours of images and splats as they are. Raises OSError or ValueError when the arrays that the
+    result names cannot be read.
     """
     positions = np.load(result["points"]["positions"]).astype(np.float32)
     colors = np.load(result["points"]["colors"])
@@ -44,7 +63,7 @@ def import_scene(result: dict, scene: bpy.types.Scene) -> bpy.types.Object:
     if len(positions):
         cloud = bpy.data.objects.new(f"{name} Points", _sparse_cloud(f"{name} Points", positions, colors))
         cloud.parent = root
-        cloud.hide_render = True  # a guide for the eye: renders show the splats
+        cloud.hide_render = True  # only for orientation: renders show the splats
         collection.objects.link(cloud)
 
     cameras = bpy.data.collections.new(f"{name} Cameras")
@@ -52,9 +71,10 @@ def import_scene(result: dict, scene: bpy.types.Scene) -> bpy.types.Object:
     made = [camera_object(camera, root, cameras) for camera in result["cameras"]]
     size = _camera_display_size(result["cameras"])
     for obj in made:
-        obj.data.display_size = size
-        obj.data.clip_start, obj.data.clip_end = size * 0.05, size * 5000.0
-    scene.view_settings.view_transform = "Standard"
+        data = cast(bpy.types.Camera, obj.data)
+        data.display_size = size
+        data.clip_start, data.clip_end = size * 0.05, size * 5000.0
+    cast(Any, scene.view_settings).view_transform = "Standard"
     if made:
         look_through(scene, made[0])
     return root
@@ -63,11 +83,11 @@ def import_scene(result: dict, scene: bpy.types.Scene) -> bpy.types.Object:
 def look_through(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
     """Make `camera` the scene's active camera and give the render its image size and pixel shape.
 
-    Blender keeps resolution and pixel aspect with the scene, not with the camera, so photographs of different sizes
-    need this at every change of camera.
+    Blender stores resolution and pixel aspect with the scene, not with the camera: images of different sizes need this
+    at every change of camera.
     """
     scene.camera = camera
-    width, height, pixel_aspect = camera[SIZE_KEY]
+    width, height, pixel_aspect = camera.get(SIZE_KEY)
     render = scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = int(width), int(height), 100
     # Blender takes no aspect below one.
@@ -75,31 +95,34 @@ def look_through(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
 
 
 def show_colors(screen: bpy.types.Screen) -> None:
-    """Turn solid 3D viewports to Material Preview, for solid shading draws point clouds grey, and there switch the
-    outlines of what is selected off, which would be drawn round every single point."""
+    """Change solid 3D viewports to Material Preview without outlines of the selection.
+
+    Solid shading draws point clouds grey, and the outline is drawn around every point.
+    """
     for area in screen.areas:
-        if area.type == "VIEW_3D" and area.spaces.active.shading.type == "SOLID":
-            area.spaces.active.shading.type = "MATERIAL"
-            area.spaces.active.overlay.show_outline_selected = False
+        space = area.spaces.active
+        if isinstance(space, bpy.types.SpaceView3D) and space.shading.type == "SOLID":
+            space.shading.type = "MATERIAL"
+            space.overlay.show_outline_selected = False
 
 
 def find_root(obj: bpy.types.Object | None) -> bpy.types.Object | None:
-    """The scene root that `obj` is or hangs from, or None."""
-    while obj is not None and ROOT_KEY not in obj:
+    """The scene root that `obj` is or is a descendant of; None where there is none."""
+    while obj is not None and obj.get(ROOT_KEY) is None:
         obj = obj.parent
     return obj
 
 
 def roots(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The roots of all scenes imported into the Blender scene."""
-    return [obj for obj in scene.objects if ROOT_KEY in obj]
+    return [obj for obj in scene.objects if obj.get(ROOT_KEY) is not None]
 
 
 def active_root(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The root that the active object hangs from, else the Blender scene's only root, else None."""
+    """The root of the active object, else the Blender scene's only root, else None."""
     if root := find_root(context.active_object):
         return root
-    found = roots(context.scene)
+    found = roots(present(context.scene))
     return found[0] if len(found) == 1 else None
 
 
@@ -109,18 +132,24 @@ def up_of(root: bpy.types.Object) -> np.ndarray:
 
 
 def pixel_size(root: bpy.types.Object, width: int) -> float:
-    """1 / focal length in pixels of the scene's images when they are trained `width` pixels wide (their median).
+    """Median of 1 / focal length in pixels over the scene's images at a training width of `width` pixels.
 
-    For the preview's input of that name; 0 when the scene has no cameras.
+    For the input of that name of the preview; 0 when the scene has no cameras.
     """
-    cameras = [obj for obj in root.children_recursive if SIZE_KEY in obj]
-    sizes = [SENSOR_WIDTH / (obj.data.lens * min(width, obj[SIZE_KEY][0])) for obj in cameras]
+    cameras = [(obj.data, obj.get(SIZE_KEY)) for obj in root.children_recursive if obj.get(SIZE_KEY) is not None]
+    sizes = [
+        SENSOR_WIDTH / (camera.lens * min(width, size[0]))
+        for camera, size in cameras
+        if isinstance(camera, bpy.types.Camera)
+    ]
     return float(np.median(sizes)) if sizes else 0.0
 
 
 def colmap_to_blender(up: np.ndarray, positions: np.ndarray) -> Matrix:
-    """Rigid COLMAP-world-to-Blender matrix: `up` (3,) unit becomes +Z by the smallest turn; the middle of the
-    `positions` (P, 3) comes over the origin and their lower end (the 2nd percentile of height) onto z = 0.
+    """Rigid matrix from the COLMAP world to Blender's world.
+
+    The smallest rotation turns `up` (3,), a unit vector, to +Z. The median of the `positions` (P, 3) is then above the
+    origin, and their 2nd percentile of height at z = 0.
     """
     x, y, z = up
     if z > -1.0 + 1e-9:
@@ -141,7 +170,7 @@ def colmap_to_blender(up: np.ndarray, positions: np.ndarray) -> Matrix:
 def set_intrinsics(data: bpy.types.Camera, width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> None:
     """Give a Blender camera the pinhole of an image (all in pixels; the top-left corner of the image is (0, 0)).
 
-    fx != fy is carried by the render's pixel aspect (`look_through`); the shifts are in units of the sensor width.
+    The pixel aspect of the render carries fx != fy (`look_through`). Shifts are in units of the sensor width.
     """
     data.sensor_fit = "HORIZONTAL"
     data.sensor_width = SENSOR_WIDTH
@@ -150,13 +179,13 @@ def set_intrinsics(data: bpy.types.Camera, width: int, height: int, fx: float, f
     data.shift_y = (cy - height / 2) / width * (fx / fy)
 
 
-def camera_object(camera: dict, root: bpy.types.Object, collection: bpy.types.Collection) -> bpy.types.Object:
-    """One camera of an `inspect` result, with its photograph as background if it names one, under `root`."""
+def camera_object(camera: dict[str, Any], root: bpy.types.Object, collection: bpy.types.Collection) -> bpy.types.Object:
+    """Make a camera of an `inspect` result below `root`, with its image as background if it names one."""
     data = bpy.data.cameras.new(camera["name"])
     set_intrinsics(data, *(camera[key] for key in ("width", "height", "fx", "fy", "cx", "cy")))
     if camera.get("image"):
         background = data.background_images.new()
-        # Only the path is taken now; Blender reads the pixels when the image is first drawn.
+        # This stores only the path: Blender reads the pixels when it draws the image for the first time.
         background.image = bpy.data.images.load(camera["image"], check_existing=True)
         background.alpha = 0.5
         background.frame_method = "STRETCH"
@@ -169,25 +198,26 @@ def camera_object(camera: dict, root: bpy.types.Object, collection: bpy.types.Co
     return obj
 
 
-def _camera_display_size(cameras: list[dict]) -> float:
+def _camera_display_size(cameras: list[dict[str, Any]]) -> float:
     centres = np.array([np.linalg.inv(camera["world_to_camera"])[:3, 3] for camera in cameras])
     if len(centres) < 2:
         return 0.1
     extent = float(np.linalg.norm(np.ptp(centres, axis=0)))
-    # A third of the usual distance between neighbours if the cameras were spread evenly along the extent.
+    # A third of the distance between neighbours if the cameras were spaced evenly along the extent.
     return extent / len(centres) / 3 if extent > 0 else 0.1
 
 
 def _sparse_cloud(name: str, positions: np.ndarray, colors: np.ndarray) -> bpy.types.PointCloud:
     cloud = new_pointcloud(name, positions)
-    cloud.attributes.new("radius", "FLOAT", "POINT")
-    cloud.attributes.new(point_material.COLOR, "FLOAT_COLOR", "POINT")
+    attributes: Any = cloud.attributes
+    attributes.new("radius", "FLOAT", "POINT")
+    attributes.new(point_material.COLOR, "FLOAT_COLOR", "POINT")
     spread = float(np.linalg.norm(np.percentile(positions, 95, axis=0) - np.percentile(positions, 5, axis=0)))
     radius = 0.3 * spread / math.sqrt(len(positions))
-    cloud.attributes["radius"].data.foreach_set("value", np.full(len(positions), radius, np.float32))
+    attributes["radius"].data.foreach_set("value", np.full(len(positions), radius, np.float32))
     rgba = np.ones((len(positions), 4), np.float32)
     rgba[:, :3] = colors / np.float32(255)
-    # Through the sRGB property the values are stored as linear light.
-    cloud.attributes[point_material.COLOR].data.foreach_set("color_srgb", rgba.ravel())
+    # The sRGB property converts to linear light, which is what the attribute stores.
+    attributes[point_material.COLOR].data.foreach_set("color_srgb", rgba.ravel())
     cloud.materials.append(point_material.material())
     return cloud

@@ -2,12 +2,13 @@
 
 Attributes of the point cloud, all on points: `position`; `scale` (linear sigma); `rotation` (quaternion wxyz);
 `radiance:base` (x y z the raw degree-0 coefficient, w the opacity 0..1); `radiance:sh_0` ... (one RGB coefficient
-each); `radius` (mean sigma: for exporters and point display); `swag:NAME` for each further property (labels, scores).
+each); `radius` (mean sigma: for exporters and point display); `swag:NAME` for each extra property (labels, scores).
 
-The points stay in the frame they were trained in (the COLMAP world); the object's transform places them in Blender.
+The points keep the coordinates of training (the COLMAP world); the object's transform places them in Blender.
 """
 
 import math
+from typing import Any, cast
 
 import bpy
 import numpy as np
@@ -15,26 +16,52 @@ from mathutils import Matrix
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.splats.splats import Splats
+from .blender_types import present
 from .nodes import splat_preview
 
 BASE = "radiance:base"
 OWN_PREFIX = "swag:"
-# File to Blender world when a file has no scene of its own: PLY has its y axis down, which viewers show upright.
 FILE_FRAME = Matrix.Rotation(math.radians(-90), 4, "X")
+"""Matrix from file to Blender world without an imported scene: a PLY has y down, which viewers show upright."""
 _VALUE_PROPERTIES = ("color", "vector", "value")
+"""Properties that hold the value of an attribute's element; a type of attribute has one of them."""
 
 
 def is_splats(obj: bpy.types.Object | None) -> bool:
     """Whether the object is a point cloud that carries splats."""
-    return obj is not None and obj.type == "POINTCLOUD" and BASE in obj.data.attributes
+    return obj is not None and isinstance(obj.data, bpy.types.PointCloud) and BASE in obj.data.attributes
+
+
+def pointcloud_of(obj: bpy.types.Object) -> bpy.types.PointCloud:
+    """The point cloud of a splat object."""
+    assert isinstance(obj.data, bpy.types.PointCloud)
+    return obj.data
+
+
+def count(obj: bpy.types.Object) -> int:
+    """Number of splats of a splat object, without its modifiers."""
+    return len(pointcloud_of(obj).points)
+
+
+def select_only(context: bpy.types.Context, objects: list[bpy.types.Object]) -> None:
+    """Select these objects and no others, and make the last one active."""
+    for obj in list(context.selected_objects):
+        obj.select_set(False)
+    for obj in objects:
+        obj.select_set(True)
+        present(context.view_layer).objects.active = obj
 
 
 def new_splat_object(
     name: str, splats: Splats, collection: bpy.types.Collection, parent: bpy.types.Object | None = None
 ) -> bpy.types.Object:
-    """Make an object named `name` of the splats in `collection`, with the preview where Blender has no native splats.
+    """Make an object of splats, with the preview where Blender has no native splats.
 
-    `parent`: usually the root of an imported scene, whose local frame is the COLMAP world.
+    Args:
+        name: of the object and its point cloud.
+        splats: what it holds.
+        collection: where it is linked.
+        parent: usually the root of an imported scene, whose local frame is the COLMAP world.
     """
     obj = bpy.data.objects.new(name, _pointcloud(name, splats))
     collection.objects.link(obj)
@@ -46,23 +73,24 @@ def new_splat_object(
 
 def replace_splats(obj: bpy.types.Object, splats: Splats) -> None:
     """Give the object other splats (any number of them); transform, parent, modifiers and object name stay."""
-    old, name = obj.data, obj.data.name
+    old = pointcloud_of(obj)
+    name = old.name
     obj.data = _pointcloud(name, splats)
     if old.users == 0:
         bpy.data.pointclouds.remove(old)
-        obj.data.name = name
+        pointcloud_of(obj).name = name
 
 
 def read_splats(obj: bpy.types.Object) -> Splats:
     """The splats of the object in its own frame, without its transform and modifiers."""
-    return _splats_of(obj.data)
+    return _splats_of(pointcloud_of(obj))
 
 
 def read_modified_splats(obj: bpy.types.Object) -> Splats:
-    """The splats of the object in its own frame as its modifiers leave them, but for the preview's.
+    """The splats of the object in its own frame with its modifiers applied, except the preview.
 
-    Modifiers that are off in the viewport do not count. A modifier that moves points moves splats; their sizes,
-    rotations and colours are what the attributes say. Raises InputError when a modifier leaves no splats.
+    Modifiers that are off in the viewport do not count. A modifier that moves points moves splats; sizes, rotations
+    and colours are those of the attributes. Raises InputError when the modifiers leave no splats.
     """
     shown = [modifier for modifier in obj.modifiers if modifier.show_viewport]
     previews = [modifier for modifier in shown if _is_preview(modifier)]
@@ -81,7 +109,7 @@ def read_modified_splats(obj: bpy.types.Object) -> Splats:
 
 
 def _is_preview(modifier: bpy.types.Modifier) -> bool:
-    group = modifier.node_group if modifier.type == "NODES" else None
+    group = modifier.node_group if isinstance(modifier, bpy.types.NodesModifier) else None
     return group is not None and group.name.startswith(splat_preview.NAME)
 
 
@@ -91,7 +119,7 @@ def _splats_of(pointcloud: bpy.types.PointCloud) -> Splats:
     sh = [base[:, :3]]
     while (attribute := attributes.get(f"radiance:sh_{len(sh) - 1}")) is not None:
         sh.append(_read(attribute, 3))
-    # A modifier can leave a degree incomplete; what is whole counts.
+    # A modifier can remove coefficients: only complete degrees count.
     sh = sh[: math.isqrt(len(sh)) ** 2]
     own = [a for a in attributes if a.name.startswith(OWN_PREFIX) and a.data_type in {"FLOAT", "INT"}]
     return Splats(
@@ -107,7 +135,7 @@ def _splats_of(pointcloud: bpy.types.PointCloud) -> Splats:
 def new_pointcloud(name: str, positions: np.ndarray) -> bpy.types.PointCloud:
     """A point cloud with `position` set from (N, 3) float32 and no further attributes."""
     pointcloud = bpy.data.pointclouds.new(name)
-    if hasattr(pointcloud, "resize"):
+    if hasattr(pointcloud, "resize"):  # Blender 5.2 and later
         pointcloud.resize(len(positions))
     else:
         bpy.data.pointclouds.remove(pointcloud)
@@ -117,8 +145,8 @@ def new_pointcloud(name: str, positions: np.ndarray) -> bpy.types.PointCloud:
 
 
 def _converted_from_mesh(name: str, count: int) -> bpy.types.PointCloud:
-    # Before Blender 5.2 a point cloud has no resize; a mesh of loose vertices converts. A scene of its own keeps the
-    # user's selection, view layer and undo history out of it.
+    # A mesh of loose vertices converts to a point cloud. The scene is separate so that the user's selection, view layer
+    # and undo history stay as they are.
     scene = bpy.data.scenes.new(name)
     layer = scene.view_layers[0]
     mesh = bpy.data.meshes.new(name)
@@ -126,10 +154,15 @@ def _converted_from_mesh(name: str, count: int) -> bpy.types.PointCloud:
     obj = bpy.data.objects.new(name, mesh)
     scene.collection.objects.link(obj)
     layer.objects.active = obj
-    selection = {"active_object": obj, "object": obj, "selected_objects": [obj], "selected_editable_objects": [obj]}
+    selection: dict[str, Any] = {
+        "active_object": obj,
+        "object": obj,
+        "selected_objects": [obj],
+        "selected_editable_objects": [obj],
+    }
     with bpy.context.temp_override(scene=scene, view_layer=layer, **selection):
         bpy.ops.object.convert(target="POINTCLOUD")
-    pointcloud = obj.data
+    pointcloud = pointcloud_of(obj)
     bpy.data.objects.remove(obj)
     bpy.data.scenes.remove(scene)
     if mesh.users == 0:
@@ -143,7 +176,8 @@ def _converted_from_mesh(name: str, count: int) -> bpy.types.PointCloud:
 def _pointcloud(name: str, splats: Splats) -> bpy.types.PointCloud:
     pointcloud = new_pointcloud(name, splats.positions)
     base = np.concatenate([splats.sh[:, 0], splats.opacities[:, None]], axis=1)
-    types = bpy.types.Attribute.bl_rna.properties["data_type"].enum_items
+    types = cast(Any, bpy.types.Attribute).bl_rna.properties["data_type"].enum_items
+    attributes: Any = pointcloud.attributes
     values = [
         ("scale", "FLOAT_VECTOR", splats.scales),
         ("rotation", "QUATERNION", splats.rotations),
@@ -153,28 +187,28 @@ def _pointcloud(name: str, splats: Splats) -> bpy.types.PointCloud:
     values += [(f"radiance:sh_{k - 1}", "FLOAT_VECTOR", splats.sh[:, k]) for k in range(1, splats.sh.shape[1])]
     for own, value in splats.extras.items():
         values.append((OWN_PREFIX + own, "INT" if np.issubdtype(value.dtype, np.integer) else "FLOAT", value))
-    # Adding an attribute can move the others: make all first, then write each.
+    # Adding an attribute can move the data of others: all are made before any is written.
     for attribute, kind, _ in values:
-        if attribute not in pointcloud.attributes:
-            pointcloud.attributes.new(attribute, kind, "POINT")
+        if attribute not in attributes:
+            attributes.new(attribute, kind, "POINT")
     for attribute, _, value in values:
-        _write(pointcloud.attributes[attribute], value)
+        _write(attributes[attribute], value)
     if hasattr(pointcloud, "type"):
         pointcloud.type = "GAUSSIAN_SPLAT"
     return pointcloud
 
 
-def _value_property(attribute: bpy.types.Attribute) -> str:
+def _value_property(attribute: Any) -> str:
     properties = attribute.bl_rna.properties["data"].fixed_type.properties
     return next(name for name in _VALUE_PROPERTIES if name in properties)
 
 
-def _write(attribute: bpy.types.Attribute, values: np.ndarray) -> None:
+def _write(attribute: Any, values: np.ndarray) -> None:
     dtype = np.int32 if attribute.data_type == "INT" else np.float32
     attribute.data.foreach_set(_value_property(attribute), np.ascontiguousarray(values, dtype=dtype).ravel())
 
 
-def _read(attribute: bpy.types.Attribute, width: int) -> np.ndarray:
+def _read(attribute: Any, width: int) -> np.ndarray:
     dtype = np.int32 if attribute.data_type == "INT" else np.float32
     values = np.empty(len(attribute.data) * width, dtype)
     attribute.data.foreach_get(_value_property(attribute), values)

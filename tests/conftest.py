@@ -18,15 +18,16 @@ import swag_engine.base.threads  # noqa: F401
 
 MAIN_VERSION = "5.0"
 """The Blender version that the quick tests run in: it is the package of this Python."""
-QUICK_BLENDER = ("test_scene_import", "test_extension", "test_panels")
+QUICK_BLENDER = ("test_scene_import", "test_extension", "test_panels", "test_server", "test_export")
 """Files of tests/blender that belong to `make test`."""
 NOT_QUICK = (
     "test_sanitizer", "test_command_line", "test_batch", "test_worker", "test_semantics_training", "test_demo_scene",
     "test_dropout", "test_scene_sfm", "test_tradeoff", "test_semantics_run", "test_forecast", "test_ablate",
     "test_semantics_real_networks", "test_training_water", "test_effects_training", "test_time_budget",
     "test_interpolation", "test_cuda", "test_recipes", "test_evaluation", "test_report",
+    "test_lpips_real",
 )  # fmt: skip
-"""Files of tests/engine that take long: whole runs, processes, and kernels on slow stand-ins."""
+"""Files of tests/engine that take long or download: whole runs, processes, kernels on slow stand-ins, real weights."""
 
 sys.path.insert(0, str(Path(__file__).parent / "scenes"))
 
@@ -51,6 +52,17 @@ def tiny_scene(tmp_path_factory):
     from tiny import make_tiny_scene
 
     return make_tiny_scene(tmp_path_factory.mktemp("tiny") / "wall of discs")
+
+
+@pytest.fixture(scope="session")
+def finished_run(tiny_scene, tmp_path_factory):
+    """The folder of a finished run of the tiny scene, for tests that read; copy it where files are added or changed."""
+    from swag_engine.settings.settings import TrainSettings
+    from swag_engine.training.trainer import train
+
+    folder = tmp_path_factory.mktemp("runs") / "a <b> & c"
+    train(tiny_scene, folder, TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1))
+    return folder
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -1,0 +1,1 @@
+"""Node trees and materials: the preview of splats, the fitted water, points."""

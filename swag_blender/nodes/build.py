@@ -1,12 +1,19 @@
-"""Node trees written as formulas: sockets that add and multiply, shared by geometry and shader trees."""
+"""Node trees written as formulas: sockets with arithmetic, for geometry and shader trees.
+
+fake-bpy-module has no types for what nodes of one kind have alone, so nodes and sockets are Any here.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any, Literal, TypeAlias, cast
 
 import bpy
 
-Operand = "Field | float | Sequence[float]"
+from ..blender_types import present
+
+Operand: TypeAlias = "Field | float | Sequence[float] | str | bpy.types.Material"
+"""Value of an input socket: the output of another node, or a constant."""
 
 
 class Field:
@@ -15,11 +22,17 @@ class Field:
     Numbers act on number sockets, numbers or triples on vector sockets; vector * number scales.
     """
 
-    def __init__(self, socket: bpy.types.NodeSocket):
+    def __init__(self, socket: bpy.types.NodeSocket) -> None:
         self.socket = socket
 
     @property
+    def tree(self) -> bpy.types.NodeTree:
+        """The tree that the socket belongs to."""
+        return cast(bpy.types.NodeTree, self.socket.id_data)
+
+    @property
     def is_vector(self) -> bool:
+        """Whether the socket holds a vector or a color."""
         return self.socket.type in {"VECTOR", "RGBA"}
 
     def math(self, operation: str, *others: Operand) -> Field:
@@ -31,20 +44,18 @@ class Field:
         return self._node("ShaderNodeVectorMath", operation, output, self, *others)
 
     def _node(self, kind: str, operation: str, output: str, *operands: Operand) -> Field:
-        tree = self.socket.id_data
-        node = tree.nodes.new(kind)
+        node: Any = self.tree.nodes.new(kind)
         node.operation = operation
         for socket, operand in zip(node.inputs, operands, strict=False):
-            connect(tree, operand, socket)
+            connect(self.tree, operand, socket)
         return Field(node.outputs[output])
 
     def scaled(self, factor: Operand) -> Field:
-        """vector * number"""
-        tree = self.socket.id_data
-        node = tree.nodes.new("ShaderNodeVectorMath")
+        """Product of a vector and a number."""
+        node: Any = self.tree.nodes.new("ShaderNodeVectorMath")
         node.operation = "SCALE"
-        connect(tree, self, node.inputs["Vector"])
-        connect(tree, factor, node.inputs["Scale"])
+        connect(self.tree, self, node.inputs["Vector"])
+        connect(self.tree, factor, node.inputs["Scale"])
         return Field(node.outputs["Vector"])
 
     def dot(self, other: Operand) -> Field:
@@ -53,10 +64,10 @@ class Field:
 
     def xyz(self) -> tuple[Field, Field, Field]:
         """The three components of a vector."""
-        tree = self.socket.id_data
-        node = tree.nodes.new("ShaderNodeSeparateXYZ")
-        connect(tree, self, node.inputs["Vector"])
-        return tuple(Field(socket) for socket in node.outputs)
+        node = self.tree.nodes.new("ShaderNodeSeparateXYZ")
+        connect(self.tree, self, node.inputs["Vector"])
+        x, y, z = (Field(socket) for socket in node.outputs)
+        return x, y, z
 
     def _arithmetic(self, operation: str, other: Operand) -> Field:
         return self.vector(operation, other) if self.is_vector else self.math(operation, other)
@@ -75,16 +86,43 @@ class Field:
     __rmul__ = __mul__
 
 
+def new_tree(name: str, kind: Literal["GeometryNodeTree", "ShaderNodeTree"]) -> bpy.types.NodeTree:
+    """Make an empty node group."""
+    return present(bpy.data.node_groups.new(name, kind))
+
+
+def add_socket(
+    tree: bpy.types.NodeTree,
+    name: str,
+    kind: str,
+    in_out: Literal["INPUT", "OUTPUT"] = "INPUT",
+    parent: bpy.types.NodeTreeInterfacePanel | None = None,
+) -> Any:
+    """Add an input or output to a node group; `kind` as in NodeSocketFloat."""
+    new_socket = cast(Any, present(tree.interface).new_socket)
+    return new_socket(name, in_out=in_out, socket_type=f"NodeSocket{kind}", parent=parent)
+
+
 def connect(tree: bpy.types.NodeTree, value: Operand, socket: bpy.types.NodeSocket) -> None:
-    """Feed an input socket: a link from a field, or a constant."""
+    """Set an input socket: a link from a field, or a constant."""
     if isinstance(value, Field):
         tree.links.new(value.socket, socket)
     else:
-        socket.default_value = value
+        cast(Any, socket).default_value = value
 
 
-def add(tree: bpy.types.NodeTree, kind: str, settings: dict | None = None, **inputs: Operand) -> bpy.types.Node:
-    """A new node with `settings` (its properties) and its inputs fed by name (`_` in a keyword stands for a space)."""
+def add(
+    tree: bpy.types.NodeTree | None, kind: str, settings: dict[str, Any] | None = None, **inputs: Operand
+) -> bpy.types.Node:
+    """Make a node.
+
+    Args:
+        tree: where the node is made; never None, although a material's tree has that type.
+        kind: type name of the node.
+        settings: properties of the node by name.
+        **inputs: values of its input sockets by name, with `_` for a space.
+    """
+    assert tree is not None
     node = tree.nodes.new(kind)
     for name, value in (settings or {}).items():
         setattr(node, name, value)
@@ -95,7 +133,7 @@ def add(tree: bpy.types.NodeTree, kind: str, settings: dict | None = None, **inp
 
 
 def combined(tree: bpy.types.NodeTree, parts: Sequence[Operand]) -> Field:
-    """A vector of three numbers."""
+    """Vector of three numbers."""
     node = tree.nodes.new("ShaderNodeCombineXYZ")
     for part, socket in zip(parts, node.inputs, strict=True):
         connect(tree, part, socket)
@@ -103,11 +141,11 @@ def combined(tree: bpy.types.NodeTree, parts: Sequence[Operand]) -> Field:
 
 
 def arranged(tree: bpy.types.NodeTree) -> None:
-    """Lay the nodes out in columns by their distance from the inputs, so that a person can read the tree."""
+    """Place the nodes in columns by their distance from the inputs, so that the tree is readable."""
     column: dict[str, int] = {}
     incoming: dict[str, list[str]] = {node.name: [] for node in tree.nodes}
     for link in tree.links:
-        incoming[link.to_node.name].append(link.from_node.name)
+        incoming[present(link.to_node).name].append(present(link.from_node).name)
     pending = list(incoming)
     while pending:
         for name in [n for n in pending if all(source in column for source in incoming[n])]:
@@ -119,5 +157,5 @@ def arranged(tree: bpy.types.NodeTree) -> None:
         x = column[node.name]
         places += (220 * x, -180 * rows.get(x, 0))
         rows[x] = rows.get(x, 0) + 1
-    # At once: each node that is moved alone makes Blender look through the whole tree.
+    # In one call: moving a node alone makes Blender search the whole tree.
     tree.nodes.foreach_set("location", places)

@@ -1,20 +1,22 @@
-"""The material of coloured points: the sparse cloud, and splats shown as points."""
+"""The material of coloured points: the sparse cloud, and splats drawn as points."""
 
 import bpy
 
+from ..blender_types import present
 from . import build
 
 NAME = "SWAG Points"
-COLOR = "swag:color"  # linear light
+COLOR = "swag:color"
+"""Point attribute of the color, linear light."""
 
 
 def material() -> bpy.types.Material:
-    """Emission of the point attribute `swag:color`; made once per file."""
+    """The material that emits the attribute COLOR; made once per file."""
     if (known := bpy.data.materials.get(NAME)) is not None:
         return known
     made = bpy.data.materials.new(NAME)
     made.use_nodes = True
-    tree = made.node_tree
+    tree = present(made.node_tree)
     tree.nodes.clear()
     color = build.add(tree, "ShaderNodeAttribute", {"attribute_type": "GEOMETRY", "attribute_name": COLOR})
     emission = build.add(tree, "ShaderNodeEmission", Color=build.Field(color.outputs["Color"]))

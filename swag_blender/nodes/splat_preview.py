@@ -1,42 +1,44 @@
-"""Splats drawn by geometry nodes and a material, for Blender versions that have no native splats.
+"""Preview of splats by geometry nodes and a material, for Blender versions without native splats.
 
-Colour is computed once per splat, as splat renderers do: 0.5 + spherical harmonics of the direction from the scene's
+Color is computed once per splat, as splat renderers do: 0.5 + spherical harmonics of the direction from the scene's
 active camera. The shape is drawn in one of three ways:
-- renders ("Face Camera"): a rectangle parallel to the image plane through each splat's centre, with the projected
-  Gaussian on it (EWA splatting, Zwicker et al. 2001, as in Kerbl et al. 2023). Cycles then meets the splats in the
-  order of their depth, with the alpha that the trainer gave them, and EEVEE blends them in the order in which they
-  stand in the mesh, which is that of their depth: same picture as the engine's to rounding. EEVEE draws one splat
-  object as a whole before or behind another.
-- otherwise: a sphere turned and scaled to the three-sigma ellipsoid, right from every direction. With p the hit point
-  in the sphere's own space (there 1 is three sigma) and v the unit viewing direction,
+- renders ("Face Camera"): a rectangle parallel to the image plane through each splat's center, with the projected
+  Gaussian on it (EWA splatting, Zwicker et al. 2001, as in Kerbl et al. 2023). Cycles blends the splats by depth, with
+  the alpha of the training, and EEVEE blends them in the order of the mesh's faces, which are sorted by depth: the
+  image is that of the engine up to rounding. EEVEE draws one splat object completely in front of another.
+- otherwise: a sphere scaled and rotated to the three-sigma ellipsoid, right from every direction. With the hit point p
+  in the sphere's own space (where 1 is three sigma) and the unit viewing direction v,
       alpha = opacity exp(-4.5 d^2),   d^2 = p.p - (p.v)^2,
-  d being the distance of the ray from the centre: the largest value of the 3D Gaussian along the ray.
-- in the viewport ("Points in Viewport"): coloured points, the fainter the smaller, fast at any number.
+  with the distance d of the ray from the center: the largest value of the 3D Gaussian along the ray.
+- in the viewport ("Points in Viewport"): coloured points, smaller for fainter splats, fast for any number.
 
-Splat trainers blend display (sRGB) values. Two ways to blend here:
-- linear light (default): colours are converted by the exact sRGB curve and blended as light, as Cycles and EEVEE do
-  with everything. Right beside other objects, under view transform Standard, but half-transparent splats over others
-  come out lighter than in the trainer.
-- display values ("Blend Display Values"): the values go through unconverted; under view transform Raw the picture is
-  the trainer's. For pictures of splats alone, such as comparisons with photographs.
+Training blends sRGB values. Two ways to blend here:
+- linear light (default): colors are converted from sRGB and blended as light, as Cycles and EEVEE do with everything.
+  Right beside other objects, under the view transform Standard, but semi-transparent splats in front of others are
+  lighter than in training.
+- sRGB values ("Blend Display Values"): the values are not converted; under the view transform Raw the image is that of
+  training. For images of splats alone, such as comparisons with photos.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import bpy
 from mathutils import Color
 
+from ..blender_types import present
 from ..water_values import OF_DISPLAY, WaterValues
 from . import point_material, splat_shapes
-from .build import Field, add, arranged
+from .build import Field, add, add_socket, arranged, new_tree
 from .formulas import SH_0, Water, by_channel, harmonics, mixed, to_display, to_light
 from .splat_shapes import attribute, stored
 from .water_shader import background_node
 
 NAME = "SWAG Splat Preview"
-HIDDEN, TINT = "swag:hidden", "swag:tint"  # splats left out, and a colour mixed in by its alpha: see labels.py
-BACKGROUND_KEY = "swag_background"  # on a splat object: the display colour that the training had behind the splats
+HIDDEN, TINT = "swag:hidden", "swag:tint"
+"""Point attributes: splats that are not drawn, and a color that is mixed in by its alpha (see labels.py)."""
+BACKGROUND_KEY = "swag_background"
+"""Property of a splat object: the sRGB background color of its training."""
 
 SH_DEGREE = "SH Degree"
 BLEND_DISPLAY = "Blend Display Values"
@@ -50,19 +52,23 @@ SHOWN_INPUTS = (POINTS_IN_VIEWPORT, DENSITY, SH_DEGREE, FACE_CAMERA)
 
 def add_modifier(obj: bpy.types.Object) -> bpy.types.NodesModifier:
     """Give a splat object the preview."""
-    modifier = obj.modifiers.new(NAME, "NODES")
+    modifier = cast(bpy.types.NodesModifier, obj.modifiers.new(NAME, "NODES"))
     modifier.node_group = node_group()
     return modifier
 
 
 def modifier_of(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
-    """The preview of a splat object; None where it has none: taken off, or Blender draws the splats itself."""
-    ours = (m for m in obj.modifiers if m.type == "NODES" and m.node_group and m.node_group.name.startswith(NAME))
-    return next(ours, None)
+    """The preview of a splat object; None if it was removed, or Blender draws the splats itself."""
+    for modifier in obj.modifiers:
+        if not isinstance(modifier, bpy.types.NodesModifier) or modifier.node_group is None:
+            continue
+        if modifier.node_group.name.startswith(NAME):
+            return modifier
+    return None
 
 
 def set_input(obj: bpy.types.Object, name: str, value: float | bool | Sequence[float]) -> None:
-    """Set an input of the object's preview by its name; does nothing where there is no preview."""
+    """Set an input of the object's preview by its name; does nothing without a preview."""
     if (found := _input(obj, name)) is not None:
         owner, path, _ = found
         if path == "value":
@@ -73,102 +79,112 @@ def set_input(obj: bpy.types.Object, name: str, value: float | bool | Sequence[f
 
 
 def input_path(obj: bpy.types.Object, name: str) -> str:
-    """Where an input of the object's preview is, for drivers; empty where there is no preview."""
+    """Data path of an input of the object's preview, for drivers; "" without a preview."""
     if (found := _input(obj, name)) is None:
         return ""
-    return f'modifiers["{bpy.utils.escape_identifier(modifier_of(obj).name)}"]{found[2]}'
+    return f'modifiers["{bpy.utils.escape_identifier(present(modifier_of(obj)).name)}"]{found[2]}'
 
 
 def draw_input(layout: bpy.types.UILayout, obj: bpy.types.Object, name: str) -> None:
-    """An input of the object's preview, for panels."""
+    """Draw an input of the object's preview in a panel."""
     if (found := _input(obj, name)) is not None:
         owner, path, _ = found
         layout.prop(owner, path if path == "value" else f'["{path}"]', text=name)
 
 
 def _input(obj: bpy.types.Object, name: str) -> tuple[Any, str, str] | None:
-    """Who holds the value, under which name ("value": as a property, else as a key), and its path in the modifier."""
+    """Owner of an input's value, its name there ("value": a property, else a key), its data path in the modifier."""
     if (modifier := modifier_of(obj)) is None:
         return None
-    items = modifier.node_group.interface.items_tree
+    items: Any = _items(modifier)
     key = next(i.identifier for i in items if i.name == name and getattr(i, "in_out", "") == "INPUT")
     if hasattr(modifier, "properties"):  # Blender 5.2 and later
-        return getattr(modifier.properties.inputs, key), "value", f".properties.inputs.{key}.value"
+        return getattr(cast(Any, modifier).properties.inputs, key), "value", f".properties.inputs.{key}.value"
     return modifier, key, f'["{key}"]'
 
 
+def _items(modifier: bpy.types.NodesModifier) -> Any:
+    """The inputs and outputs of the preview; their types differ by kind."""
+    return present(present(modifier.node_group).interface).items_tree
+
+
 def copy_inputs(source: bpy.types.Object, target: bpy.types.Object) -> None:
-    """Let the preview of one splat object draw as that of another."""
+    """Copy the inputs of the preview of one splat object to another."""
     if (modifier := modifier_of(source)) is None:
         return
-    for item in modifier.node_group.interface.items_tree:
+    for item in _items(modifier):
         if getattr(item, "in_out", "") == "INPUT" and item.socket_type != "NodeSocketGeometry":
-            owner, path, _ = _input(source, item.name)
+            owner, path, _ = present(_input(source, item.name))
             set_input(target, item.name, owner.value if path == "value" else owner[path])
 
 
 def remember_training(obj: bpy.types.Object, pixel_size: float, background: Sequence[float]) -> None:
-    """Keep with the splats what they were trained with, so that renders look the same.
+    """Store with the splats how they were trained, so that renders look the same.
 
-    pixel_size: 1 / focal length in pixels of the training images; background: the display colour (3,) behind them.
+    Args:
+        obj: a splat object.
+        pixel_size: 1 / focal length in pixels of the training images.
+        background: sRGB background color (3,) of the training.
     """
     set_input(obj, PIXEL_SIZE, pixel_size)
     obj[BACKGROUND_KEY] = [float(value) for value in background]
 
 
 def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str = "CYCLES") -> None:
-    """Settings with which Cycles or EEVEE draws splats fully and in their own colours, before their trained background.
+    """Set up Cycles or EEVEE so that renders show splats completely, in their own colors, with their background.
 
-    `display_values`: see the module text; the splat objects of the scene are switched to the same way of blending.
-    `engine`: CYCLES or EEVEE.
+    Args:
+        scene: its splat objects are set to the same way of blending.
+        display_values: whether to blend sRGB values and not linear light.
+        engine: "CYCLES" or "EEVEE".
     """
-    if engine == "EEVEE":
-        scene.render.engine = "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"
-    else:
-        scene.render.engine = "CYCLES"
-    # A pixel sees hundreds of half-transparent splats. The minimum keeps Cycles from ending rays by chance: the alphas
-    # are blended exactly, and samples are needed for the edges of pixels only.
-    scene.cycles.transparent_max_bounces = scene.cycles.min_transparent_bounces = 1024
-    scene.cycles.max_bounces = 0
-    scene.cycles.use_denoising = False
-    scene.view_settings.view_transform = "Raw" if display_values else "Standard"
-    scene.view_settings.look = "None"
-    scene.view_settings.exposure, scene.view_settings.gamma = 0.0, 1.0
+    eevee = "BLENDER_EEVEE" if bpy.app.version >= (5, 0) else "BLENDER_EEVEE_NEXT"
+    cast(Any, scene.render).engine = eevee if engine == "EEVEE" else "CYCLES"
+    # A ray crosses hundreds of semi-transparent splats. The minimum prevents Cycles from ending rays at random, so that
+    # alphas are blended exactly and samples only antialias.
+    cycles = cast(Any, scene).cycles
+    cycles.transparent_max_bounces = cycles.min_transparent_bounces = 1024
+    cycles.max_bounces = 0
+    cycles.use_denoising = False
+    view_settings: Any = scene.view_settings
+    view_settings.view_transform = "Raw" if display_values else "Standard"
+    view_settings.look = "None"
+    view_settings.exposure, view_settings.gamma = 0.0, 1.0
     for obj in scene.objects:
         set_input(obj, BLEND_DISPLAY, display_values)
-    background = next((obj[BACKGROUND_KEY] for obj in scene.objects if BACKGROUND_KEY in obj), None)
+    stored_colors = (obj.get(BACKGROUND_KEY) for obj in scene.objects)
+    background = next((color for color in stored_colors if color is not None), None)
     if background is not None:
-        node = background_node(scene)
-        for link in node.inputs["Color"].links:
-            node.id_data.links.remove(link)
+        inputs: Any = background_node(scene).inputs
+        for link in inputs["Color"].links:
+            inputs["Color"].id_data.links.remove(link)
         color = Color(background)
-        node.inputs["Color"].default_value = (*(color if display_values else color.from_srgb_to_scene_linear()), 1.0)
-        node.inputs["Strength"].default_value = 1.0
+        inputs["Color"].default_value = (*(color if display_values else color.from_srgb_to_scene_linear())[:], 1.0)
+        inputs["Strength"].default_value = 1.0
 
 
 def node_group() -> bpy.types.NodeTree:
     """The preview's geometry nodes; made once per file."""
     if (known := bpy.data.node_groups.get(NAME)) is not None:
         return known
-    tree = bpy.data.node_groups.new(NAME, "GeometryNodeTree")
-    tree.is_modifier = True
-    _interface(tree.interface)
+    tree = new_tree(NAME, "GeometryNodeTree")
+    cast(bpy.types.GeometryNodeTree, tree).is_modifier = True
+    _interface(tree)
     inputs = {s.name: Field(s) for s in add(tree, "NodeGroupInput").outputs if s.name}
     in_viewport = Field(add(tree, "GeometryNodeIsViewport").outputs[0])
-    geometry = _kept(tree, inputs, in_viewport)
+    geometry = _drawn(tree, inputs, in_viewport)
     position = Field(add(tree, "GeometryNodeInputPosition").outputs[0])
     camera = Field(add(tree, "GeometryNodeInputActiveCamera").outputs[0])
-    # Relative: in the splat object's own space, where positions, spherical harmonics and the water's unit are.
+    # Relative: in the splat object's own space, as positions, spherical harmonics and the water's unit of length.
     view = add(tree, "GeometryNodeObjectInfo", {"transform_space": "RELATIVE"}, Object=camera).outputs
     ray = position - Field(view["Location"])
 
     color = _color(tree, ray.vector("NORMALIZE"), inputs[SH_DEGREE])
     light = by_channel(tree, to_light, color)
-    watery, watery_light = _through_water(tree, inputs, ray, color)
-    water = inputs[WATER].math("GREATER_THAN", 0.0)
-    color, light = (
-        _switch(tree, water, clear, seen, "VECTOR") for clear, seen in ((color, watery), (light, watery_light))
-    )
+    seen, seen_light = _through_water(tree, inputs, ray, color)
+    has_water = inputs[WATER].math("GREATER_THAN", 0.0)
+    color = _switch(tree, has_water, color, seen, "VECTOR")
+    light = _switch(tree, has_water, light, seen_light, "VECTOR")
     color = _switch(tree, inputs[BLEND_DISPLAY], light, color, "VECTOR")
     tint = attribute(tree, TINT, "FLOAT_COLOR")
     color = mixed(color, tint, Field(add(tree, "FunctionNodeSeparateColor", Color=tint).outputs["Alpha"]))
@@ -188,80 +204,85 @@ def node_group() -> bpy.types.NodeTree:
     return tree
 
 
-def _interface(interface: bpy.types.NodeTreeInterface) -> None:
-    interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+def _interface(tree: bpy.types.NodeTree) -> None:
+    add_socket(tree, "Geometry", "Geometry", "OUTPUT")
+    add_socket(tree, "Geometry", "Geometry")
 
     def number(name: str, kind: str, text: str, default: float, low: float, high: float, subtype: str = "NONE") -> None:
-        socket = interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
+        socket = add_socket(tree, name, kind)
         socket.subtype = subtype
         socket.default_value, socket.min_value, socket.max_value, socket.description = default, low, high, text
 
     def switch(name: str, default: bool, text: str, parent: bpy.types.NodeTreeInterfacePanel | None = None) -> None:
-        socket = interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketBool", parent=parent)
+        socket = add_socket(tree, name, "Bool", parent=parent)
         socket.default_value, socket.description = default, text
 
-    number(SH_DEGREE, "Int", "Spherical harmonics used for colours that change with the active camera's view", 3, 0, 3)
+    text = "Highest degree of spherical harmonics that is used for the view from the active camera"
+    number(SH_DEGREE, "Int", text, 3, 0, 3)
     switch(
-        BLEND_DISPLAY, False, "Blend as the trainer does; needs the view transform Raw and splats alone in the picture"
+        BLEND_DISPLAY, False, "Blend sRGB values as training does; needs the view transform Raw, and no other objects"
     )
-    text = "1 / focal length in pixels of the training images: widens splats as in training (0: off)"
+    text = "1 / focal length in pixels of the training images: widens splats as in training; 0: off"
     number(PIXEL_SIZE, "Float", text, 0.0, 0.0, 1.0)
     switch(
-        FACE_CAMERA, True, "In renders, draw what the active camera sees exactly; off: solid ellipsoids from everywhere"
+        FACE_CAMERA, True, "Render splats exactly as seen from the active camera; off: ellipsoids, for every direction"
     )
-    switch(POINTS_IN_VIEWPORT, True, "Draw coloured points in the viewport (fast); renders always show the splats")
-    number(DENSITY, "Float", "Share of the splats in the viewport; renders show all", 100.0, 0.0, 100.0, "PERCENTAGE")
-    number(WATER, "Float", "How much of the water to show: 0 none, 1 as photographed", 0.0, 0.0, 1.0, "FACTOR")
-    panel = interface.new_panel("Water", default_closed=True)
-    panel.description = "What the training found of the water, per unit of the splats' own space"
+    switch(
+        POINTS_IN_VIEWPORT, True, "Draw coloured points in the viewport, which is fast; renders always show the splats"
+    )
+    number(
+        DENSITY, "Float", "Percentage of the splats in the viewport; renders show all", 100.0, 0.0, 100.0, "PERCENTAGE"
+    )
+    number(WATER, "Float", "Fraction of the water to show: 0 none, 1 as photographed", 0.0, 0.0, 1.0, "FACTOR")
+    panel = present(tree.interface).new_panel("Water", default_closed=True)
+    panel.description = "Coefficients of the fitted water, per unit of the splats' own space"
     for name, value in WaterValues().inputs().items():
         if isinstance(value, tuple):
-            interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketVector", parent=panel)
+            add_socket(tree, name, "Vector", parent=panel)
         else:
-            switch(name, value, "The water acts on display values, not on light", panel)
+            switch(name, value, "The water acts on sRGB values, not on linear light", panel)
 
 
-def _kept(tree: bpy.types.NodeTree, inputs: dict[str, Field], in_viewport: Field) -> Field:
-    """The splats that are drawn at all."""
+def _drawn(tree: bpy.types.NodeTree, inputs: dict[str, Field], in_viewport: Field) -> Field:
+    """The splats that are drawn: no hidden ones, and in the viewport only the chosen percentage."""
     hidden = attribute(tree, HIDDEN, "BOOLEAN")
-    geometry = add(tree, "GeometryNodeDeleteGeometry", Geometry=inputs["Geometry"], Selection=hidden)
-    geometry = Field(geometry.outputs["Geometry"])
-    share = inputs[DENSITY] * 0.01
+    visible = add(tree, "GeometryNodeDeleteGeometry", Geometry=inputs["Geometry"], Selection=hidden)
+    geometry = Field(visible.outputs["Geometry"])
+    fraction = inputs[DENSITY] * 0.01
     random = add(tree, "FunctionNodeRandomValue", {"data_type": "FLOAT"})
     drawn = Field(next(socket for socket in random.outputs if socket.enabled))
-    dropped = drawn.math("GREATER_THAN", share)
+    dropped = drawn.math("GREATER_THAN", fraction)
     thinned = add(tree, "GeometryNodeDeleteGeometry", Geometry=geometry, Selection=dropped)
-    thin = in_viewport * share.math("LESS_THAN", 1.0)
+    thin = in_viewport * fraction.math("LESS_THAN", 1.0)
     return _switch(tree, thin, geometry, Field(thinned.outputs["Geometry"]))
 
 
 def _through_water(tree: bpy.types.NodeTree, inputs: dict[str, Field], ray: Field, color: Field) -> tuple[Field, Field]:
-    """Display values and light of the splats of that display colour seen along `ray`, through the water."""
+    """Compute sRGB values and linear light of splats with that sRGB color, seen along `ray` through the water."""
     display = inputs[OF_DISPLAY]
     water = Water.of(inputs, inputs[WATER])
     own = mixed(by_channel(tree, to_light, color), color, display)
-    veil = water.open_water(tree, ray.vector("NORMALIZE"))
-    seen = water.through(tree, own, ray.vector("LENGTH", output="Value"), veil)
+    background = water.background_light(tree, ray.vector("NORMALIZE"))
+    seen = water.through(tree, own, ray.vector("LENGTH", output="Value"), background)
     as_display = mixed(by_channel(tree, to_display, seen), seen, display)
     return as_display, mixed(seen, by_channel(tree, to_light, seen), display)
 
 
 def _switch(tree: bpy.types.NodeTree, switch: Field, off: Field, on: Field, kind: str = "GEOMETRY") -> Field:
-    """One of two; only that one is computed, where `switch` is the same for all points."""
+    """One of two fields; only that one is computed if `switch` is the same for all points."""
     node = add(tree, "GeometryNodeSwitch", {"input_type": kind}, Switch=switch, **{"False": off, "True": on})
     return Field(node.outputs["Output"])
 
 
 def _color(tree: bpy.types.NodeTree, direction: Field, degree: Field) -> Field:
-    """max(0, 0.5 + sum of coefficient times basis), the display colour of each splat seen along `direction`."""
+    """Compute the sRGB color of each splat along `direction`: max(0, 0.5 + sum of coefficients times harmonics)."""
     base = attribute(tree, "radiance:base", "FLOAT_COLOR")
     total = base * SH_0 + (0.5, 0.5, 0.5)
     index = 0
     for level, functions in enumerate(harmonics(direction), start=1):
         more = total
         for function in functions:
-            # Coefficients that the splats do not have read as zero.
+            # Attributes that the splats do not have are zero.
             coefficient = attribute(tree, f"radiance:sh_{index}", "FLOAT_VECTOR")
             more = coefficient.vector("MULTIPLY_ADD", function, more)
             index += 1

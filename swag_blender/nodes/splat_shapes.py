@@ -1,27 +1,30 @@
-"""The two shapes that splats are drawn with, and their materials: see splat_preview.py."""
+"""The shapes that splats are drawn with, and their materials: see splat_preview.py."""
 
 import math
+from typing import Any, cast
 
 import bpy
 
+from ..blender_types import present
 from . import point_material
 from .build import Field, add, arranged, combined
 
 OPACITY, REACH, PLACE = "swag:opacity", "swag:reach", "swag:place"
 RADIUS_IN_SIGMA = 3.0
+"""Radius of the ellipsoids in standard deviations."""
 POINT_IN_SIGMA = 1.5
-# Splat renderers leave out what is fainter.
-LEAST_ALPHA = 1 / 255
-# Kerbl et al. evaluate the projection's derivative at most this far outside the picture: beyond, it is of no use.
+"""Radius of an opaque point in standard deviations of its middle axis."""
+MIN_ALPHA = 1 / 255
+"""Splat renderers do not draw smaller alphas."""
 FRUSTUM_MARGIN = 1.3
-# Renderers of the 3DGS family widen the projected covariance by this many square pixels (Kerbl et al. 2023, "Gaussian
-# Splatting", and Zwicker et al. 2001 before it); trained splats rely on it.
+"""The projection is linearised at most this far from the center, in half images (Kerbl et al. 2023, code)."""
 PIXEL_VARIANCE = 0.3
+"""Variance in pixels squared that is added to the projected covariance (Zwicker et al. 2001, Kerbl et al. 2023)."""
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def points(tree: bpy.types.NodeTree, geometry: Field, opacity: Field) -> Field:
-    """The points themselves, opaque, so small that faint and long splats do not hide what lies behind them."""
+    """The points as opaque discs, so small that faint and long splats do not hide those behind them."""
     x, y, z = attribute(tree, "scale", "FLOAT_VECTOR").xyz()
     largest, smallest = (x.math(which, y).math(which, z) for which in ("MAXIMUM", "MINIMUM"))
     middle = x + y + z - largest - smallest
@@ -33,16 +36,21 @@ def points(tree: bpy.types.NodeTree, geometry: Field, opacity: Field) -> Field:
 
 
 def ellipsoids(
-    tree: bpy.types.NodeTree, points: Field, ray: Field, view: bpy.types.NodeInputs, pixel_size: Field
+    tree: bpy.types.NodeTree, points: Field, ray: Field, view: bpy.types.NodeOutputs, pixel_size: Field
 ) -> Field:
-    """A sphere for each point, made its three-sigma ellipsoid.
+    """The three-sigma ellipsoid of each point, a scaled sphere.
 
-    ray: from the camera to the points; view: the Object Info of the camera, both in the points' own space.
+    Args:
+        tree: where the nodes are made.
+        points: the point cloud.
+        ray: from the camera to the points, in the points' own space.
+        view: outputs of the Object Info of the camera, in the same space.
+        pixel_size: 1 / focal length in pixels.
     """
     widened = ray.dot(_turned(tree, (0.0, 0.0, -1.0), Field(view["Rotation"]))) * pixel_size
     sigma, rotation = _sigma_and_rotation(tree)
     wide = combined(tree, [(s * s + widened * widened * PIXEL_VARIANCE).math("SQRT") for s in sigma.xyz()])
-    # The flat faces of the sphere lie inside its radius: 1.05 keeps them about the unit sphere.
+    # The flat faces are inside the sphere's radius: with 1.05 they are outside the unit sphere.
     sphere = Field(add(tree, "GeometryNodeMeshIcoSphere", Radius=1.05, Subdivisions=2).outputs["Mesh"])
     sphere = _shaded(tree, sphere, material(facing=False))
     scale = wide * RADIUS_IN_SIGMA
@@ -53,13 +61,13 @@ def ellipsoids(
 def rectangles(
     tree: bpy.types.NodeTree, points: Field, position: Field, camera: Field, opacity: Field, pixel_size: Field
 ) -> Field:
-    """A rectangle for each point, parallel to the camera's picture, as large as the splat is worth drawing.
+    """A rectangle for each point, parallel to the image plane, that covers the splat where its alpha is visible.
 
-    It is found in the world, where the picture is, and taken back into the points' own space: an object may be turned,
-    scaled unevenly or sheared.
+    It is computed in the world and transformed to the points' own space, because an object may be rotated, scaled
+    unevenly or sheared.
     """
-    # In sigma: Cycles pays for each rectangle that a ray meets. 0: nowhere.
-    reach = ((opacity * (1 / LEAST_ALPHA)).math("MAXIMUM", 1.0).math("LOGARITHM", math.e) * 2.0).math("SQRT")
+    # In standard deviations, 0 for invisible splats: Cycles' time grows with the rectangles that a ray crosses.
+    reach = ((opacity * (1 / MIN_ALPHA)).math("MAXIMUM", 1.0).math("LOGARITHM", math.e) * 2.0).math("SQRT")
     own = add(tree, "GeometryNodeObjectInfo", Object=Field(add(tree, "GeometryNodeSelfObject").outputs[0]))
     to_world = Field(own.outputs["Transform"])
     to_own = Field(add(tree, "FunctionNodeInvertMatrix", Matrix=to_world).outputs["Matrix"])
@@ -72,7 +80,7 @@ def rectangles(
             tree.links.new(value.socket, matrix.inputs[f"Column {number} Row {row}"])
     points, place = _captured(tree, points, Field(matrix.outputs["Matrix"]))
     points = stored(tree, points, REACH, "FLOAT", reach)
-    # EEVEE blends the faces of a mesh in their order.
+    # EEVEE blends the faces of a mesh in the order of their indices.
     ordered = add(tree, "GeometryNodeSortElements", Geometry=points, Sort_Weight=depth * -1.0)
     points = Field(ordered.outputs["Geometry"])
 
@@ -80,18 +88,19 @@ def rectangles(
     quad = stored(tree, quad, PLACE, "FLOAT_VECTOR", Field(add(tree, "GeometryNodeInputPosition").outputs[0]))
     quad = _shaded(tree, quad, material(facing=True))
     made = Field(add(tree, "GeometryNodeInstanceOnPoints", Points=points, Instance=quad).outputs["Instances"])
-    made = add(tree, "GeometryNodeSetInstanceTransform", Instances=made, Transform=place).outputs["Instances"]
-    # One mesh: Cycles meets its rectangles much faster than as many instances.
-    return Field(add(tree, "GeometryNodeRealizeInstances", Geometry=Field(made)).outputs["Geometry"])
+    moved = add(tree, "GeometryNodeSetInstanceTransform", Instances=made, Transform=place)
+    made = Field(moved.outputs["Instances"])
+    # One mesh: Cycles traces it much faster than as many instances.
+    return Field(add(tree, "GeometryNodeRealizeInstances", Geometry=made).outputs["Geometry"])
 
 
 def _half_axes(
     tree: bpy.types.NodeTree, position: Field, camera: Field, to_world: Field, pixel_size: Field
 ) -> tuple[Field, Field, Field]:
-    """The axes of each splat's image in the plane of its depth, one standard deviation long, in the world; the depth.
+    """Half axes of each splat's projection and its depth: one standard deviation, in its plane of depth, in the world.
 
-    With the camera's axes r, u, f and the centre at (X, Y, Z) on them, a step d from the centre moves the image by
-    ((r - X/Z f).d, (u - Y/Z f).d) in that plane, whatever the focal length.
+    With the camera's axes r, u, f and the center at (X, Y, Z) along them, a step d from the center moves the projection
+    by ((r - X/Z f).d, (u - Y/Z f).d) in that plane, whatever the focal length.
     """
     view = add(tree, "GeometryNodeObjectInfo", Object=camera).outputs
     right, up, back = (_turned(tree, axis, Field(view["Rotation"])) for axis in _AXES)
@@ -105,7 +114,7 @@ def _half_axes(
     perspective = Field(lens["Is Orthographic"]) * -1.0 + 1.0
 
     def image_axis(axis: Field, scale: bpy.types.NodeSocket) -> Field:
-        # Entry (i, i) of a projection matrix is the inverse of half the picture's extent at depth one.
+        # Entry (i, i) of a projection matrix is the inverse of half the image's extent at depth one.
         limit = Field(scale).math("DIVIDE", FRUSTUM_MARGIN).math("POWER", -1.0)
         slope = ray.dot(axis).math("DIVIDE", depth)
         slope = slope.math("MINIMUM", limit).math("MAXIMUM", limit * -1.0) * perspective
@@ -114,19 +123,20 @@ def _half_axes(
     across = image_axis(right, projection["Column 1 Row 1"])
     along = image_axis(up, projection["Column 2 Row 2"])
     xx = yy = widened * widened * PIXEL_VARIANCE
-    xy = None
+    products = []
     sigma, rotation = _sigma_and_rotation(tree)
     for axis, size in zip(_AXES, sigma.xyz(), strict=True):
         half_axis = _direction(tree, _turned(tree, axis, rotation) * size, to_world)
         x, y = half_axis.dot(across), half_axis.dot(along)
         xx, yy = xx + x * x, yy + y * y
-        xy = x * y if xy is None else xy + x * y
+        products.append(x * y)
+    xy = products[0] + products[1] + products[2]
     # Eigenvalues and first eigenvector of [[xx, xy], [xy, yy]].
     middle, difference = (xx + yy) * 0.5, (xx - yy) * 0.5
     spread = (difference * difference + xy * xy).math("SQRT")
     angle = xy.math("ARCTAN2", difference) * 0.5
     cosine, sine = angle.math("COSINE"), angle.math("SINE")
-    # A splat seen edge-on keeps a hair's breadth: the matrix of its rectangle must have a direction.
+    # A splat seen edge-on keeps a small width: the matrix of its rectangle must be invertible.
     least = (middle - spread).math("MAXIMUM", (middle + spread) * 1e-10)
     longest = (right * cosine + up * sine) * (middle + spread).math("SQRT")
     return longest, (up * cosine - right * sine) * least.math("SQRT"), depth
@@ -139,7 +149,7 @@ def material(facing: bool) -> bpy.types.Material:
         return known
     made = bpy.data.materials.new(name)
     made.use_nodes = True
-    tree = made.node_tree
+    tree = present(made.node_tree)
     tree.nodes.clear()
     owner = "GEOMETRY" if facing else "INSTANCER"
     opacity = _shader_attribute(tree, owner, OPACITY, "Fac")
@@ -147,7 +157,7 @@ def material(facing: bool) -> bpy.types.Material:
         point = _shader_attribute(tree, owner, PLACE, "Vector")
         reach = _shader_attribute(tree, owner, REACH, "Fac")
         alpha = opacity * (point.dot(point) * reach * reach * -0.5).math("EXPONENT")
-        alpha = alpha * alpha.math("GREATER_THAN", LEAST_ALPHA)
+        alpha = alpha * alpha.math("GREATER_THAN", MIN_ALPHA)
     else:
         point = Field(add(tree, "ShaderNodeTexCoord").outputs["Object"])
         geometry = add(tree, "ShaderNodeNewGeometry")
@@ -166,16 +176,16 @@ def material(facing: bool) -> bpy.types.Material:
     tree.links.new(alpha.socket, mix.inputs[0])
     tree.links.new(tree.nodes.new("ShaderNodeBsdfTransparent").outputs[0], mix.inputs[1])
     tree.links.new(emission.outputs[0], mix.inputs[2])
-    # Else EEVEE draws lots instead of blending.
+    # EEVEE's other method is stochastic transparency, which is noisy.
     made.surface_render_method = "BLENDED"
-    made.cycles.emission_sampling = "NONE"  # too many to be lamps; rays that meet them see them
+    cast(Any, made).cycles.emission_sampling = "NONE"  # there are too many to sample them as lamps
     add(tree, "ShaderNodeOutputMaterial", Surface=Field(mix.outputs[0]))
     arranged(tree)
     return made
 
 
 def stored(tree: bpy.types.NodeTree, geometry: Field, name: str, kind: str, value: Field) -> Field:
-    """The geometry with the field as a point attribute."""
+    """The geometry with a field stored as a point attribute."""
     node = add(
         tree,
         "GeometryNodeStoreNamedAttribute",
@@ -188,14 +198,14 @@ def stored(tree: bpy.types.NodeTree, geometry: Field, name: str, kind: str, valu
 
 
 def attribute(tree: bpy.types.NodeTree, name: str, kind: str) -> Field:
-    """The attribute of that name and type as a field."""
+    """A point attribute as a field."""
     node = add(tree, "GeometryNodeInputNamedAttribute", {"data_type": kind}, Name=name)
     return Field(node.outputs["Attribute"])
 
 
 def _captured(tree: bpy.types.NodeTree, points: Field, matrix: Field) -> tuple[Field, Field]:
-    """The points carrying the matrix as it is for them, and the matrix as what they carry."""
-    node = add(tree, "GeometryNodeCaptureAttribute", {"domain": "POINT"}, Geometry=points)
+    """The points with the matrix of each captured, and the captured matrix."""
+    node: Any = add(tree, "GeometryNodeCaptureAttribute", {"domain": "POINT"}, Geometry=points)
     node.capture_items.new("MATRIX", "Place")
     tree.links.new(matrix.socket, node.inputs["Place"])
     return Field(node.outputs["Geometry"]), Field(node.outputs["Place"])

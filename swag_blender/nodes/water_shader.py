@@ -1,33 +1,39 @@
-"""Shader nodes of a fitted water, for ordinary objects and for the world: they stand in the same water as the splats.
+"""Shader nodes of a fitted water, for ordinary objects and for the world.
 
-One node group per splat object holds its water; one of no object, for the asset library, has it as inputs. The slider
-`scene.swag.water` and the object's place (which says what direction and length are in the splats' own space) reach it
-by drivers, so that it follows animation. Its outputs:
-- Color: the light `Color` as seen through the water between the camera and the surface, exactly;
-- Transmission and Veil: seen = Color * Transmission + Veil, for surfaces whose light a renderer has yet to find. Exact
-  for a water of light; a water of display values is met at black and at middle grey.
-- Open Water, and the same in display values: what is seen where nothing is.
-Only what the camera sees goes through the water: lamps and reflections are as they would be in air.
+Each splat object has a node group that holds its water; the group of the asset library has it as inputs. Drivers set
+the amount (the slider `scene.swag.water`) and the rotation and scale of the splats' own space, so that both can be
+animated. Outputs of a group:
+- Color: the light `Color` as seen through the water between the camera and the surface, exact;
+- Transmission and Backscatter: seen = Color * Transmission + Backscatter, for surfaces whose light the renderer has not
+  computed yet. Exact for a water that acts on linear light; for one that acts on sRGB values, exact at black and at
+  middle grey.
+- Background Light, and the same as sRGB values: what the camera sees without any surface.
+The water acts only on what the camera sees: lamps and reflections are as in air.
 """
 
 from collections.abc import Callable
+from typing import Any, Literal, cast
 
 import bpy
 
+from ..blender_types import present
 from ..water_values import WaterValues
-from .build import Field, add, arranged, combined
+from .build import Field, add, add_socket, arranged, combined, new_tree
 from .formulas import Water, by_channel, mixed, to_display, to_light
 
+Channel = Literal["ROT_X", "ROT_Y", "ROT_Z", "SCALE_AVG"]
 NAME = "SWAG Water"
-GROUP_KEY = "swag_water_group"  # on a splat object: the node group of its water
-MIDDLE_GREY = 0.21404114  # light of display value .5
-# Colours by which a shading node multiplies what it gives back or gives off.
+GROUP_KEY = "swag_water_group"
+"""Property of a splat object: the node group of its water."""
+MIDDLE_GREY = 0.21404114
+"""Linear light of the sRGB value 0.5."""
 _COLOR_INPUTS = {"Color", "Base Color", "Emission Color", "Specular Tint", "Sheen Tint"}
+"""Inputs by which a shading node multiplies the light that it reflects or emits."""
 _NO_SURFACES = {"ShaderNodeMixShader", "ShaderNodeAddShader", "ShaderNodeBsdfTransparent", "ShaderNodeHoldout"}
 
 
 def node_group(obj: bpy.types.Object, scene: bpy.types.Scene, values: WaterValues) -> bpy.types.NodeTree:
-    """The node group of the object's water, with these values; made once per object."""
+    """The node group of a splat object's water, with these values; made once per object."""
     tree = obj.get(GROUP_KEY)
     if tree is None:
         tree = _new_group(obj, scene)
@@ -43,39 +49,40 @@ def node_group(obj: bpy.types.Object, scene: bpy.types.Scene, values: WaterValue
 
 
 def free_group(values: WaterValues) -> bpy.types.NodeTree:
-    """A node group of no splats: its water is in its inputs, which begin as these values; made once per file."""
+    """The node group whose water is in its inputs, with these values as defaults; made once per file."""
     if (tree := bpy.data.node_groups.get(NAME)) is None:
-        tree = bpy.data.node_groups.new(NAME, "ShaderNodeTree")
+        tree = new_tree(NAME, "ShaderNodeTree")
 
-        def held(name: str, is_vector: bool) -> Field:
-            kind = "NodeSocketVector" if is_vector else "NodeSocketFloat"
-            tree.interface.new_socket(name, in_out="INPUT", socket_type=kind)
+        def figure(name: str, is_vector: bool) -> Field:
+            add_socket(tree, name, "Vector" if is_vector else "Float")
             return Field(tree.nodes.new("NodeGroupInput").outputs[name])
 
-        _build(tree, held)
-    begin = {"Amount": 1.0, "Splats Scale": 1.0} | values.inputs()
-    for item in tree.interface.items_tree:
-        if item.in_out == "INPUT" and item.name in begin:
-            item.default_value = begin[item.name]
+        _build(tree, figure)
+    defaults = {"Amount": 1.0, "Splats Scale": 1.0} | values.inputs()
+    items: Any = present(tree.interface).items_tree
+    for item in items:
+        if item.in_out == "INPUT" and item.name in defaults:
+            item.default_value = defaults[item.name]
     return tree
 
 
 def drive(owner: bpy.types.ID, path: str, scene: bpy.types.Scene, index: int = -1) -> None:
-    """Let the slider `scene.swag.water` drive a property of the owner."""
+    """Let the slider `scene.swag.water` drive a property."""
     driver = _new_driver(owner, path, index)
     variable = driver.variables.new()
-    variable.targets[0].id_type, variable.targets[0].id = "SCENE", scene
+    variable.targets[0].id_type = "SCENE"
+    variable.targets[0].id = scene
     variable.targets[0].data_path = "swag.water"
 
 
-def put_under_water(material: bpy.types.Material, group: bpy.types.NodeTree) -> None:
-    """Let what the material shows be seen through the water of the group; a second call changes the water."""
-    take_out_of_water(material)
-    tree = material.node_tree
+def add_water(material: bpy.types.Material, group: bpy.types.NodeTree) -> None:
+    """Show the surface of a material through the water of the group; a second call changes the water."""
+    remove_water(material)
+    tree = present(material.node_tree)
     output = tree.get_output_node("ALL")
     if output is None or not output.inputs["Surface"].is_linked:
         return
-    water = tree.nodes.new("ShaderNodeGroup")
+    water: Any = tree.nodes.new("ShaderNodeGroup")
     water.node_tree = group
     water.name = water.label = NAME
     for node in list(tree.nodes):
@@ -84,58 +91,59 @@ def put_under_water(material: bpy.types.Material, group: bpy.types.NodeTree) -> 
         for socket in node.inputs:
             if socket.type == "RGBA" and socket.name in _COLOR_INPUTS:
                 _multiply(tree, socket, water.outputs["Transmission"])
-    surface = output.inputs["Surface"].links[0].from_socket
-    veil = add(tree, "ShaderNodeEmission", Color=Field(water.outputs["Veil"]))
+    surface = _source(output.inputs["Surface"])
+    backscatter = add(tree, "ShaderNodeEmission", Color=Field(water.outputs["Backscatter"]))
     both = tree.nodes.new("ShaderNodeAddShader")
     tree.links.new(surface, both.inputs[0])
-    tree.links.new(veil.outputs[0], both.inputs[1])
+    tree.links.new(backscatter.outputs[0], both.inputs[1])
     tree.links.new(both.outputs[0], output.inputs["Surface"])
-    veil.name, both.name = f"{NAME} Veil", f"{NAME} Sum"
-    for node, shift in ((water, (-700, 300)), (veil, (-180, 300)), (both, (-20, 150))):
+    backscatter.name, both.name = f"{NAME} Backscatter", f"{NAME} Sum"
+    for node, shift in ((water, (-700, 300)), (backscatter, (-180, 300)), (both, (-20, 150))):
         node.location = output.location.x + shift[0], output.location.y + shift[1]
 
 
-def take_out_of_water(material: bpy.types.Material) -> bool:
-    """Undo put_under_water; returns whether there was anything to undo."""
-    tree = material.node_tree
+def remove_water(material: bpy.types.Material) -> bool:
+    """Undo add_water; returns whether the material had water."""
+    tree = present(material.node_tree)
     ours = [node for node in tree.nodes if node.name.startswith(NAME)]
     for node in ours:
         if node.bl_idname == "ShaderNodeEmission" or node.bl_idname == "ShaderNodeGroup":
             continue
-        incoming = node.inputs[0].links
-        for link in list(node.outputs[0].links):
-            target = link.to_socket
-            if incoming:
-                tree.links.new(incoming[0].from_socket, target)
+        for link in list(present(node.outputs[0].links)):
+            target: Any = link.to_socket
+            if node.inputs[0].is_linked:
+                tree.links.new(_source(node.inputs[0]), target)
             elif node.bl_idname == "ShaderNodeVectorMath":
-                target.default_value = (*node.inputs[0].default_value, 1.0)
+                target.default_value = (*cast(Any, node.inputs[0]).default_value, 1.0)
     for node in ours:
         tree.nodes.remove(node)
     return bool(ours)
 
 
-def is_under_water(material: bpy.types.Material) -> bool:
-    """Whether put_under_water was called for the material."""
+def has_water(material: bpy.types.Material) -> bool:
+    """Whether the material has water."""
     return material.node_tree is not None and NAME in material.node_tree.nodes
 
 
 def set_world(scene: bpy.types.Scene, group: bpy.types.NodeTree, display_values: bool) -> None:
-    """Let the scene's world be the open water of the group, as light or as display values."""
+    """Make the scene's world the background light of the group, as linear light or as sRGB values."""
     background = background_node(scene)
-    tree = background.id_data
-    water = tree.nodes.get(NAME) or tree.nodes.new("ShaderNodeGroup")
+    tree = cast(bpy.types.NodeTree, background.id_data)
+    water: Any = tree.nodes.get(NAME) or tree.nodes.new("ShaderNodeGroup")
     water.name = water.label = NAME
     water.node_tree = group
     water.location = background.location.x - 260, background.location.y
-    tree.links.new(water.outputs["Open Water Display" if display_values else "Open Water"], background.inputs["Color"])
-    background.inputs["Strength"].default_value = 1.0
+    tree.links.new(
+        water.outputs["Background Light sRGB" if display_values else "Background Light"], background.inputs["Color"]
+    )
+    cast(Any, background.inputs["Strength"]).default_value = 1.0
 
 
 def background_node(scene: bpy.types.Scene) -> bpy.types.Node:
-    """The Background node of the scene's world; both are made where they are missing."""
-    scene.world = scene.world or bpy.data.worlds.new("World")
-    scene.world.use_nodes = True
-    tree = scene.world.node_tree
+    """The Background node of the scene's world; world and node are made if they are missing."""
+    world = scene.world = scene.world or bpy.data.worlds.new("World")
+    world.use_nodes = True
+    tree = present(world.node_tree)
     node = next((n for n in tree.nodes if n.bl_idname == "ShaderNodeBackground"), None)
     if node is None:
         node = tree.nodes.new("ShaderNodeBackground")
@@ -144,29 +152,29 @@ def background_node(scene: bpy.types.Scene) -> bpy.types.Node:
 
 
 def _new_group(obj: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.NodeTree:
-    tree = bpy.data.node_groups.new(f"{NAME} {obj.name}", "ShaderNodeTree")
+    tree = new_tree(f"{NAME} {obj.name}", "ShaderNodeTree")
 
-    def held(name: str, is_vector: bool) -> Field:
+    def figure(name: str, is_vector: bool) -> Field:
         node = tree.nodes.new("ShaderNodeCombineXYZ" if is_vector else "ShaderNodeValue")
         node.name = node.label = name
         return Field(node.outputs[0])
 
-    _build(tree, held)
+    _build(tree, figure)
     drive(tree, 'nodes["Amount"].outputs[0].default_value', scene)
     _follow(tree, 'nodes["Splats Scale"].outputs[0].default_value', obj, "SCALE_AVG")
-    for index, axis in enumerate("XYZ"):
-        _follow(tree, f'nodes["Splats Rotation"].inputs[{index}].default_value', obj, f"ROT_{axis}")
+    channels: tuple[Channel, ...] = ("ROT_X", "ROT_Y", "ROT_Z")
+    for index, channel in enumerate(channels):
+        _follow(tree, f'nodes["Splats Rotation"].inputs[{index}].default_value', obj, channel)
     return tree
 
 
-def _build(tree: bpy.types.NodeTree, held: Callable[[str, bool], Field]) -> None:
-    """Fill the tree with nodes; held(name, is_vector) gives it each figure of the water."""
-    color = tree.interface.new_socket("Color", in_out="INPUT", socket_type="NodeSocketColor")
-    color.description = "Light of the surface without water"
-    for name in ("Color", "Transmission", "Veil", "Open Water", "Open Water Display"):
-        tree.interface.new_socket(name, in_out="OUTPUT", socket_type="NodeSocketColor")
-    amount, turn, length = held("Amount", False), held("Splats Rotation", True), held("Splats Scale", False)
-    inputs = {name: held(name, isinstance(value, tuple)) for name, value in WaterValues().inputs().items()}
+def _build(tree: bpy.types.NodeTree, figure: Callable[[str, bool], Field]) -> None:
+    """Make the nodes of the group; figure(name, is_vector) gives each figure of the water."""
+    add_socket(tree, "Color", "Color").description = "Light of the surface without water"
+    for name in ("Color", "Transmission", "Backscatter", "Background Light", "Background Light sRGB"):
+        add_socket(tree, name, "Color", "OUTPUT")
+    amount, turn, length = figure("Amount", False), figure("Splats Rotation", True), figure("Splats Scale", False)
+    inputs = {name: figure(name, isinstance(value, tuple)) for name, value in WaterValues().inputs().items()}
     toward_eye = Field(add(tree, "ShaderNodeNewGeometry").outputs["Incoming"])
     local = add(
         tree,
@@ -179,11 +187,11 @@ def _build(tree: bpy.types.NodeTree, held: Callable[[str, bool], Field]) -> None
     distance = Field(add(tree, "ShaderNodeCameraData").outputs["View Distance"]).math("DIVIDE", length)
     of_camera = Field(add(tree, "ShaderNodeLightPath").outputs["Is Camera Ray"])
     water = Water.of(inputs, amount)
-    open_water = water.open_water(tree, direction)
+    background = water.background_light(tree, direction)
 
     def seen(light: Field) -> Field:
         own = mixed(light, by_channel(tree, to_display, light), water.display)
-        through = water.through(tree, own, distance, open_water)
+        through = water.through(tree, own, distance, background)
         return mixed(through, by_channel(tree, to_light, through), water.display)
 
     own = Field(tree.nodes.new("NodeGroupInput").outputs["Color"])
@@ -193,9 +201,9 @@ def _build(tree: bpy.types.NodeTree, held: Callable[[str, bool], Field]) -> None
     results = {
         "Color": mixed(own, seen(own), of_camera),
         "Transmission": mixed(white, transmission, of_camera),
-        "Veil": black * of_camera,
-        "Open Water": mixed(open_water, by_channel(tree, to_light, open_water), water.display),
-        "Open Water Display": mixed(by_channel(tree, to_display, open_water), open_water, water.display),
+        "Backscatter": black * of_camera,
+        "Background Light": mixed(background, by_channel(tree, to_light, background), water.display),
+        "Background Light sRGB": mixed(by_channel(tree, to_display, background), background, water.display),
     }
     output = tree.nodes.new("NodeGroupOutput")
     for name, field in results.items():
@@ -205,17 +213,23 @@ def _build(tree: bpy.types.NodeTree, held: Callable[[str, bool], Field]) -> None
 
 def _new_driver(owner: bpy.types.ID, path: str, index: int = -1) -> bpy.types.Driver:
     owner.driver_remove(path, index)
-    driver = owner.driver_add(path, index).driver
-    # No Python expression: those do not run in files from elsewhere.
+    # A curve, not a list of them: the path and index are those of one number.
+    driver = present(cast(bpy.types.FCurve, owner.driver_add(path, index)).driver)
+    # Not a Python expression: Blender does not run those in untrusted files.
     driver.type = "AVERAGE"
     return driver
 
 
-def _follow(tree: bpy.types.NodeTree, path: str, obj: bpy.types.Object, channel: str) -> None:
+def _follow(tree: bpy.types.NodeTree, path: str, obj: bpy.types.Object, channel: Channel) -> None:
     variable = _new_driver(tree, path).variables.new()
     variable.type = "TRANSFORMS"
     target = variable.targets[0]
     target.id, target.transform_type, target.transform_space, target.rotation_mode = obj, channel, "WORLD_SPACE", "XYZ"
+
+
+def _source(socket: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """The output that is linked to an input."""
+    return present(present(socket.links)[0].from_socket)
 
 
 def _is_surface(node: bpy.types.Node) -> bool:
@@ -224,12 +238,13 @@ def _is_surface(node: bpy.types.Node) -> bool:
 
 
 def _multiply(tree: bpy.types.NodeTree, target: bpy.types.NodeSocket, factor: bpy.types.NodeSocket) -> None:
-    node = tree.nodes.new("ShaderNodeVectorMath")
+    node: Any = tree.nodes.new("ShaderNodeVectorMath")
     node.operation, node.name, node.hide = "MULTIPLY", f"{NAME} Tint", True
-    node.location = target.node.location.x - 180, target.node.location.y
+    location = present(target.node).location
+    node.location = location.x - 180, location.y
     if target.is_linked:
-        tree.links.new(target.links[0].from_socket, node.inputs[0])
+        tree.links.new(_source(target), node.inputs[0])
     else:
-        node.inputs[0].default_value = target.default_value[:3]
+        node.inputs[0].default_value = cast(Any, target).default_value[:3]
     tree.links.new(factor, node.inputs[1])
     tree.links.new(node.outputs[0], target)

@@ -3,11 +3,9 @@
 import functools
 import operator
 import os
-import signal
 import sys
-import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,20 +14,34 @@ import tyro
 
 from ..base import threads  # noqa: F401
 from ..base.errors import InputError
-from ..base.strict_json import to_json
 from ..experiments.grid import Grid
 from ..formats.export import ExportOptions, export_run
 from ..formats.export import describe as describe_export
+from ..formats.registry import FormatName
+from ..settings.field import settings_of
 from ..settings.settings import TrainSettings
-from .protocol import ExportFormat
+from .answers import refuse, refuse_missing, show
+from .interrupts import interrupts
 
-INTERRUPTED = 130
 DESCRIPTION = """Underwater photographs to 3D Gaussian splats. COMMAND --help says what a command takes.
 
-Exit codes: 0 done, 1 a bug, 2 bad input or usage, 130 interrupted with what exists kept. Progress and errors go to
-stderr; with --json stdout carries one JSON document and nothing else."""
+Exit codes: 0 done, 1 a bug, 2 bad input or usage; with what exists kept, 130 interrupted by Ctrl-C and 143 by SIGTERM.
+Progress and errors go to stderr; with --json stdout carries one JSON document and nothing else."""
+STOPPING = "Stopping after this iteration; press Ctrl-C again to stop at once."
 STARTED = time.monotonic()
 """What a time budget counts from: starting Python and its packages is the user's time too."""
+
+
+def describe_options(options: type) -> None:
+    """Show the help and the choices of a dataclass of settings (settings/field.py) on the command line."""
+    for name, default, described in settings_of(options):
+        kind: Any = Literal[tuple(described.choices)] if described.choices else type(default)
+        sentences = "".join(f" {choice}: {text}." for choice, text in described.choices.items())
+        help_text = tyro.conf.arg(help=f"{described.description}.{sentences}")
+        options.__annotations__[name] = Annotated[kind, help_text]
+
+
+describe_options(TrainSettings)
 
 
 @dataclass(frozen=True)
@@ -136,10 +148,9 @@ class Train:
         from ..experiments.train_and_report import train_and_report
         from .progress import training_progress
 
-        should_stop = stop_on_interrupt()
-        with training_progress() as on_event:
+        with interrupts.deferred(STOPPING), training_progress() as on_event:
             result = train_and_report(
-                self.scene, self.out, self.settings, self.resume, on_event, should_stop,
+                self.scene, self.out, self.settings, self.resume, on_event, interrupts.should_stop,
                 weights_dir=self.weights_dir, started=STARTED,
             )  # fmt: skip
         metrics = result["metrics"]
@@ -158,7 +169,7 @@ class Train:
             f"{chr(10) + 'Report: ' + result['report'] if result['report'] else ''}"
         )
         show(result, self.json, text)
-        return INTERRUPTED if result["interrupted"] else 0
+        return interrupts.exit_code if result["interrupted"] else 0
 
 
 @dataclass(frozen=True)
@@ -226,13 +237,16 @@ class Ablate:
 
         settings = TrainSettings(iterations=self.iterations, width=self.width, max_gaussians=self.max_gaussians)
 
-        def told(name: str, seed: int, figures: dict[str, Any]) -> None:
+        def print_run(name: str, seed: int, figures: dict[str, Any]) -> None:
             quality = "not a number" if figures["test_psnr"] is None else f"{figures['test_psnr']:.2f} dB"
             print(f"{name}, seed {seed}: test PSNR {quality}, {figures['seconds']:.0f} s", file=sys.stderr, flush=True)
 
-        document = ablate(self.scene, self.out, self.seeds, settings, self.weights_dir, told, stop_on_interrupt())
+        with interrupts.deferred(STOPPING):
+            document = ablate(
+                self.scene, self.out, self.seeds, settings, self.weights_dir, print_run, interrupts.should_stop
+            )
         show(document, self.json, table(document))
-        return INTERRUPTED if document["interrupted"] else 0
+        return interrupts.exit_code if document["interrupted"] else 0
 
 
 @dataclass(frozen=True)
@@ -257,19 +271,20 @@ class Tradeoff:
     def run(self) -> int:
         from ..experiments.tradeoff import describe, tradeoff
 
-        def told(name: str, row: dict[str, Any]) -> None:
+        def print_run(name: str, row: dict[str, Any]) -> None:
             print(f"{name}: {row['seconds']:.0f} s, PSNR {row['psnr']:.2f} dB", file=sys.stderr, flush=True)
 
-        document = tradeoff(
-            self.scene, self.out, self.grid, self.score_width, self.weights_dir, told, stop_on_interrupt()
-        )
+        with interrupts.deferred(STOPPING):
+            document = tradeoff(
+                self.scene, self.out, self.grid, self.score_width, self.weights_dir, print_run, interrupts.should_stop
+            )
         text = (
             f"{describe(document)}\nPage: {self.out / 'tradeoff.html'}"
             if document["rows"]
             else "Nothing has ended yet."
         )
         show(document, self.json, text)
-        return INTERRUPTED if document["interrupted"] else 0
+        return interrupts.exit_code if document["interrupted"] else 0
 
 
 @dataclass(frozen=True)
@@ -297,12 +312,12 @@ class Render:
 
 @dataclass(frozen=True)
 class Export:
-    """Write the result of a run as a 3DGS PLY or as glTF with KHR_gaussian_splatting."""
+    """Write the result of a run to a file that other programs read."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
-    format: ExportFormat
-    """ply or glb."""
+    format: FormatName
+    """Format of the file."""
     out: Path
     """File to write."""
     options: tyro.conf.OmitArgPrefixes[ExportOptions] = field(default_factory=ExportOptions)
@@ -392,14 +407,14 @@ class Search:
 
 @dataclass(frozen=True)
 class Extract:
-    """Write the Gaussians of one label of a run as a PLY or GLB of their own."""
+    """Write the Gaussians of one label of a run to a file of their own."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
     label: str
     """Name or number of the label."""
     out: Path
-    """File to write, .ply or .glb."""
+    """File to write; its ending says the format, as .ply does."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
@@ -430,28 +445,10 @@ class Batch:
     def run(self, options: Sequence[str] = ()) -> int:
         from .batch import batch, describe
 
-        document = batch(self.command, self.folder, self.out, options, stop_on_interrupt())
+        with interrupts.deferred(STOPPING):
+            document = batch(self.command, self.folder, self.out, options, interrupts)
         show(document, self.json, describe(document))
         return document["exit_code"]
-
-
-def stop_on_interrupt() -> Callable[[], bool]:
-    """Whether Ctrl-C was pressed; pressed again, it ends the program at once."""
-    stop = threading.Event()
-
-    def interrupt(signum: int, frame: object) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-        print("Stopping after this iteration; press Ctrl-C again to stop at once.", file=sys.stderr)
-
-    signal.signal(signal.SIGINT, interrupt)
-    return stop.is_set
-
-
-def show(document: dict[str, Any], as_json: bool, text: str) -> None:
-    """The answer on stdout: JSON or plain text."""
-    print(to_json(document, indent=2) if as_json else text)
 
 
 @dataclass(frozen=True)
@@ -476,19 +473,19 @@ COMMANDS = (
 )  # fmt: skip
 
 
-def refused(sentence: str, arguments: list[str]) -> int:
-    """Say why a command was not carried out, as `arguments` ask for it, and return the exit code."""
-    if "--json" in arguments:
-        print(to_json({"error": sentence}))
-    print(sentence, file=sys.stderr)
-    return 2
-
-
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command and return its exit code."""
+    """Run one command.
+
+    Args:
+        arguments: Words of the command line; those of the process without it.
+
+    Returns:
+        The exit code.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
     named = [Annotated[command, tyro.conf.subcommand(name=command.__name__.lower())] for command in COMMANDS]
     union: Any = functools.reduce(operator.or_, named)
+    interrupts.install()
     try:
         # Blender's own command line has the same words behind other ones.
         prog = os.environ.get("SWAG_PROG", "python -m swag_engine")
@@ -498,21 +495,21 @@ def main(arguments: list[str] | None = None) -> int:
             return command.run(options)
         return parse().run()
     except InputError as error:
-        return refused(str(error), arguments)
+        return refuse(str(error), arguments)
     except (MemoryError, RuntimeError) as error:
         from ..training.pacing.memory import TOO_LITTLE, is_shortage
 
         if not is_shortage(error):
             raise
-        return refused(TOO_LITTLE, arguments)
+        return refuse(TOO_LITTLE, arguments)
     except ModuleNotFoundError as error:
-        if not error.name or error.name.partition(".")[0] == __package__.partition(".")[0]:
-            raise
-        print(f"{sys.executable} lacks the package {error.name}; see requirements.txt.", file=sys.stderr)
-        return 2
+        return refuse_missing(error, arguments)
+    except SystemExit as usage:  # tyro has said what is wrong
+        if usage.code and "--json" in arguments:
+            return refuse("The command line is not valid; the lines before this one say why.", arguments)
+        raise
     except KeyboardInterrupt:
-        print("Interrupted.", file=sys.stderr)
-        return INTERRUPTED
+        return refuse("Interrupted.", arguments, interrupts.exit_code, interrupted=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Progress of the command line, on stderr: a bar in a terminal, a line now and then in a log."""
+"""Progress of the command line on stderr: a bar in a terminal, lines in a log."""
 
 import sys
 import time
@@ -9,23 +9,28 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-LOG_SECONDS = 5.0
+LOG_SECONDS = 10.0
+"""Least seconds between two lines of one stage where stderr is no terminal."""
+
+Show = Callable[[str, str, float], None]
+"""A function of the stage of the work, a line of text about it, and how far it is (fraction 0..1)."""
 
 
 @contextmanager
-def progress_display() -> Iterator[Callable[[str, float, bool], None]]:
-    """Yield a function of (text, fraction 0..1, urgent) that shows how far the work is.
+def progress_display() -> Iterator[Show]:
+    """Yield a function that shows progress on stderr: a bar in a terminal, else lines.
 
-    Nothing is drawn before its first call, so that unusable input leaves its sentence alone on the screen. In a log
-    a text that is not urgent is left out when another was written less than LOG_SECONDS ago.
+    Nothing is drawn before its first call, so that an error in the input is the only line on the screen. As lines,
+    the first of each stage is written, and then one every LOG_SECONDS.
     """
     if not sys.stderr.isatty():
-        written = -LOG_SECONDS
+        last_stage, written = "", 0.0
 
-        def write(text: str, fraction: float, urgent: bool) -> None:
-            nonlocal written
-            if urgent or time.monotonic() - written >= LOG_SECONDS:
-                written = time.monotonic()
+        def write(stage: str, text: str, fraction: float) -> None:
+            nonlocal last_stage, written
+            now = time.monotonic()
+            if stage != last_stage or now - written >= LOG_SECONDS:
+                last_stage, written = stage, now
                 print(f"{100 * fraction:3.0f} %  {text}", file=sys.stderr, flush=True)
 
         yield write
@@ -34,7 +39,7 @@ def progress_display() -> Iterator[Callable[[str, float, bool], None]]:
     bar = Progress(*columns, console=Console(stderr=True))
     task = bar.add_task("", total=1.0)
 
-    def draw(text: str, fraction: float, urgent: bool) -> None:
+    def draw(stage: str, text: str, fraction: float) -> None:
         bar.start()
         bar.update(task, description=text, completed=fraction)
 
@@ -46,47 +51,47 @@ def progress_display() -> Iterator[Callable[[str, float, bool], None]]:
 
 @contextmanager
 def stage_progress() -> Iterator[Callable[[str, float], None]]:
-    """Yield a function of (stage, fraction 0..1 of it)."""
+    """Yield a function that shows the progress of work in stages; it takes the stage and its fraction (0..1)."""
     with progress_display() as show:
-        shown = ""
-
-        def update(stage: str, fraction: float) -> None:
-            nonlocal shown
-            show(stage, fraction, stage != shown)
-            shown = stage
-
-        yield update
+        yield lambda stage, fraction: show(stage, stage, fraction)
 
 
 @contextmanager
 def training_progress() -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Yield a function that takes the events of a training run and shows its `progress` events."""
+    """Yield a function that takes the events of a training run and shows its `plan` and `progress` events."""
     with progress_display() as show:
 
         def update(event: dict[str, Any]) -> None:
             if event["event"] == "plan":
-                show(plan_line(event["plan"]), 0.0, True)
+                show("plan", plan_line(event["plan"]), 0.0)
             if event["event"] == "progress":
-                done = event["iteration"] == event["iterations"]
-                show(progress_line(event), event["iteration"] / event["iterations"], done)
+                show(event["stage"], progress_line(event), event["iteration"] / event["iterations"])
 
         yield update
 
 
 def plan_line(plan: dict[str, Any]) -> str:
-    """The effects that a `plan` event has on, in words."""
+    """Return the effects of a plan that are on, as a sentence.
+
+    Args:
+        plan: The plan as in plan.json.
+    """
     on = [name.replace("_", " ") for name, effect in plan["effects"].items() if effect["state"] == "on"]
-    return f"The scene calls for {', '.join(on) or 'no effect'} (plan.json says why)"
+    return f"Effects of this scene: {', '.join(on) or 'none'} (plan.json has the reasons)"
 
 
 def progress_line(event: dict[str, Any]) -> str:
-    """One `progress` event in words."""
+    """Return a line of text about a training run.
+
+    Args:
+        event: A `progress` event.
+    """
     if event["stage"] == "load":
-        return f"Photograph {event['iteration']} of {event['iterations']}"
+        return f"Photo {event['iteration']} of {event['iterations']}"
     psnr = f"{event['psnr']:.2f} dB {sparkline(event['curve'])}" if event["psnr"] is not None else "not yet"
-    more = event["next_minute_db"]
-    if more is not None:
-        psnr += f", a minute more: +{more:.2f} dB"
+    gain = event["next_minute_db"]
+    if gain is not None:
+        psnr += f", {gain:+.2f} dB expected from another minute"
     minutes, seconds = divmod(round(event["seconds_left"]), 60)
     return (
         f"loss {event['loss']:.4f}  validation PSNR {psnr}  {event['gaussians']} Gaussians  "
@@ -95,10 +100,18 @@ def progress_line(event: dict[str, Any]) -> str:
 
 
 BARS = "▁▂▃▄▅▆▇█" if (sys.stderr.encoding or "").lower().startswith("utf") else "_.-=*#"
+"""Characters of a sparkline, from low to high."""
 
 
 def sparkline(curve: Sequence[tuple[float, float, float]]) -> str:
-    """The PSNR of a run so far as a row of bars, one for each validation; curve as in training.clock."""
+    """Draw the PSNR of a run as a row of bars.
+
+    Args:
+        curve: Fraction of the run (0..1), seconds and PSNR in dB of each validation.
+
+    Returns:
+        One character for each validation.
+    """
     values = [psnr for *_, psnr in curve]
     least, most = min(values), max(values)
     steps = len(BARS) - 1

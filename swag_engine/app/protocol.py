@@ -2,13 +2,12 @@
 
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 from ..base.errors import InputError
 from ..base.strict_json import from_json
+from ..formats.registry import FormatName
 from ..settings.settings import TrainSettings
-
-ExportFormat = Literal["ply", "glb"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class ExportRequest:
     """Write the result of the run folder `run` to the file `out`."""
 
     run: Path
-    format: ExportFormat
+    format: FormatName
     out: Path
 
 
@@ -152,7 +151,7 @@ def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
         return value
     if kind is TrainSettings and isinstance(value, dict):
         return TrainSettings.from_json(value)
-    if kind is ExportFormat and value in get_args(ExportFormat):
+    if kind is FormatName and value in get_args(FormatName):
         return value
     raise InputError(f"The request {request} has {key} = {value!r}, which is no {describe(kind)}.")
 

@@ -1,6 +1,6 @@
 """The child process that Blender drives: requests on stdin, events on stdout, one JSON object a line.
 
-It ends when stdin closes; what runs then is cancelled first, and everything that exists is kept.
+It ends when stdin closes, or on SIGTERM; what runs then is cancelled first, and everything that exists is kept.
 """
 
 import os
@@ -9,12 +9,14 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from ..base import threads  # noqa: F401
 from ..base.errors import InputError
 from ..base.strict_json import to_json
+from .interrupts import interrupts
 from .protocol import (
     CancelRequest,
     ExportRequest,
@@ -33,25 +35,34 @@ from .protocol import (
 if TYPE_CHECKING:
     from ..scene.colmap import Scene
 
-PICTURE_WIDTH = 640
+DISPLAY_WIDTH = 640
+"""Width in pixels of undistorted copies, which are shown behind cameras and not trained on."""
+PAUSE_POLL_SECONDS = 0.2
+"""Seconds between two looks for a signal while a run is paused."""
 
 
 class Worker:
     """Reads requests from one stream and answers on another.
 
     Requests are read by a thread of their own, so that `cancel` and the end of the stream are seen during a run.
+
+    Args:
+        requests: Stream of requests, one JSON object a line.
+        events: Stream that events are written to.
     """
 
     def __init__(self, requests: TextIO, events: TextIO) -> None:
         self.requests, self.events = requests, events
-        self.waiting: queue.Queue[Request | InputError | None] = queue.Queue()
+        self.waiting: queue.SimpleQueue[Request | InputError | None] = queue.SimpleQueue()
         self.stop = threading.Event()
         self.going = threading.Event()
         self.going.set()
         self.writing = threading.Lock()
+        self.counting = threading.Lock()
+        self.unanswered = 0
 
     def send(self, event: dict[str, Any]) -> None:
-        """One event to the other side; a reader that has gone away stops the run."""
+        """Write one event; a reader that has gone away stops the run."""
         try:
             with self.writing:
                 self.events.write(to_json(event) + "\n")
@@ -60,58 +71,86 @@ class Worker:
             self.stop.set()
 
     def read(self) -> None:
+        """Read requests until the stream ends, and carry out those that concern the run at hand."""
         for line in self.requests:
             if not line.strip():
                 continue
             try:
-                request = parse_request(line)
+                request: Request | InputError = parse_request(line)
             except InputError as error:
-                self.waiting.put(error)
-                continue
-            if isinstance(request, PauseRequest):
-                self.going.clear()
-            elif isinstance(request, GoOnRequest):
-                self.going.set()
-            elif isinstance(request, CancelRequest):
-                self.end()
-            else:
-                self.waiting.put(request)
+                request = error
+            # With nothing to cancel or to pause, these must not reach what is asked for next.
+            with self.counting:
+                if isinstance(request, PauseRequest):
+                    if self.unanswered:
+                        self.going.clear()
+                elif isinstance(request, GoOnRequest):
+                    self.going.set()
+                elif isinstance(request, CancelRequest):
+                    if self.unanswered:
+                        self.end()
+                else:
+                    self.unanswered += 1
+                    self.waiting.put(request)
         self.end()
         self.waiting.put(None)
 
     def end(self) -> None:
-        """Let what runs stop, a paused run too."""
+        """Ask the run at hand to stop, a paused one too."""
         self.stop.set()
         self.going.set()
 
     def should_stop(self) -> bool:
-        """Asked by a run between two iterations: a pause holds it here, so that it goes on as if nothing had been."""
-        self.going.wait()
-        return self.stop.is_set()
+        """Return whether the run is to stop. Asked between two iterations; while the run is paused it waits here."""
+        while not self.going.wait(PAUSE_POLL_SECONDS):
+            if interrupts.should_stop():
+                break
+        return self.stop.is_set() or interrupts.should_stop()
 
     def run(self) -> None:
-        """Answer requests, one after the other, until the stream of requests ends."""
-        threading.Thread(target=self.read, daemon=True).start()
-        while (request := self.waiting.get()) is not None:
-            try:
-                if isinstance(request, InputError):
-                    raise request
-                self.send(self.answer(request))
-            except InputError as error:
-                self.send({"event": "error", "kind": "input", "message": str(error)})
-            except Exception as error:
-                from ..training.pacing.memory import TOO_LITTLE, is_shortage
+        """Answer requests, one after the other, until the stream of requests ends or a signal comes.
 
-                if is_shortage(error):
-                    self.send({"event": "error", "kind": "input", "message": TOO_LITTLE})
-                else:
-                    traceback.print_exc(file=sys.stderr)
-                    self.send({"event": "error", "kind": "bug", "message": f"{type(error).__name__}: {error}"})
-            self.stop.clear()
-            self.going.set()
+        Raises:
+            KeyboardInterrupt: On a signal while nothing runs that can stop by itself.
+        """
+        threading.Thread(target=self.read, daemon=True).start()
+        while not interrupts.should_stop() and (request := self.waiting.get()) is not None:
+            event = self.outcome(request)
+            with self.counting:
+                self.unanswered -= 1
+                self.stop.clear()
+                self.going.set()
+            self.send(event)
+
+    def outcome(self, request: Request | InputError) -> dict[str, Any]:
+        """Carry out one request.
+
+        Args:
+            request: The request, or what is wrong with the line that was read.
+
+        Returns:
+            The `result` event, or an `error` event of kind "input" (the user can change it) or "bug".
+        """
+        try:
+            if isinstance(request, InputError):
+                raise request
+            return self.answer(request)
+        except InputError as error:
+            return {"event": "error", "kind": "input", "message": str(error)}
+        except Exception as error:  # the worker lives on after a bug
+            from ..training.pacing.memory import TOO_LITTLE, is_shortage
+
+            if is_shortage(error):
+                return {"event": "error", "kind": "input", "message": TOO_LITTLE}
+            traceback.print_exc(file=sys.stderr)
+            return {"event": "error", "kind": "bug", "message": f"{type(error).__name__}: {error}"}
 
     def answer(self, request: Request) -> dict[str, Any]:
-        """The `result` event of one request."""
+        """Return the `result` event of one request.
+
+        Raises:
+            InputError: As the request's function does.
+        """
         if isinstance(request, InspectRequest):
             return inspect(request.scene, request.arrays)
         if isinstance(request, PlanRequest):
@@ -125,22 +164,27 @@ class Worker:
         if isinstance(request, TrainRequest):
             from ..experiments.train_and_report import train_and_report
 
-            return train_and_report(
-                request.scene, request.out, request.settings, request.resume, self.send, self.should_stop, preview=True
-            )
+            with interrupts.deferred():
+                return train_and_report(
+                    request.scene, request.out, request.settings, request.resume, self.send, self.should_stop,
+                    preview=True,
+                )  # fmt: skip
         if isinstance(request, ForecastRequest):
             from ..experiments.forecast import forecast_scene
 
-            forecast = forecast_scene(request.scene, request.settings, self.stoppable("The forecast was stopped."))
+            with interrupts.deferred():
+                progress = self.stoppable("The forecast was stopped.")
+                forecast = forecast_scene(request.scene, request.settings, progress)
             return {"event": "result", "request": "forecast", "scene": str(request.scene)} | forecast
         if isinstance(request, LabelRequest):
-            return self.label(request)
+            with interrupts.deferred():
+                return self.label(request)
         if isinstance(request, SearchRequest):
             from ..experiments.label_run import search_run, write_similarity
 
-            similarity, names = search_run(request.run, request.words)
+            similarity, labels = search_run(request.run, request.words)
             write_similarity(request.path, similarity)
-            return {"event": "result", "request": "search", "path": str(request.path), "labels": names}
+            return {"event": "result", "request": "search", "path": str(request.path), "labels": labels}
         assert isinstance(request, ExportRequest)
         from ..formats.export import export_run
 
@@ -148,6 +192,11 @@ class Worker:
         return {"event": "result", "request": "export", "out": str(request.out)}
 
     def label(self, request: LabelRequest) -> dict[str, Any]:
+        """Return the `result` event of a `label` request.
+
+        Raises:
+            InputError: As `label_run` does, and when the request is cancelled.
+        """
         from ..experiments.label_run import label_run
 
         document = label_run(
@@ -161,11 +210,18 @@ class Worker:
         return {"event": "result", "request": "label", "run": str(request.run)} | document
 
     def stoppable(self, sentence: str) -> Callable[[str, float], None]:
-        """A function that sends the progress of something that is no training (stage, fraction 0..1), and raises
-        InputError(sentence) once a stop is asked for."""
+        """Make a progress function for work that is not a training.
+
+        Args:
+            sentence: What to say when the work is cancelled.
+
+        Returns:
+            A function of (stage, fraction 0..1) that sends a `progress` event, or raises InputError with the sentence
+            once the work is to stop.
+        """
 
         def progress(stage: str, fraction: float) -> None:
-            if self.stop.is_set():
+            if self.stop.is_set() or interrupts.should_stop():
                 raise InputError(sentence)
             done = {"iteration": round(100 * fraction), "iterations": 100}
             self.send({"event": "progress", "stage": stage, "text": stage} | done)
@@ -174,7 +230,18 @@ class Worker:
 
 
 def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
-    """Describe a scene; write points_xyz.npy (P, 3) float32 and points_rgb.npy (P, 3) uint8 to the folder `arrays`."""
+    """Describe a scene, and write its points to points_xyz.npy (P, 3) float32 and points_rgb.npy (P, 3) uint8.
+
+    Args:
+        scene_folder: Folder of the scene.
+        arrays: Folder for the two files.
+
+    Returns:
+        The `result` event.
+
+    Raises:
+        InputError: As `load_scene` does, and when a file cannot be written.
+    """
     import numpy as np
 
     from ..base.files import atomic_path
@@ -198,9 +265,9 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
             "cx": view.camera.cx,
             "cy": view.camera.cy,
             "world_to_camera": view.camera.world_to_camera.tolist(),
-            "image": str(picture),
+            "image": str(path),
         }
-        for view, picture in zip(scene.views, pinhole_pictures(scene), strict=True)
+        for view, path in zip(scene.views, pinhole_images(scene), strict=True)
     ]
     summary = inspect_scene(scene)
     return {
@@ -217,9 +284,18 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
     }
 
 
-def pinhole_pictures(scene: "Scene") -> list[Path]:
-    """A picture for each view to show behind its pinhole camera: the photograph itself where its lens is one, else an
-    undistorted copy in the user's cache, small because it is only looked at."""
+def pinhole_images(scene: "Scene") -> list[Path]:
+    """Return for each view an image file that fits its pinhole camera.
+
+    Args:
+        scene: The scene.
+
+    Returns:
+        The image of a pinhole lens itself, else an undistorted copy in the user's cache, DISPLAY_WIDTH pixels wide.
+
+    Raises:
+        InputError: When an image cannot be read, or the cache cannot be written to.
+    """
     import cv2
 
     from ..base.files import atomic_path
@@ -227,21 +303,28 @@ def pinhole_pictures(scene: "Scene") -> list[Path]:
 
     folder = cache_folder(scene, "pictures")
     distorted = [view for view in scene.views if not view.lens.is_pinhole]
-    pictures = {view.camera.name: view.path for view in scene.views}
-    for image in load_images(scene, distorted, PICTURE_WIDTH):
+    paths = {view.camera.name: view.path for view in scene.views}
+    for image in load_images(scene, distorted, DISPLAY_WIDTH):
         path = (folder / image.camera.name).with_suffix(".jpg")
         with atomic_path(path) as temporary:
             temporary.write_bytes(cv2.imencode(".jpg", image.pixels[..., ::-1])[1].tobytes())
-        pictures[image.camera.name] = path
-    return [pictures[view.camera.name] for view in scene.views]
+        paths[image.camera.name] = path
+    return [paths[view.camera.name] for view in scene.views]
 
 
 def main() -> None:
+    """Answer the requests on stdin; the exit code is 0, or that of the signal that ended the process."""
     # Libraries that print to stdout would break the protocol: events keep a copy of it, the rest goes to stderr.
     events = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     sys.stdin.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
-    Worker(sys.stdin, events).run()
+    interrupts.install()
+    with suppress(KeyboardInterrupt):
+        Worker(sys.stdin, events).run()
+    if interrupts.should_stop():
+        # Python's own end would wait for the lock of stdin, which the thread that reads it holds.
+        sys.stderr.flush()
+        os._exit(interrupts.exit_code)
 
 
 if __name__ == "__main__":

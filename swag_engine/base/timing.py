@@ -13,10 +13,12 @@ class Ledger:
     """Seconds by part of the iterations that were counted.
 
     synchronise: waits for a device that works ahead of the program; None where none does, and every iteration counts.
+    clock: the time in seconds.
     """
 
-    def __init__(self, synchronise: Synchronise | None = None) -> None:
+    def __init__(self, synchronise: Synchronise | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
         self.synchronise = synchronise
+        self.clock = clock
         self.seconds: dict[str, float] = {}
         self.iterations = 0
         self._open: list[str] = []
@@ -35,7 +37,7 @@ class Ledger:
         """What passed since the last change belongs to the innermost part."""
         if self.synchronise:
             self.synchronise()
-        now = time.perf_counter()
+        now = self.clock()
         if self._open:
             name = self._open[-1]
             self.seconds[name] = self.seconds.get(name, 0.0) + now - self._since

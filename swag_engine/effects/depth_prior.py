@@ -88,4 +88,4 @@ def _cost(probe: CostProbe) -> Callable[[], Tensor]:
     return lambda: depth_loss(ranges + 1, solid, solid * 0.5, 2.0)
 
 
-EFFECT = Effect("Depth prior", "training images", decide, cost=_cost)
+EFFECT = Effect("Depth prior", "training images", decide, cost=_cost, needs_network=True)

@@ -101,6 +101,7 @@ class Effect:
         tried_at: Fraction of the run at which the effect is tried where the plan is not certain; None for never.
         determined_by_ranges: Whether images from such ranges cannot determine it during training either.
         on_when_unknown: Whether a run models it where the images cannot determine it.
+        needs_network: Whether it needs a pretrained network.
     """
 
     title: str
@@ -116,3 +117,4 @@ class Effect:
     tried_at: float | None = None
     determined_by_ranges: bool = False
     on_when_unknown: bool = False
+    needs_network: bool = False

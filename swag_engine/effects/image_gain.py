@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from torch import Tensor
 
-from ..water.light import relit
+from ..water.light import apply_gain
 
 
 def apply_log_gains(image: Tensor, log_gains: Iterable[Tensor | None], amount: float = 1.0) -> Tensor:
@@ -22,4 +22,4 @@ def apply_log_gains(image: Tensor, log_gains: Iterable[Tensor | None], amount: f
     for log_gain in log_gains:
         if log_gain is not None:
             total = log_gain if total is None else total + log_gain
-    return image if total is None or amount == 0 else relit(image, amount * total)
+    return image if total is None or amount == 0 else apply_gain(image, amount * total)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..evidence.decision import Decision
 from ..evidence.scene_evidence import SceneEvidence
-from ..priors.interpolate import admission, neighbour_pairs
+from ..priors.interpolate import interpolation_test, neighbour_pairs
 from ..scene.split import split_views
 from .effect import Effect
 
@@ -44,11 +44,11 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
     sparse = f"Neighbouring photos share only {share:.0%} of their points (threshold {MOST_SHARED:.0%})"
     if evidence.interpolator is None:
         return Decision("unknown", figures, f"{sparse}; an interpolation network is needed to judge frames.")
-    judged = admission(evidence.interpolator, {image.camera.name: image for image in evidence.images}, pairs)
+    judged = interpolation_test(evidence.interpolator, {image.camera.name: image for image in evidence.images}, pairs)
     figures |= {"psnr": judged.psnr, "gain": judged.gain, "consistent": judged.consistent}
-    if judged.admitted:
+    if judged.accepted:
         return Decision("on", figures, f"{sparse}, and made frames match left-out ones at {judged.psnr:.1f} dB.")
     return Decision("off", figures, judged.reason)
 
 
-EFFECT = Effect("Interpolation", "training images", decide)
+EFFECT = Effect("Interpolation", "training images", decide, needs_network=True)

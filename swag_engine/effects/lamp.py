@@ -14,7 +14,7 @@ from torch import Tensor
 from ..evidence.decision import Decision
 from ..evidence.scene_evidence import SceneEvidence
 from ..evidence.water_terms import GREY, LEAST_FALLOFF, LEAST_LAMP_SHARE
-from ..water.light import relit
+from ..water.light import apply_gain
 from .effect import CostProbe, Effect, InitialContext
 from .range_limits import limited_by_ranges, too_few_observations
 
@@ -67,7 +67,7 @@ def lit(colors: Tensor, ranges: Tensor, lamp: Lamp, amount: float = 1.0) -> Tens
     Returns:
         (N, 3) display colors; differentiable.
     """
-    return relit(colors, amount * lamp.light(ranges).log()[:, None])
+    return apply_gain(colors, amount * lamp.light(ranges).log()[:, None])
 
 
 def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision:

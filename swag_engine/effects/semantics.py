@@ -11,7 +11,7 @@ from ..evidence.image_cells import open_water_cells
 from ..evidence.scene_evidence import SceneEvidence
 from ..gaussians.init import gaussians_from_points
 from ..scene.colmap import Points
-from ..semantics.assign import EVERY, labels_in_view, semantic_loss
+from ..semantics.assign import FEATURES_EVERY, labels_in_view, semantic_loss
 from ..semantics.embed import DIMENSIONS
 from .effect import CostProbe, Effect
 
@@ -52,4 +52,4 @@ def _cost(probe: CostProbe) -> Callable[[], Tensor]:
     return lambda: semantic_loss(features, targets, labels_in_view(cloud, camera, labels, probe.backend) > 0)
 
 
-EFFECT = Effect("Semantics", "labels", decide, cost=_cost, cost_every=EVERY)
+EFFECT = Effect("Semantics", "labels", decide, cost=_cost, cost_every=FEATURES_EVERY, needs_network=True)

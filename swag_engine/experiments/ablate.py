@@ -1,6 +1,6 @@
 """What each method, and each part of ours, is worth on a scene: the same run many times with one thing changed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +9,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..effects.registry import REGISTRY
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..planning.plan import Plan, plan_scene
 from ..settings.effect_names import EFFECTS, TOGETHER
@@ -18,7 +19,7 @@ from ..training.trainer import train
 from .evaluate_run import evaluate_run
 
 OURS = "swag"
-ALL = "separate_backscatter=on,lamp=on,exposure=on,caustics=on,moving_objects=on"
+ALL = ",".join(f"{name}=on" for name, effect in REGISTRY.items() if not effect.needs_network)
 """Every effect that needs no network."""
 FIGURES = {
     "psnr": "validation PSNR",
@@ -73,11 +74,25 @@ def ablate(
     `mean` and `spread` (standard deviation over the seeds) of each of FIGURES, and `interrupted`.
     Raises InputError as train does, and where `out` holds runs of another scene or size.
     """
+    return compare_rows(rows(plan_scene(scene)), scene, out, seeds, settings, weights_dir, on_run, should_stop)
+
+
+def compare_rows(
+    compared: Sequence[Row],
+    scene: Path,
+    out: Path,
+    seeds: int,
+    settings: TrainSettings,
+    weights_dir: Path | None = None,
+    on_run: Callable[[str, int, dict[str, Any]], None] = lambda name, seed, figures: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> dict[str, Any]:
+    """Train and evaluate these rows; everything else as of `ablate`."""
     if seeds < 1:
         raise InputError(f"The number of seeds must be 1 or more, not {seeds}.")
     document: dict[str, Any] = {"scene": str(scene), "settings": settings.to_json(), "seeds": seeds, "rows": []}
     document["interrupted"] = False
-    for row in rows(plan_scene(scene)):
+    for row in compared:
         figures: list[dict[str, Any]] = []
         for seed in range(seeds):
             changed: dict[str, Any] = {"recipe": row.recipe, "effects": row.effects, "seed": seed}

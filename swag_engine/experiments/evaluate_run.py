@@ -99,7 +99,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
         "registered": summary["registered"],
         "registered_share": summary["registered_share"],
         "gaussians": len(cloud),
-        "megabytes": {path.name: path.stat().st_size / 1e6 for path in (run.ply, run.glb) if path.exists()},
+        "megabytes": {path.name: path.stat().st_size / 1e6 for path in run.results.values() if path.exists()},
         "seconds": round(state["seconds"], 2),
         "machine": machine(cloud.means.device),
         "notes": notes,

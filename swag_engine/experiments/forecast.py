@@ -64,13 +64,10 @@ def forecast_scene(
     looks = []
     for number, size in enumerate((FIRST_LOOK, SECOND_LOOK)):
         progress("First looks", number / 2)
-        sized = replace(settings, preset="draft", time_budget="", **asdict(size))
+        sized = replace(settings, preset="draft", time_budget="", **size.numbers())
         psnr, training, seconds = _look(scene_folder, sized)
         looks.append(psnr)
-    promised = _predicted(speed, extent, sized)
-    # A few iterations on a busy machine say little; the second look had more of them.
-    busy = min(1.0, training / promised)
-    speed, beside = speed.times(busy), max(0.0, seconds - busy * promised)
+    speed, beside = corrected_speed(speed, _predicted(speed, extent, sized), training, seconds)
     document: dict[str, Any] = {
         "machine": machine(settings),
         "recipe": settings.recipe,
@@ -88,6 +85,16 @@ def forecast_scene(
         presets[name] = _expected(document, extent, sized, past, scene_folder)
     progress("First looks", 1.0)
     return document | {"presets": presets}
+
+
+def corrected_speed(speed: Speed, predicted: float, training: float, whole: float) -> tuple[Speed, float]:
+    """Reduce the times of a speed that was measured beside other work to those of a run, which has more iterations.
+
+    All in seconds: predicted and real time of the run's training, and of the whole run. Returns the speed, and what
+    the run took beside its training.
+    """
+    factor = min(1.0, training / predicted)
+    return speed.times(factor), max(0.0, whole - factor * predicted)
 
 
 def expectation(scene_folder: Path, settings: TrainSettings) -> dict[str, Any] | None:
@@ -177,7 +184,7 @@ def _look(scene_folder: Path, settings: TrainSettings) -> tuple[float | None, fl
 
 def _predicted(speed: Speed, extent: Extent, settings: TrainSettings) -> float:
     size = Size(settings.iterations, settings.width, settings.max_gaussians)
-    return predicted_seconds(speed, extent, size, recipe_of(settings.recipe, settings.effects).grow_until)
+    return predicted_seconds(speed, extent, size, recipe_of(settings.recipe, settings.effects).densify_until)
 
 
 def _expected(
@@ -200,7 +207,7 @@ def _expected(
         spread = 0.5 * spread + SPREAD_DB if errors else spread
         psnr = [round(likely_psnr + sign * spread, 2) for sign in (-1, 0, 1)]
     return {
-        **asdict(size),
+        **size.numbers(),
         "seconds": [round(guess * ratio, 2) for ratio in (least, likely, most)],
         "psnr": psnr,
         "memory_mb": round(_memory_mb(extent, size)),

@@ -10,6 +10,7 @@ from ..base.errors import InputError
 from ..base.files import atomic_path
 from ..formats.export import ExportOptions, export_run
 from ..formats.ply import read_ply
+from ..formats.registry import find_format
 from ..formats.run_folder import RunFolder
 from ..kernels.backends import device_for
 from ..rendering.model import cloud_from_checkpoint
@@ -18,9 +19,9 @@ from ..scene.images import cache_folder, load_images
 from ..scene.split import split_views
 from ..semantics.assign import assign
 from ..semantics.embed import Clip, Descriptor, Embedder
-from ..semantics.labels import read_semantics, read_table, write_semantics
-from ..semantics.providers import Progress, Provider, choose, region_embedder, region_provider
-from ..semantics.regions import checked_words, find_regions
+from ..semantics.labels import read_labels, read_semantics, write_semantics
+from ..semantics.providers import Progress, Provider, choose_provider, make_embedder, make_provider
+from ..semantics.regions import check_words, find_regions
 from ..semantics.search import similarity
 from ..training.checkpoint import load_checkpoint
 
@@ -44,7 +45,7 @@ def label_run(
     """
     run = RunFolder(folder)
     scene_folder, settings, up = run.read_config()
-    words = checked_words(words)
+    words = check_words(words)
     loaded = load_checkpoint(folder)
     if loaded is None or not run.ply.exists():
         raise InputError(f"The run {folder} has no result yet; continue it with train --resume.")
@@ -56,9 +57,9 @@ def label_run(
             "--resume, which writes it again."
         )
     scene = load_scene(scene_folder)
-    chosen, masks = choose(scene, words, masks, provider)
-    finder, captioner = region_provider(chosen, scene, masks, bool(words), weights_dir, download, progress)
-    embedder = region_embedder(weights_dir, download, progress)
+    chosen, masks = choose_provider(scene, words, masks, provider)
+    finder, captioner = make_provider(chosen, scene, masks, bool(words), weights_dir, download, progress)
+    embedder = make_embedder(weights_dir, download, progress)
     names = set(split_views([view.camera.name for view in scene.views]).train)
     images = load_images(scene, [view for view in scene.views if view.camera.name in names], settings.width)
     regions = find_regions(
@@ -75,8 +76,8 @@ def search_run(
 ) -> tuple[np.ndarray, list[str]]:
     """How near each splat of a labelled run is to `words`: (N,) float32 in -1..1, in the order of result.ply, and the
     labels that are called so. Raises InputError when the run has no labels, or nothing knows the words."""
-    wanted = checked_words([words])[0]
-    semantics, table = read_semantics(folder), read_table(folder)
+    wanted = check_words([words])[0]
+    semantics, table = read_semantics(folder), read_labels(folder)
     count = len(read_ply(RunFolder(folder).ply))
     if count != len(semantics.features):
         raise InputError(
@@ -84,7 +85,7 @@ def search_run(
         )
     embedder: Embedder = Descriptor()
     if semantics.embedder == Clip.name and not any(entry["name"].casefold() == wanted.casefold() for entry in table):
-        embedder = region_embedder(weights_dir, download)
+        embedder = make_embedder(weights_dir, download)
     return similarity(semantics, table, wanted, embedder)
 
 
@@ -102,11 +103,8 @@ def describe(document: dict[str, Any]) -> str:
 
 
 def extract_run(folder: Path, label: str, out: Path) -> int:
-    """Write the splats of one label (its name or number) to `out`, a .ply or .glb; returns how many there are.
+    """Write the splats of one label (its name or number) to `out`; its ending says the format. Returns their number.
 
     Raises InputError for another suffix, and as export_run does for a choice by labels.
     """
-    format = out.suffix.lower().removeprefix(".")
-    if format not in ("ply", "glb"):
-        raise InputError(f"{out.name} cannot be written: give the file a name that ends in .ply or .glb.")
-    return int(export_run(folder, format, out, ExportOptions(labels=(label,)))["splats"])
+    return int(export_run(folder, find_format(out).name, out, ExportOptions(labels=(label,)))["splats"])

@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from ..base.errors import InputError
 from ..base.strict_json import from_json
 from ..evaluation.metrics import picture
 from ..formats.run_folder import RunFolder, read_json
@@ -15,6 +16,7 @@ from ..scene.colmap import load_scene
 from ..scene.images import load_images
 from ..scene.split import split_views
 from ..settings.settings import TrainSettings
+from ..training.pacing.memory import TOO_LITTLE, is_shortage
 from .evaluate_run import compared, machine, newest
 from .evaluation_page import figure_rows, machine_line, view_table
 from .page import (
@@ -85,15 +87,24 @@ def write_report(folder: Path) -> Path:
     return folder / PAGE
 
 
-def report_of(folder: Path) -> tuple[Path | None, str]:
-    """Write the report of a run that has just ended, and return its path; or none, and a sentence that says why.
+def try_write_report(folder: Path) -> tuple[Path | None, str]:
+    """Write the report of a run that has just ended, as `write_report` does.
 
-    Whatever goes wrong here must not spoil the run.
+    Args:
+        folder: Folder of the run.
+
+    Returns:
+        Path of the report and an empty text; or None and a sentence that says why there is no report.
     """
     try:
         return write_report(folder), ""
-    except Exception as error:
-        return None, f"The run is whole, but its report could not be written: {error}"
+    except InputError as error:
+        problem = str(error)
+    except (MemoryError, RuntimeError) as error:
+        if not is_shortage(error):
+            raise
+        problem = TOO_LITTLE
+    return None, f"The run is complete, but its report could not be written: {problem}"
 
 
 def command_line(scene: Path, out: Path, settings: TrainSettings) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..settings.settings import TrainSettings
 from ..training.trainer import Event, train
 from .forecast import expectation, record
-from .report import report_of
+from .report import try_write_report
 
 
 def train_and_report(
@@ -27,7 +27,7 @@ def train_and_report(
     expected = None if resume else expectation(scene_folder, settings)
     result = train(scene_folder, out, settings, resume, on_event, should_stop, preview, weights_dir, started)
     record(out, expected, time.monotonic() - started)
-    report, problem = report_of(out)
+    report, problem = try_write_report(out)
     if problem:
         print(problem, file=sys.stderr)
     return result | {"report": report and str(report)}

@@ -1,1 +1,1 @@
-"""Files that other programs read."""
+"""Files that other programs read and write, and the files of a run."""

@@ -1,7 +1,8 @@
-"""GLB with KHR_gaussian_splatting, what web viewers and Cesium read. numpy only, Blender's Python imports it.
+"""GLB with KHR_gaussian_splatting, which web viewers and Cesium read. numpy only, Blender imports it.
 
-Scales are linear, opacities 0..1, quaternions xyzw, harmonics as in 3DGS; the splats keep their own axes and a node
-turns them to glTF's Y up.
+Scales are linear, opacities 0..1, quaternions xyzw, spherical harmonics as in 3DGS; the splats keep their own axes and
+a node rotates them to glTF's axes, in which y is up. The extension is described at
+https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_gaussian_splatting.
 """
 
 import json
@@ -19,64 +20,74 @@ from ..base.files import atomic_path
 from ..base.strict_json import from_json
 from ..base.transfer import srgb_to_linear
 from ..scene.cameras import Camera
-from ..splats.splats import Splats, cleaned, concatenate
-from ..splats.transform import quaternions, rotation_matrices, transformed
+from ..splats.splats import Splats, clean_splats, concatenate
+from ..splats.transform import C0, quaternions, rotation_matrices, rotation_to_y_up, transformed
+from .export_format import Direction, ExportFormat
 
 log = logging.getLogger(__name__)
 
 EXTENSION = "KHR_gaussian_splatting"
 READABLE = {EXTENSION, "KHR_mesh_quantization"}
-# componentType -> numpy code
+"""Extensions that a file may require and still be read."""
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""glTF's componentType -> numpy's type code."""
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+"""glTF's accessor type -> numbers per element."""
 SHORT, UNSIGNED_SHORT, FLOAT = 5122, 5123, 5126
+"""Keys of COMPONENTS that are written."""
 ARRAY_BUFFER = 34962
+"""glTF's target of a bufferView with vertex attributes."""
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-# Splats handled at a time, few enough to stay in the processor's cache.
+"""Types of a GLB's chunks."""
 BLOCK = 8192
-# How many times a scene may show the same splats, so that a small file cannot fill the memory.
-MOST_COPIES = 4
+"""Splats read at a time: few enough to stay in the processor's cache."""
+MAX_COPIES = 4
+"""How many times a scene may show the same splats, so that a small file cannot fill the memory."""
 COLMAP_UP = (0.0, -1.0, 0.0)
-# COLMAP's cameras look along z with y down, glTF's against z with y up.
+"""Up direction in COLMAP's axes."""
 CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
-# What describes a scene of splats is a few kilobytes; Python needs 30 bytes for each byte of hostile JSON.
-MOST_JSON = 16 << 20
+"""From the axes of glTF's cameras (looking along -z, y up) to those of COLMAP's (looking along z, y down)."""
+MAX_JSON = 16 << 20
+"""Bytes of the JSON chunk. Splats need a few kilobytes; Python takes up to 30 times the size of hostile JSON."""
 
 
-def write_glb(
-    path: Path, splats: Splats, up: Sequence[float] | np.ndarray = COLMAP_UP, cameras: Sequence[Camera] = ()
-) -> None:
-    """Write `splats` as GLB of their own degree. The file is whole or absent.
+def write_glb(path: Path, splats: Splats, up: Direction = COLMAP_UP, cameras: Sequence[Camera] = ()) -> None:
+    """Write splats as a GLB of their own degree. The file is whole or absent.
 
-    up (3,) is the direction in the splats' world that viewers shall show as up: the node that holds the splats turns it
-    to glTF's Y. The default suits COLMAP (y down; the node turns half around x, so that a viewer's first look is the
-    cameras'), (0, 0, 1) suits Blender.
-    cameras: of the splats' world, written beside them under the same node. glTF has no principal point: the picture's
-    middle is taken, and the exact intrinsics are in the node's extras.
-    COLOR_0 shows programs without splats the constant colour, as linear light. Extras become `_NAME` in upper case:
-    integers within 16 bits as such, other numbers as float32.
-    Raises InputError when there are no splats, more than a GLB can hold (4 GiB), a position is not finite, extras
-    cannot be told apart or hold integers beyond 24 bits, the disk is full or the place cannot be written to.
+    COLOR_0 holds the constant color as linear light, for programs that cannot show splats. Extras become attributes
+    `_NAME` in upper case: integers within 16 bits as such, other numbers as float32.
+
+    Args:
+        path: File to write.
+        splats: Splats to write.
+        up: Direction (3,) in the splats' world that is up: the node that holds the splats rotates it to glTF's y. The
+            default suits COLMAP (the node turns by 180 degrees around x), (0, 0, 1) suits Blender.
+        cameras: Cameras of the splats' world, written under the same node. glTF has no principal point: the image
+            centre is used, and the exact intrinsics are in the node's extras.
+
+    Raises:
+        InputError: If there are no splats, they take more than the 4 GiB that a GLB can hold, a position is not finite,
+            names of extras differ only in case, extras hold integers beyond 24 bits, or the file cannot be written.
     """
-    head, arrays = _assembled(path, splats, up, cameras)
+    head, arrays = _assemble(path, splats, up, cameras)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.write(head)
         for array in arrays:
             file.write(np.ascontiguousarray(array).data)
 
 
-def glb_size(
-    path: Path, splats: Splats, up: Sequence[float] | np.ndarray = COLMAP_UP, cameras: Sequence[Camera] = ()
-) -> int:
-    """Bytes that write_glb would write. Raises what write_glb raises before it writes."""
-    head, arrays = _assembled(path, splats, up, cameras)
+def glb_size(path: Path, splats: Splats, up: Direction = COLMAP_UP, cameras: Sequence[Camera] = ()) -> int:
+    """Return the size in bytes of the file that `write_glb` makes of the same arguments.
+
+    Raises:
+        InputError: As `write_glb` before it writes.
+    """
+    head, arrays = _assemble(path, splats, up, cameras)
     return len(head) + sum(array.nbytes for array in arrays)
 
 
-def _assembled(
-    path: Path, splats: Splats, up: Sequence[float] | np.ndarray, cameras: Sequence[Camera]
-) -> tuple[bytes, list[np.ndarray]]:
-    """All that stands before the attributes, and these."""
+def _assemble(path: Path, splats: Splats, up: Direction, cameras: Sequence[Camera]) -> tuple[bytes, list[np.ndarray]]:
+    """Return the bytes before the attributes, and the attributes."""
     if not len(splats):
         raise InputError(f"There are no splats to write to {path}; choose at least one.")
     if not np.isfinite(splats.positions).all():
@@ -102,7 +113,7 @@ def _assembled(
         "attributes": {name: index for index, name in enumerate(attributes)},
         "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
     }
-    node: dict[str, Any] = {"name": path.stem, "mesh": 0, "rotation": _xyzw(turn_to_y_up(up))}
+    node: dict[str, Any] = {"name": path.stem, "mesh": 0, "rotation": _xyzw(rotation_to_y_up(up))}
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "SWAG Splatting"},
         "extensionsUsed": [EXTENSION],
@@ -115,7 +126,7 @@ def _assembled(
         "buffers": [{"byteLength": offset}],
     }
     if cameras:
-        # Nearer than a hundredth of the scene's size there is nothing to see, and a depth buffer needs some limit.
+        # A depth buffer needs a near limit: a hundredth of the size of the scene's middle half.
         near = 0.01 * float(np.linalg.norm(np.ptp(np.percentile(splats.positions, (25, 75), axis=0), axis=0))) or 0.01
         node["children"] = list(range(1, 1 + len(cameras)))
         document["nodes"] += [_camera_node(camera, index) for index, camera in enumerate(cameras)]
@@ -130,7 +141,7 @@ def _assembled(
 
 
 def _camera(camera: Camera, near: float) -> dict[str, Any]:
-    """A glTF camera of the same focal lengths."""
+    """Return a glTF camera of the same focal lengths; `near` in the splats' units."""
     perspective = {
         "yfov": 2 * atan(camera.height / (2 * camera.fy)),
         "aspectRatio": (camera.width / camera.fx) / (camera.height / camera.fy),
@@ -140,7 +151,7 @@ def _camera(camera: Camera, near: float) -> dict[str, Any]:
 
 
 def _camera_node(camera: Camera, index: int) -> dict[str, Any]:
-    """Where the camera of that index stands, among the splats."""
+    """Return the node that places the camera of that index among the splats."""
     pose = np.linalg.inv(camera.world_to_camera) @ CAMERA_AXES
     intrinsics = {name: value for name, value in asdict(camera).items() if name not in ("name", "world_to_camera")}
     return {
@@ -153,30 +164,40 @@ def _camera_node(camera: Camera, index: int) -> dict[str, Any]:
 
 
 def _xyzw(rotation: np.ndarray) -> list[float]:
-    """A rotation matrix (3, 3) as glTF's quaternion."""
+    """Return a rotation matrix (3, 3) as glTF's quaternion."""
     w, x, y, z = quaternions(rotation).tolist()
     return [x, y, z, w]
 
 
-@np.errstate(over="ignore", invalid="ignore")  # numbers beyond float32 become infinities and are left out
-def read_glb(path: Path, up: Sequence[float] | np.ndarray = COLMAP_UP) -> Splats:
-    """Read every Gaussian splat of a GLB's scene, in a world whose direction `up` is the scene's up (see write_glb).
+@np.errstate(over="ignore", invalid="ignore")  # numbers beyond float32 become infinities, and their splats are dropped
+def read_glb(path: Path, up: Direction = COLMAP_UP) -> Splats:
+    """Read every Gaussian splat of a GLB's scene.
 
-    The same `up` gives back what write_glb was given. Transforms of nodes are applied, colours included; several sets
-    of splats become one. Quantised attributes are read; scales with negative numbers are taken for the logarithms of
-    the extension's drafts. What else the scene holds is ignored, attributes `_NAME` of one number become extras in
-    lower case. Splats with a NaN or an infinity are left out with a warning.
-    Raises InputError when the file is missing, no GLB, without Gaussian splats, compressed, damaged or cut off.
+    Transforms of nodes are applied, to colors too; several sets of splats become one. Quantised attributes are read;
+    scales with negative numbers are read as logarithms, as drafts of the extension had them. Attributes `_NAME` of one
+    number become extras in lower case; everything else in the scene is ignored. Splats with a NaN or an infinity are
+    dropped with a warning.
+
+    Args:
+        path: The file.
+        up: Direction (3,) that shall be up in the splats' world; with the one given to `write_glb` the splats are those
+            that were written.
+
+    Returns:
+        The splats.
+
+    Raises:
+        InputError: If the file is missing, not a GLB, without Gaussian splats, compressed, damaged or cut off.
     """
     from_y_up = np.eye(4)
-    from_y_up[:3, :3] = turn_to_y_up(up).T
+    from_y_up[:3, :3] = rotation_to_y_up(up).T
     try:
         document, binary = _chunks(path)
         parts = []
         size = 0
         for world, primitive in _splat_primitives(document):
-            size += _least_bytes(document, primitive)
-            if size > MOST_COPIES * len(binary):
+            size += _attribute_bytes(document, primitive)
+            if size > MAX_COPIES * len(binary):
                 raise ValueError("more splats than the file can hold")
             part = _splats(path, document, binary, primitive)
             matrix = from_y_up @ world
@@ -191,9 +212,9 @@ def read_glb(path: Path, up: Sequence[float] | np.ndarray = COLMAP_UP) -> Splats
 
 
 def _attributes(path: Path, splats: Splats) -> Iterator[tuple[str, tuple[np.ndarray, int, str]]]:
-    """Name, and array, componentType and type, of every attribute; each array a multiple of 4 bytes."""
+    """Yield name, and array, componentType and type, of every attribute; each array is a multiple of 4 bytes."""
     yield "POSITION", (splats.positions, FLOAT, "VEC3")
-    color = (0.28209479177387814 * splats.sh[:, 0] + 0.5).clip(0, 1)
+    color = (C0 * splats.sh[:, 0] + 0.5).clip(0, 1)
     linear = srgb_to_linear(color)
     fallback = np.nan_to_num(np.concatenate([linear, splats.opacities.clip(0, 1)[:, None]], axis=1))
     yield "COLOR_0", ((fallback * 65535 + 0.5).astype("<u2"), UNSIGNED_SHORT, "VEC4")
@@ -216,24 +237,12 @@ def _attributes(path: Path, splats: Splats) -> Iterator[tuple[str, tuple[np.ndar
 
 
 def _harmonics(degree: int) -> list[str]:
-    """Attribute names of the coefficients, constant term first."""
+    """Return the attribute names of the coefficients, constant term first."""
     return [f"{EXTENSION}:SH_DEGREE_{band}_COEF_{i}" for band in range(degree + 1) for i in range(2 * band + 1)]
 
 
-def turn_to_y_up(up: Sequence[float] | np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) that takes `up` to y: half around x first when it points below, then the shortest way."""
-    direction = np.asarray(up, np.float64)
-    length = np.linalg.norm(direction)
-    if direction.shape != (3,) or not np.isfinite(length) or not length:
-        raise ValueError(f"up must be a direction of three numbers, got {up}")
-    flip = np.diag([1.0, -1.0, -1.0]) if direction[1] < 0 else np.eye(3)
-    x, y, z = flip @ direction / length
-    cross = np.array([[0, -x, 0], [x, 0, z], [0, -z, 0]])  # of the axis, direction x (0, 1, 0) = (-z, 0, x)
-    return (np.eye(3) + cross + cross @ cross / (1 + y)) @ flip
-
-
 def _chunks(path: Path) -> tuple[dict[str, Any], memoryview]:
-    """The JSON document and the binary chunk of a GLB."""
+    """Return the JSON document and the binary chunk of a GLB."""
     data = path.read_bytes()
     if not data:
         raise InputError(f"{path} is empty.")
@@ -245,8 +254,8 @@ def _chunks(path: Path) -> tuple[dict[str, Any], memoryview]:
         raise InputError(f"{path} is glTF version {version}; only version 2 can be read.")
     if total > len(data) or 20 + json_length > len(data):
         raise InputError(f"{path} is cut off; copy or write it again.")
-    if json_kind != JSON_CHUNK or json_length > MOST_JSON:
-        raise ValueError("the first chunk is no JSON that describes splats")
+    if json_kind != JSON_CHUNK or json_length > MAX_JSON:
+        raise ValueError("the first chunk is not a JSON document of splats")
     document = from_json(data[20 : 20 + json_length])
     start = 20 + json_length
     length, kind = np.frombuffer(data[start : start + 8].ljust(8, b"\0"), "<u4").tolist()
@@ -264,7 +273,7 @@ def _chunks(path: Path) -> tuple[dict[str, Any], memoryview]:
 
 
 def _splat_primitives(document: dict[str, Any]) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
-    """The world matrix (4, 4) and the primitive of every set of splats in the scene."""
+    """Yield the world matrix (4, 4) and the primitive of every set of splats in the scene."""
     nodes = document.get("nodes", [])
     if scenes := document.get("scenes"):
         roots = scenes[document.get("scene", 0)].get("nodes", [])
@@ -276,7 +285,7 @@ def _splat_primitives(document: dict[str, Any]) -> Iterator[tuple[np.ndarray, di
     while pending:
         index, parent = pending.pop()
         if index in seen:
-            raise ValueError("the nodes are no tree")
+            raise ValueError("the nodes are not a tree")
         seen.add(index)
         node = nodes[index]
         world = parent @ _matrix(node)
@@ -287,8 +296,8 @@ def _splat_primitives(document: dict[str, Any]) -> Iterator[tuple[np.ndarray, di
                 yield world, primitive
 
 
-def _least_bytes(document: dict[str, Any], primitive: dict[str, Any]) -> int:
-    """What the attributes of a primitive take in a file where no two share their bytes."""
+def _attribute_bytes(document: dict[str, Any], primitive: dict[str, Any]) -> int:
+    """Return the bytes that the attributes of a primitive take in a file where no two share their bytes."""
     accessors = [document["accessors"][index] for index in primitive["attributes"].values()]
     widths = [
         WIDTHS.get(accessor["type"], 1) * np.dtype(COMPONENTS[accessor["componentType"]]).itemsize
@@ -298,7 +307,7 @@ def _least_bytes(document: dict[str, Any], primitive: dict[str, Any]) -> int:
 
 
 def _matrix(node: dict[str, Any]) -> np.ndarray:
-    """The node's own transform (4, 4)."""
+    """Return the node's own transform (4, 4)."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     x, y, z, w = node.get("rotation", (0, 0, 0, 1))
@@ -309,14 +318,14 @@ def _matrix(node: dict[str, Any]) -> np.ndarray:
 
 
 def _splats(path: Path, document: dict[str, Any], binary: memoryview, primitive: dict[str, Any]) -> Splats:
-    """One primitive's splats, in its node's axes."""
+    """Return the splats of one primitive, in its node's axes."""
     settings = primitive["extensions"][EXTENSION]
     if inner := settings.get("extensions"):
         raise InputError(
             f"{path} holds compressed splats ({min(inner)}); save them uncompressed, with {EXTENSION} alone."
         )
     if settings.get("colorSpace") == "lin_rec709_display":
-        log.warning("%s: its colours are linear light and are taken as sRGB: they will look dark", path)
+        log.warning("%s: its colors are linear light and are read as sRGB: they will look dark", path)
     attributes = primitive["attributes"]
 
     def values(name: str, width: int) -> np.ndarray:
@@ -340,7 +349,7 @@ def _splats(path: Path, document: dict[str, Any], binary: memoryview, primitive:
         for name, attribute in attributes.items()
         if name[0] == "_" and document["accessors"][attribute]["type"] == "SCALAR"
     }
-    return cleaned(
+    return clean_splats(
         Splats(
             positions,
             np.roll(values(f"{EXTENSION}:ROTATION", 4), 1, axis=1).astype(np.float32),
@@ -354,7 +363,7 @@ def _splats(path: Path, document: dict[str, Any], binary: memoryview, primitive:
 
 
 def _accessor(document: dict[str, Any], binary: memoryview, index: int) -> np.ndarray:
-    """An accessor's values (count, width), a view of `binary` unless they are normalised or integers (to int32)."""
+    """Return an accessor's values (count, width); floats are a view of `binary`, integers become int32 or float32."""
     accessor = document["accessors"][index]
     if "sparse" in accessor:
         raise ValueError("sparse accessors hold no splats")
@@ -364,7 +373,7 @@ def _accessor(document: dict[str, Any], binary: memoryview, index: int) -> np.nd
     stride = view.get("byteStride", 0) or width * kind.itemsize
     if stride < width * kind.itemsize:
         raise ValueError("elements that overlap")
-    # numpy refuses counts and offsets that lead outside the bytes.
+    # numpy raises ValueError for counts and offsets outside the bytes.
     array: np.ndarray = np.ndarray(
         (accessor["count"], width),
         kind,
@@ -377,3 +386,15 @@ def _accessor(document: dict[str, Any], binary: memoryview, index: int) -> np.nd
     if accessor.get("normalized"):
         return np.maximum(array / np.float32(np.iinfo(kind).max), -1)
     return array.astype(np.int32)
+
+
+FORMAT = ExportFormat(
+    name="glb",
+    suffix=".glb",
+    title="glTF (GLB)",
+    description="glTF with KHR_gaussian_splatting, for web viewers and Cesium.",
+    options=frozenset({"cameras"}),
+    write=write_glb,
+    size=glb_size,
+    read=read_glb,
+)

@@ -1,6 +1,6 @@
-"""3DGS PLY, the layout of Kerbl et al. 2023 that every splat program reads. numpy only, Blender's Python imports it.
+"""3DGS PLY, the layout of Kerbl et al. 2023 that splat programs read. numpy only, Blender imports it.
 
-binary little-endian, one `vertex` element: x y z nx ny nz f_dc_0..2 f_rest_0.. (all of R, then G, then B) opacity
+Binary little-endian, one element `vertex`: x y z nx ny nz f_dc_0..2 f_rest_0.. (all of R, then G, then B) opacity
 (logit) scale_0..2 (natural logarithm) rot_0..3 (wxyz), then the extras under their own names and types.
 """
 
@@ -16,8 +16,9 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
-from ..splats.splats import Splats, cleaned
+from ..splats.splats import Splats, clean_splats
 from .compressed_ply import WORDS, unpack
+from .export_format import ExportFormat
 
 log = logging.getLogger(__name__)
 
@@ -27,24 +28,32 @@ TYPES = {
     "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
+"""PLY's names of types -> numpy's codes, without the byte order."""
 TYPE_NAMES = {code: name for name, code in reversed(TYPES.items())}
+"""numpy's codes -> the names that are written."""
 BASE = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2")
 ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 NORMAL = ("nx", "ny", "nz")
-# Rows handled at a time: few enough to stay in the processor's cache, which is what makes column access fast.
 BLOCK = 8192
-# No splat program comes near; a header that goes on for ever must not fill the memory.
-MOST_HEADER = 1 << 20
-# Opacities nearer to 0 or 1 have no finite logit that float32 could tell apart; 1 comes back as 1, 0 as 1e-8.
+"""Rows read or written at a time: few enough to stay in the processor's cache, which makes column access fast."""
+MAX_HEADER = 1 << 20
+"""Bytes of a header; real ones are a few kilobytes, and one without end must not fill the memory."""
 SMALLEST_OPACITY = 1e-8
+"""Distance from 0 and 1 that opacities are clipped to, where float32 logits still differ; 1 is read back as 1."""
 
 
 def write_ply(path: Path, splats: Splats) -> None:
-    """Write `splats` as 3DGS PLY of their own degree. The file is whole or absent.
+    """Write splats as a 3DGS PLY of their own degree. The file is whole or absent.
 
     Extras keep their dtype (bool becomes uchar, 64-bit integers int, half floats float).
-    Raises InputError when there are no splats, an extra's name is taken or holds a space, its integers do not fit
-    32 bits, the disk is full or the place cannot be written to.
+
+    Args:
+        path: File to write.
+        splats: Splats to write.
+
+    Raises:
+        InputError: If there are no splats, the name of an extra is in use or holds a space, its integers do not fit 32
+            bits, or the file cannot be written.
     """
     header, row, extras = _layout(path, splats)
     rows = np.zeros(BLOCK, row)
@@ -67,13 +76,17 @@ def write_ply(path: Path, splats: Splats) -> None:
 
 
 def ply_size(path: Path, splats: Splats) -> int:
-    """Bytes that write_ply would write. Raises what write_ply raises before it writes."""
+    """Return the size in bytes of the file that `write_ply` makes of the same arguments.
+
+    Raises:
+        InputError: As `write_ply` before it writes.
+    """
     header, row, _ = _layout(path, splats)
     return len(header) + len(splats) * row.itemsize
 
 
 def _layout(path: Path, splats: Splats) -> tuple[bytes, np.dtype, dict[str, np.ndarray]]:
-    """The header, a row, and the extras in dtypes that PLY has, of the file for `splats`."""
+    """Return the header, the dtype of a row, and the extras in dtypes that PLY has."""
     if not len(splats):
         raise InputError(f"There are no splats to write to {path}; choose at least one.")
     rest = (splats.sh.shape[1] - 1) * 3
@@ -93,14 +106,22 @@ def _layout(path: Path, splats: Splats) -> tuple[bytes, np.dtype, dict[str, np.n
     return ("\n".join([*header, "end_header"]) + "\n").encode(), np.dtype(row), extras
 
 
-@np.errstate(over="ignore", invalid="ignore")  # numbers beyond float32 become infinities and are left out
+@np.errstate(over="ignore", invalid="ignore")  # numbers beyond float32 become infinities, and their splats are dropped
 def read_ply(path: Path) -> Splats:
     """Read a 3DGS PLY: ASCII or binary of either byte order, any order and type of properties, degree 0 to 3.
 
     The compressed PLY of SuperSplat is read too. Normals are dropped, other properties become extras of their own
-    dtype, degrees above 3 are dropped with a warning. Quaternions come back at unit length; splats with a NaN or an
-    infinity are left out with a warning (an infinite logit is an opacity of 0 or 1 and stays).
-    Raises InputError when the file is missing, no PLY, no Gaussian splats, damaged or cut off.
+    dtype, degrees above 3 are dropped with a warning. Quaternions are normalised; splats with a NaN or an infinity are
+    dropped with a warning (an infinite logit is an opacity of 0 or 1 and is kept).
+
+    Args:
+        path: The file.
+
+    Returns:
+        The splats.
+
+    Raises:
+        InputError: If the file is missing, not a PLY, without Gaussian splats, damaged or cut off.
     """
     try:
         with open(path, "rb") as file:
@@ -131,10 +152,13 @@ def _read(path: Path, file: BinaryIO) -> Splats:
     side = isqrt(per_channel + 1)
     whole = rest == 3 * per_channel and side * side == per_channel + 1
     if not whole or not {f"f_rest_{i}" for i in range(rest)} <= set(names):
-        raise InputError(f"{path} has {rest} f_rest properties, which is no whole degree of spherical harmonics.")
+        raise InputError(
+            f"{path} has {rest} f_rest properties, which are not those of a degree of spherical harmonics; write the "
+            "file again."
+        )
     coefficients = min(side, 4) ** 2
     if side > 4:
-        log.warning("%s: spherical harmonics above degree 3 were left out", path)
+        log.warning("%s: spherical harmonics above degree 3 were dropped", path)
 
     read_rows = _row_reader(path, file, order, elements, vertex)
     count = vertex.count
@@ -159,11 +183,11 @@ def _read(path: Path, file: BinaryIO) -> Splats:
     opacities = 1 / (1 + np.exp(-base[:, 6].astype(np.float64)))
     scales = np.exp(base[:, 7:].astype(np.float64)).astype(np.float32)
     positions = np.ascontiguousarray(base[:, :3])
-    return cleaned(Splats(positions, rotations, scales, opacities.astype(np.float32), sh, extras), path)
+    return clean_splats(Splats(positions, rotations, scales, opacities.astype(np.float32), sh, extras), path)
 
 
 def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
-    """The byte order ("<", ">" or "" for ASCII) and the elements; leaves `file` at the first byte of data."""
+    """Return the byte order ("<", ">" or "" for ASCII) and the elements; `file` is then at the first byte of data."""
     start = file.read(4)
     if not start:
         raise InputError(f"{path} is empty.")
@@ -179,7 +203,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
     elements: list[_Element] = []
     try:
         while (line := file.readline(65536).decode("utf-8", "replace")) != "":
-            if file.tell() > MOST_HEADER:
+            if file.tell() > MAX_HEADER:
                 raise ValueError("a header without end")
             match line.split():
                 case ["end_header"]:
@@ -191,7 +215,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
                 case ["element", name, number]:
                     elements.append(_Element(name, int(number)))
                     if not 0 <= elements[-1].count < 2**60:
-                        raise ValueError("no number of splats")
+                        raise ValueError("not a number of splats")
                 case ["property", "list", _, _, name]:
                     elements[-1].properties.append((name, "list"))
                 case ["property", kind, name]:
@@ -206,7 +230,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
 
 
 def _splat_element(path: Path, elements: list[_Element]) -> _Element:
-    """The element that holds the splats; InputError says why there is none."""
+    """Return the element that holds the splats; raises InputError where there is none."""
     vertex = next((element for element in elements if element.name == "vertex"), None)
     names = [name for name, _ in vertex.properties] if vertex else []
     wanted = WORDS if vertex and vertex.is_packed else (*BASE, *ROTATION)
@@ -223,7 +247,7 @@ def _splat_element(path: Path, elements: list[_Element]) -> _Element:
 
 
 def _read_packed(path: Path, file: BinaryIO, order: str, elements: list[_Element]) -> Splats:
-    """The splats of a compressed PLY."""
+    """Return the splats of a compressed PLY."""
     damaged = InputError(f"{path} is a damaged compressed PLY: its parts do not fit together; write the file again.")
     found: dict[str, np.ndarray] = {}
     here = file.tell()
@@ -239,7 +263,7 @@ def _read_packed(path: Path, file: BinaryIO, order: str, elements: list[_Element
                 file.seek(here)
                 found[element.name] = np.frombuffer(file.read(element.count * row.itemsize), row)
             here += element.count * row.itemsize
-        return cleaned(unpack(found["chunk"], found["vertex"], found.get("sh")), path)
+        return clean_splats(unpack(found["chunk"], found["vertex"], found.get("sh")), path)
     except (ValueError, KeyError, TypeError):
         raise damaged from None
 
@@ -247,16 +271,18 @@ def _read_packed(path: Path, file: BinaryIO, order: str, elements: list[_Element
 def _row_reader(
     path: Path, file: BinaryIO, order: str, elements: list[_Element], vertex: _Element
 ) -> Callable[[int], np.ndarray]:
-    """A function that reads the next n rows of `vertex`, after checking that the file is long enough for all."""
+    """Return a function that reads the next n rows of `vertex`; raises InputError for a file too short for all."""
     before = elements[: elements.index(vertex)]
     row = np.dtype([(name, order + code) for name, code in vertex.properties])
     here = file.tell()
     remaining = file.seek(0, 2) - here
     file.seek(here)
-    cut_off = InputError(f"{path} is cut off: it names {vertex.count} splats and holds fewer; copy or write it again.")
+    cut_off = InputError(
+        f"{path} is cut off: its header announces {vertex.count} splats and it holds fewer; copy or write it again."
+    )
 
     if not order:
-        # A digit and a separator are the least that a value takes.
+        # A value takes at least a digit and a separator.
         if vertex.count * 2 * len(vertex.properties) > remaining + 1:
             raise cut_off
         for _ in islice(file, sum(element.count for element in before)):
@@ -283,7 +309,7 @@ def _row_reader(
 
 
 def _storable(path: Path, name: str, values: np.ndarray) -> np.ndarray:
-    """`values` in a dtype that PLY has."""
+    """Return values in a dtype that PLY has."""
     if values.dtype.kind in "iu" and values.dtype.itemsize == 8:
         narrow = values.astype(np.int32)
         if not np.array_equal(narrow, values):
@@ -292,3 +318,15 @@ def _storable(path: Path, name: str, values: np.ndarray) -> np.ndarray:
     if values.dtype == bool:
         return values.astype(np.uint8)
     return values if values.dtype.str[1:] in TYPE_NAMES else values.astype(np.float32)
+
+
+FORMAT = ExportFormat(
+    name="ply",
+    suffix=".ply",
+    title="PLY (3DGS)",
+    description="The 3D Gaussian Splatting layout that most splat programs read.",
+    options=frozenset({"up"}),
+    write=lambda path, splats, up, cameras: write_ply(path, splats),
+    size=lambda path, splats, up, cameras: ply_size(path, splats),
+    read=lambda path, up: read_ply(path),
+)

@@ -1,60 +1,106 @@
-"""What a run leaves in its folder, and how it is found again."""
+"""The folder of a run: which files it has, and how they are written and read."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
 from ..base.strict_json import from_json, to_json
 from ..settings.settings import TrainSettings
+from ..splats.splats import Splats
+from .registry import FORMATS
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """One run = one folder. `path` need not exist yet."""
+    """The files of one run.
+
+    Attributes:
+        path: The folder, which need not exist yet.
+    """
 
     path: Path
 
     @property
     def config(self) -> Path:
+        """Scene, settings and up direction."""
         return self.path / "config.json"
 
     @property
     def metrics_log(self) -> Path:
+        """One JSON object a line for each report during training."""
         return self.path / "metrics.jsonl"
 
     @property
     def metrics(self) -> Path:
+        """Figures of a run that has ended."""
         return self.path / "metrics.json"
 
     @property
-    def ply(self) -> Path:
-        return self.path / "result.ply"
+    def results(self) -> dict[str, Path]:
+        """The file of the result in every export format, by the format's name."""
+        return {name: self.path / f"result{format.suffix}" for name, format in FORMATS.items()}
 
     @property
-    def glb(self) -> Path:
-        return self.path / "result.glb"
+    def ply(self) -> Path:
+        """The result as 3DGS PLY, from which the other commands read the splats."""
+        return self.results["ply"]
+
+    def write_result(self, splats: Splats, up: Sequence[float] | np.ndarray) -> None:
+        """Write the result in every export format.
+
+        Args:
+            splats: Splats of the run.
+            up: Up direction (3,) in the scene's coordinates.
+
+        Raises:
+            InputError: If a file cannot be written.
+        """
+        for name, path in self.results.items():
+            FORMATS[name].write(path, splats, up, ())
 
     @property
     def water(self) -> Path:
+        """The learned water."""
         return self.path / "water.json"
 
     @property
     def plan(self) -> Path:
+        """The plan that the run follows."""
         return self.path / "plan.json"
 
     @property
     def preview(self) -> Path:
+        """Splats during training, for the viewport."""
         return self.path / "preview.ply"
 
     def write_config(self, scene: Path, settings: TrainSettings, up: list[float]) -> None:
-        """config.json: the scene's folder, every setting, and which way is up in the scene's coordinates."""
+        """Write config.json.
+
+        Args:
+            scene: Folder of the scene.
+            settings: All settings of the run.
+            up: Up direction (3,) in the scene's coordinates.
+
+        Raises:
+            InputError: If the file cannot be written.
+        """
         document = {"scene": str(scene.resolve()), "settings": settings.to_json(), "up": up}
         write_json(self.config, document)
 
     def read_config(self) -> tuple[Path, TrainSettings, list[float]]:
-        """Scene folder, settings and up vector of a run. Raises InputError when this is not a run."""
+        """Read config.json.
+
+        Returns:
+            Folder of the scene, settings, and up direction (3,) in the scene's coordinates.
+
+        Raises:
+            InputError: If the folder is not a run or the file is damaged.
+        """
         document = read_json(self.config, f"{self.path} is not a training run: it has no config.json.")
         try:
             up = [float(value) for value in document["up"]]
@@ -63,10 +109,19 @@ class RunFolder:
             raise InputError(f"{self.config} is not a training run's configuration: {error!r}.") from error
 
     def resumed_settings(self, scene_folder: Path, asked: TrainSettings) -> tuple[TrainSettings, bool]:
-        """The settings that the run was started with, and whether it is to go on for longer than these say.
+        """Find the settings with which the run continues.
 
-        With more iterations it does, or for a further time budget. Raises InputError where the request names other
-        settings, or nothing is left.
+        A run continues for longer than it was started for where more iterations, or a further time budget, are asked.
+
+        Args:
+            scene_folder: Folder of the scene that the user named.
+            asked: Settings that the user named, the others at their defaults.
+
+        Returns:
+            The settings that the run was started with, and whether it continues for longer than these say.
+
+        Raises:
+            InputError: If the run is of another scene, was started with other settings, or is finished.
         """
         scene, settings, _ = self.read_config()
         if scene.resolve() != scene_folder.resolve():
@@ -78,36 +133,48 @@ class RunFolder:
             settings = replace(settings, iterations=asked.iterations, time_budget=asked.time_budget)
         elif self.finished():
             raise InputError(
-                f"The run {self.path} is finished already; its result is {self.ply.name}. More --iterations than "
-                f"{self.iterations()}, or a --time-budget, make it go on."
+                f"The run {self.path} is finished already; its result is {self.ply.name}. To continue it, give more "
+                f"--iterations than {self.iterations()}, or a --time-budget."
             )
-        default, kept = TrainSettings().to_json(), settings.to_json()
+        default, started = TrainSettings().to_json(), settings.to_json()
         for name, value in asked.to_json().items():
-            if value not in (default[name], kept[name]):
+            if value not in (default[name], started[name]):
                 title = name.replace("_", " ")
                 raise InputError(
-                    f"The run {self.path} was started with {title} {kept[name]}; it cannot go on with {value}."
+                    f"The run {self.path} was started with {title} {started[name]}; it cannot continue with {value}."
                 )
         return settings, longer
 
     def discard(self) -> None:
-        """Take back a run that never began."""
+        """Remove the files of a run that failed before its first iteration."""
         self.config.unlink(missing_ok=True)
         self.plan.unlink(missing_ok=True)
 
     def write_metrics(self, metrics: dict[str, Any]) -> None:
+        """Write metrics.json.
+
+        Raises:
+            InputError: If the file cannot be written.
+        """
         write_json(self.metrics, metrics)
 
     def read_water(self) -> dict[str, Any] | None:
-        """The water that the run found; None where it modelled none. Raises InputError when the file is damaged."""
+        """Read water.json.
+
+        Returns:
+            The learned water, None where the run models none.
+
+        Raises:
+            InputError: If the file is damaged.
+        """
         return read_json(self.water, "") if self.water.exists() else None
 
     def finished(self) -> bool:
-        """Whether the run came to its end and not merely to a stop."""
+        """Return whether the run did all its iterations, and was not interrupted."""
         return self.metrics.exists() and not self._ended("interrupted", bool)
 
     def iterations(self) -> int:
-        """How many iterations a run that ended has; 0 for others."""
+        """Return how many iterations a run that has ended did; 0 for others."""
         return self._ended("iteration", int) if self.metrics.exists() else 0
 
     def _ended(self, name: str, kind: type) -> Any:
@@ -117,23 +184,27 @@ class RunFolder:
         return value
 
     def log_until(self, iteration: int) -> None:
-        """Drop lines of metrics.jsonl past `iteration`: a resumed run writes them again."""
+        """Remove the lines of metrics.jsonl past an iteration: a resumed run writes them again."""
         if not self.metrics_log.exists():
             return
-        kept = []
+        lines = []
         for line in self.metrics_log.read_text(encoding="utf-8", errors="replace").splitlines():
             try:
                 entry = from_json(line)
                 keep = entry["iteration"] <= iteration and "test_psnr" not in entry
             except (ValueError, KeyError, TypeError):
-                continue  # half a line, of a run that was killed
+                continue  # an incomplete line of a run that was killed
             if keep:
-                kept.append(line + "\n")
+                lines.append(line + "\n")
         with atomic_path(self.metrics_log) as temporary:
-            temporary.write_text("".join(kept), encoding="utf-8")
+            temporary.write_text("".join(lines), encoding="utf-8")
 
     def log(self, entry: dict[str, Any]) -> None:
-        """Append one line to metrics.jsonl."""
+        """Append one line to metrics.jsonl.
+
+        Raises:
+            InputError: If the file cannot be written.
+        """
         try:
             with open(self.metrics_log, "a", encoding="utf-8") as log:
                 log.write(to_json(entry) + "\n")
@@ -142,12 +213,28 @@ class RunFolder:
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
+    """Write an object to a JSON file, which is whole or as it was.
+
+    Raises:
+        InputError: If the file cannot be written.
+    """
     with atomic_path(path) as temporary:
         temporary.write_text(to_json(document, indent=2) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path, missing: str) -> dict[str, Any]:
-    """The object in a JSON file. Raises InputError: with the sentence `missing` when there is no file."""
+    """Read the object in a JSON file.
+
+    Args:
+        path: The file.
+        missing: Message of the error for a file that does not exist.
+
+    Returns:
+        The object.
+
+    Raises:
+        InputError: If the file does not exist, cannot be read, or holds no object.
+    """
     try:
         document = from_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:

@@ -1,4 +1,4 @@
-"""Which splats leave, and how much of each. numpy only, Blender's Python imports it."""
+"""Selection of the splats, and of their properties, that an export writes. numpy only, Blender imports it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,14 +11,20 @@ from ..splats.splats import Splats
 from .run_folder import read_json
 
 LABEL = "label"
+"""Extra of splats with the number of their label, 0 for none."""
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
-    """What to keep of some splats; by default everything.
+class SplatSelection:
+    """Conditions that splats must meet, and the properties that they keep; by default everything.
 
-    labels: values of the extra `label`. box: a matrix (4, 4) from the splats' space to one in which the corners of the
-    box are at -1 and 1 (see box_between). extras: whether properties such as labels stay.
+    Attributes:
+        labels: Values of the extra `label`, None for all splats.
+        box: (4, 4) matrix from the splats' world to a space in which the box reaches from -1 to 1 on each axis (see
+            `box_between`), None for all splats.
+        min_opacity: Smallest opacity, 0..1.
+        sh_degree: Highest degree of spherical harmonics, 0..3.
+        extras: Whether extras such as labels are kept.
     """
 
     labels: frozenset[int] | None = None
@@ -27,12 +33,22 @@ class Choice:
     sh_degree: int = 3
     extras: bool = True
 
-    def of(self, splats: Splats) -> Splats:
-        """What is kept of `splats`, which may be nothing. Raises InputError for labels that they do not have."""
+    def apply(self, splats: Splats) -> Splats:
+        """Select from splats.
+
+        Args:
+            splats: Splats to select from.
+
+        Returns:
+            Those that meet all conditions, which may be none.
+
+        Raises:
+            InputError: If labels are asked for and the splats have none.
+        """
         kept = splats.opacities >= self.min_opacity
         if self.labels is not None:
             if LABEL not in splats.extras:
-                raise InputError("The splats have no labels to choose by; label them first, or leave labels empty.")
+                raise InputError("The splats have no labels to select by; label them first, or leave labels empty.")
             kept &= np.isin(splats.extras[LABEL], list(self.labels))
         if self.box is not None:
             inside = splats.positions @ self.box[:3, :3].T + self.box[:3, 3]
@@ -43,15 +59,30 @@ class Choice:
         return Splats(chosen.positions, chosen.rotations, chosen.scales, chosen.opacities, sh, extras)
 
 
-def something(splats: Splats) -> Splats:
-    """`splats`, where there are any. Raises InputError where a choice left none."""
+def require_splats(splats: Splats) -> Splats:
+    """Return the splats that a selection left.
+
+    Raises:
+        InputError: If there are none.
+    """
     if not len(splats):
-        raise InputError("No splat is left by this choice; widen the box, add labels or lower the least opacity.")
+        raise InputError("No splat is left by this selection; widen the box, add labels or lower the least opacity.")
     return splats
 
 
 def box_between(lower: Sequence[float], upper: Sequence[float]) -> np.ndarray:
-    """The matrix of an upright box with these corners (3,). Raises InputError when it is empty."""
+    """Make the matrix of an axis-aligned box for `SplatSelection`.
+
+    Args:
+        lower: Corner (3,) with the smallest coordinates.
+        upper: Corner (3,) with the largest coordinates.
+
+    Returns:
+        Matrix (4, 4) that takes the corners to -1 and 1 on each axis.
+
+    Raises:
+        InputError: If the box is empty or a coordinate is not finite.
+    """
     low, high = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
     if not (np.isfinite([low, high]).all() and (low < high).all()):
         raise InputError("The first corner of the box must be below the second in x, y and z.")
@@ -61,9 +92,17 @@ def box_between(lower: Sequence[float], upper: Sequence[float]) -> np.ndarray:
 
 
 def label_ids(wanted: Sequence[str], table: Path) -> frozenset[int]:
-    """Labels by number or by name, whatever the case; `table` is the run's labels.json, which may be absent.
+    """Find the numbers of labels.
 
-    Raises InputError for an unknown name, or where the file is damaged.
+    Args:
+        wanted: Labels by name, upper or lower case, or by number.
+        table: The run's labels.json, which need not exist.
+
+    Returns:
+        Their numbers.
+
+    Raises:
+        InputError: If a name is unknown or the file is damaged.
     """
     known: dict[str, int] = {}
     if table.is_file():
@@ -80,6 +119,6 @@ def label_ids(wanted: Sequence[str], table: Path) -> frozenset[int]:
         elif word.isdecimal():
             found.add(int(word))
         else:
-            there = ", ".join(known) or "none with a name; name them with `label`"
+            there = ", ".join(known) or "none with a name; make them with `label`"
             raise InputError(f"There is no label named {word}; there are {there}.")
     return frozenset(found)

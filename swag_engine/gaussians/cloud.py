@@ -10,15 +10,23 @@ from torch import Tensor
 from ..splats.splats import Splats
 from .sh import evaluate_sh
 
+LOG_SCALE_LIMITS = (-20.0, 10.0)
+"""Logarithms of the least and largest standard deviation, in scene units: keeps the exponential finite and above 0."""
+
 
 @dataclass
 class GaussianCloud:
-    """N Gaussians and the colour behind them, all float tensors of one dtype.
+    """N Gaussians and the color behind them, all float tensors of one dtype.
 
-    means (N, 3) in scene units; quats (N, 4) wxyz, any length; log_scales (N, 3) log of the standard deviation;
-    opacity_logits (N,); sh0 (N, 1, 3) and shN (N, K - 1, 3) raw spherical harmonics as in 3DGS (arXiv 2308.04079);
-    background (3,) logit of the colour seen where no Gaussian is; features (N, 32) say what the Gaussian is part of
-    and are not drawn, (N, 0) where the run learns none.
+    Attributes:
+        means: (N, 3) centres, scene units.
+        quats: (N, 4) rotations wxyz, of any length.
+        log_scales: (N, 3) logarithms of the standard deviations in scene units.
+        opacity_logits: (N,) logits of the opacities.
+        sh0: (N, 1, 3) raw spherical harmonics of degree 0 as in 3DGS (arXiv 2308.04079).
+        shN: (N, K - 1, 3) those of higher degrees.
+        background: (3,) logits of the display values seen where no Gaussian is.
+        features: (N, 32) semantic features, which are not drawn; (N, 0) where the run learns none.
     """
 
     means: Tensor
@@ -38,34 +46,49 @@ class GaussianCloud:
         return self.means.shape[0]
 
     def parameters(self) -> dict[str, Tensor]:
-        """Name -> tensor, in the order of the fields."""
+        """Return all tensors by name, in the order of the fields."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
     def to(self, device: torch.device) -> "GaussianCloud":
-        """The cloud with its tensors on a device."""
+        """Return the cloud with its tensors on a device."""
         return GaussianCloud(**{name: tensor.to(device) for name, tensor in self.parameters().items()})
 
     @property
     def scales(self) -> Tensor:
-        """(N, 3) standard deviations in scene units."""
-        return self.log_scales.clamp(-20.0, 10.0).exp()
+        """Standard deviations (N, 3), scene units."""
+        return self.log_scales.clamp(*LOG_SCALE_LIMITS).exp()
 
     @property
     def opacities(self) -> Tensor:
-        """(N,) in 0..1."""
+        """Opacities (N,) in 0..1."""
         return self.opacity_logits.sigmoid()
 
     def colors(self, camera_centre: Tensor, degree: int, backend: str = "auto") -> Tensor:
-        """(N, 3) display colours seen from `camera_centre` (3,), with SH up to `degree`.
+        """Evaluate the colors seen from a camera.
 
-        No gradient flows from colour to position through the direction: it is small, and would cost a pass.
+        No gradient flows from color to position through the direction: it is small, and would cost a pass.
+
+        Args:
+            camera_centre: (3,) world coordinates, scene units.
+            degree: SH degree that is used, where the cloud has as many.
+            backend: What computes, as in `kernels_for`.
+
+        Returns:
+            (N, 3) display values.
         """
         directions = torch.nn.functional.normalize(self.means.detach() - camera_centre, dim=-1)
         degree = min(degree, isqrt(1 + self.shN.shape[1]) - 1)
         return evaluate_sh(self.sh0, self.shN, directions, degree, backend)
 
     def to_splats(self, sh_degree: int | None = None) -> Splats:
-        """The Gaussians as numpy arrays for files and Blender; SH up to `sh_degree` (all by default)."""
+        """Convert the Gaussians to numpy arrays for files and Blender.
+
+        Args:
+            sh_degree: Highest SH degree that is kept; all by default.
+
+        Returns:
+            The Gaussians, float32.
+        """
         with torch.no_grad():
             higher = self.shN if sh_degree is None else self.shN[:, : (sh_degree + 1) ** 2 - 1]
             sh = torch.cat([self.sh0, higher], dim=1)
@@ -76,5 +99,5 @@ class GaussianCloud:
 
 
 def to_numpy(tensor: Tensor) -> np.ndarray:
-    """A float32 copy on the CPU."""
+    """Return a float32 copy on the CPU."""
     return tensor.detach().float().cpu().numpy().copy()

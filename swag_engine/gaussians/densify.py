@@ -1,6 +1,7 @@
-"""Where Gaussians are added and taken away while the scene is optimised."""
+"""Densification: which Gaussians are added and removed while the scene is optimised."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -9,63 +10,131 @@ from torch import Tensor
 from .cloud import GaussianCloud
 
 PER_GAUSSIAN = ("means", "quats", "log_scales", "opacity_logits", "sh0", "shN", "features")
+"""Fields of a cloud with a row per Gaussian."""
 
 MIN_OPACITY = 0.01
+"""Opacity below which a Gaussian is removed: it changes a pixel by less than 3 steps of an 8-bit image."""
 MIN_SCORE = 2e-5
+"""Mean gradient on screen above which a Gaussian is split, loss per half image width: a tenth of 3DGS's
+threshold, because the budget limits the number."""
 MAX_SCALE = 2.0
-"""In median ranges: what is wider is taken for a floater and dropped."""
+"""Standard deviation above which a Gaussian is removed as a floater, median ranges."""
+SPLIT_OFFSET = 0.6
+"""Distance of a child from its parent, standard deviations along the longest axis: with SPLIT_SCALE it keeps the
+variance, .6^2 + .8^2 = 1."""
+SPLIT_SCALE = 0.8
+"""Standard deviation of a child along that axis, as a factor of the parent's."""
+SPLIT_OPACITY = 0.625
+"""Opacity of a child as a factor of the parent's: two children of .8 times the length keep the mass."""
 
-# Of 3DGS-MCMC, with the values of its authors.
+# Of 3DGS-MCMC (arXiv 2404.09591), with the values of its authors.
 DEAD_OPACITY = 0.005
+"""Opacity below which a Gaussian is dead and relocated."""
 MAX_SHARERS = 51
+"""Largest number of Gaussians among which one opacity is divided: the published table has as many entries."""
 NOISE = 5e5
+"""Noise of the centres as a factor of their learning rate."""
+NOISE_OPACITY = 0.15
+"""Opacity from which centres get no noise: its sigmoid is below 1e-6."""
 REGULARISATION = 0.01
+"""Weight of the mean opacity and of the mean standard deviation (median ranges) in the loss."""
 
 
 @dataclass
-class GrowthStatistics:
-    """Sums over the views since the last event: gradient (N,) of the loss with respect to the position on screen, in
-    units of half the image width, and views (N,) in which the Gaussian was seen."""
+class DensificationStatistics:
+    """Sums over the views since the last densification.
+
+    Attributes:
+        gradient: (N,) length of the loss's gradient by the position on screen, per half image width.
+        views: (N,) number of views in which the Gaussian was visible.
+    """
 
     gradient: Tensor
     views: Tensor
 
     @classmethod
-    def zeros(cls, n: int, device: torch.device) -> "GrowthStatistics":
+    def zeros(cls, n: int, device: torch.device) -> "DensificationStatistics":
+        """Return the statistics of n Gaussians before the first view."""
         return cls(torch.zeros(n, device=device), torch.zeros(n, device=device))
 
     def add(self, means2d_gradient: Tensor, radii: Tensor, width: int) -> None:
-        """Add one view: means2d_gradient (N, 2) per pixel, radii (N,) in pixels with 0 for what was not seen."""
+        """Add one view.
+
+        Args:
+            means2d_gradient: (N, 2) gradient of the loss by the projected centres, per pixel.
+            radii: (N,) extent on screen, pixels, 0 where a Gaussian is not visible.
+            width: Width of the image, pixels.
+        """
         self.gradient += means2d_gradient.norm(dim=-1) * (width / 2)
         self.views += radii > 0
 
     def score(self) -> Tensor:
-        """(N,) mean gradient over the views that saw the Gaussian."""
+        """Return the mean gradient (N,) over the views in which each Gaussian was visible."""
         return self.gradient / self.views.clamp(min=1)
 
 
-class Growth:
-    """How a run changes its number of Gaussians, and what comes with it. This one splits and drops.
+class DensificationStrategy(Protocol):
+    """How a run changes the number of its Gaussians, and what belongs to that."""
 
-    Split what the loss pulls at most, along its longest axis, up to a budget; drop what has become transparent.
-    A split keeps the mass and the variance of its parent along that axis: offset .6 sigma, sigma .8, opacity .625.
-    """
-
-    def event(
+    def densify(
         self,
         cloud: GaussianCloud,
-        statistics: GrowthStatistics,
+        statistics: DensificationStatistics,
         budget: int,
         median_range: float,
         generator: torch.Generator,
         weight: Tensor | None = None,
     ) -> tuple[GaussianCloud, Tensor]:
-        """The cloud after one event of at most `budget` Gaussians, and for each the index (N',) of the Gaussian whose
-        optimiser state it continues, -1 for a new one.
+        """Add and remove Gaussians once.
 
-        generator: what is drawn at random is drawn from it (random_of). weight (N,): multiplied into the score that
-        Gaussians are chosen by, 1 for all by default.
+        Args:
+            cloud: The N Gaussians; not changed.
+            statistics: Statistics since the last time.
+            budget: Largest number of Gaussians afterwards.
+            median_range: Median range of the scene, scene units.
+            generator: Random numbers of the iteration, from `random_of`.
+            weight: (N,) factor of the score by which Gaussians are chosen; 1 by default.
+
+        Returns:
+            The cloud of N' Gaussians, and for each the index (N',) of the Gaussian whose optimiser state it keeps, -1
+            for none.
         """
+
+    def perturb(self, cloud: GaussianCloud, rate: float, median_range: float, generator: torch.Generator) -> None:
+        """Change the cloud in place after a step of the optimiser.
+
+        Args:
+            cloud: The Gaussians.
+            rate: Step size of the means, scene units.
+            median_range: Median range of the scene, scene units.
+            generator: Random numbers of the iteration.
+        """
+
+    def regularisation(self, cloud: GaussianCloud, median_range: float) -> Tensor | None:
+        """Return what is added to the loss, a scalar, None for nothing.
+
+        Args:
+            cloud: The Gaussians.
+            median_range: Median range of the scene, scene units.
+        """
+
+
+class SplitStrategy:
+    """Splits the Gaussians with the largest gradient on screen along their longest axis; removes transparent ones.
+
+    A split keeps the mass and the variance of the parent along that axis.
+    """
+
+    def densify(
+        self,
+        cloud: GaussianCloud,
+        statistics: DensificationStatistics,
+        budget: int,
+        median_range: float,
+        generator: torch.Generator,
+        weight: Tensor | None = None,
+    ) -> tuple[GaussianCloud, Tensor]:
+        """See `DensificationStrategy.densify`; nothing is random."""
         scales = cloud.scales
         finite = torch.isfinite(cloud.means).all(dim=-1) & torch.isfinite(cloud.log_scales).all(dim=-1)
         keep = (cloud.opacities > MIN_OPACITY) & (scales.amax(dim=-1) < MAX_SCALE * median_range) & finite
@@ -85,38 +154,41 @@ class Growth:
         parents = split.nonzero().squeeze(-1)
         pieces = [{name: getattr(cloud, name)[stay] for name in PER_GAUSSIAN}]
         pieces += [split_along_longest_axis(cloud, parents, sign) for sign in (1.0, -1.0)]
-        grown = GaussianCloud(
+        densified = GaussianCloud(
             **{name: torch.cat([piece[name] for piece in pieces]) for name in PER_GAUSSIAN}, background=cloud.background
         )
         source = torch.cat([stay, torch.full((2 * len(parents),), -1, device=stay.device)])
-        return grown, source
+        return densified, source
 
     def perturb(self, cloud: GaussianCloud, rate: float, median_range: float, generator: torch.Generator) -> None:
-        """What is added to the cloud, in place, after each step of the optimiser; rate: the step size of the means."""
+        """Change nothing."""
 
     def regularisation(self, cloud: GaussianCloud, median_range: float) -> Tensor | None:
-        """What is added to the loss (a scalar), None for nothing."""
+        """Return None: nothing is added to the loss."""
         return None
 
 
-class McmcGrowth(Growth):
+class McmcStrategy:
     """3D Gaussian Splatting as Markov chain Monte Carlo (Kheradmand et al. 2024, arXiv 2404.09591).
 
-    Dead Gaussians move to where living ones are, which are drawn by their opacity and share it; the number grows to
-    the budget in the same way. Faint Gaussians wander, and a loss on opacity and size lets the useless die. Lengths
-    are taken in median ranges, so that the scene's unit does not matter.
+    Dead Gaussians are relocated to living ones, which are drawn by their opacity and share it; the number rises to the
+    budget in the same way. Centres of faint Gaussians get noise, and a loss on opacity and size removes Gaussians that
+    nothing needs. Lengths are taken in median ranges, so that the scene's unit does not matter.
     """
 
-    def event(
+    def densify(
         self,
         cloud: GaussianCloud,
-        statistics: GrowthStatistics,
+        statistics: DensificationStatistics,
         budget: int,
         median_range: float,
         generator: torch.Generator,
         weight: Tensor | None = None,
     ) -> tuple[GaussianCloud, Tensor]:
-        """As Growth.event; `statistics` are not looked at. Optimiser states of all that share an opacity are new."""
+        """See `DensificationStrategy.densify`.
+
+        The statistics are not used. Gaussians that share an opacity start with a new optimiser state.
+        """
         opacities = cloud.opacities
         sums = cloud.means.sum(1) + cloud.quats.sum(1) + cloud.log_scales.sum(1) + cloud.sh0.sum((1, 2))
         finite = torch.isfinite(sums + cloud.shN.sum((1, 2)))
@@ -135,42 +207,62 @@ class McmcGrowth(Growth):
         logits = torch.logit(opacity.clamp(min=DEAD_OPACITY, max=1 - 1e-6))
         living["opacity_logits"] = torch.where(shared, logits, living["opacity_logits"])
         living["log_scales"] = living["log_scales"] + torch.where(shared, shrink, 1.0).log()[:, None]
-        grown = GaussianCloud(
+        densified = GaussianCloud(
             **{name: torch.cat([values, values[drawn]]) for name, values in living.items()}, background=cloud.background
         )
-        return grown, torch.cat([torch.where(shared, -1, alive), torch.full_like(drawn, -1)])
+        return densified, torch.cat([torch.where(shared, -1, alive), torch.full_like(drawn, -1)])
 
     @torch.no_grad()
     def perturb(self, cloud: GaussianCloud, rate: float, median_range: float, generator: torch.Generator) -> None:
         """Move each centre by rate NOISE sigmoid(100 (.005 - opacity)) Sigma eta: covariance Sigma, normal eta.
 
-        Those of opacity over .15, whose sigmoid is below 1e-6, are left out.
+        Args:
+            cloud: The Gaussians; their means are changed in place.
+            rate: Step size of the means, scene units.
+            median_range: Median range of the scene, scene units.
+            generator: Random numbers of the iteration.
         """
         opacities = cloud.opacities
-        faint = (opacities < 0.15).nonzero().squeeze(-1)
+        faint = (opacities < NOISE_OPACITY).nonzero().squeeze(-1)
         normal = torch.randn(len(faint), 3, generator=generator).to(cloud.means)
         axes = rotation_matrices(cloud.quats[faint])
         variances = (cloud.scales[faint] / median_range).square()
-        # Sigma eta = R S^2 R^T eta, and R^T eta is as normal as eta.
+        # Sigma eta = R S^2 R^T eta, and R^T eta has the distribution of eta.
         steps = (axes @ (variances * normal)[..., None]).squeeze(-1)
         size = rate * NOISE * torch.sigmoid(100 * (DEAD_OPACITY - opacities[faint]))
         cloud.means[faint] += size[:, None] * steps
 
     def regularisation(self, cloud: GaussianCloud, median_range: float) -> Tensor | None:
-        """REGULARISATION times the mean opacity, and times the mean standard deviation in median ranges."""
+        """Return REGULARISATION times the sum of mean opacity and mean standard deviation in median ranges."""
         return REGULARISATION * (cloud.opacities.mean() + cloud.scales.mean() / median_range)
 
 
 def random_of(seed: int, iteration: int) -> torch.Generator:
-    """The random numbers of one iteration, on the CPU: a run that is continued draws what it would have drawn."""
+    """Make the random numbers of one iteration, on the CPU, so that a resumed run draws the same ones.
+
+    Args:
+        seed: Seed of the run.
+        iteration: Number of the iteration.
+
+    Returns:
+        The generator.
+    """
     return torch.Generator().manual_seed(int(np.random.SeedSequence((seed, iteration)).generate_state(1)[0]))
 
 
 def share_opacity(opacities: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
-    """Opacity (N,) and factor (N,) of the scales with which `counts` (N,) equal Gaussians in one place look as one did.
+    """Divide opacities among equal Gaussians in one place that together look as one did.
 
-    3DGS-MCMC: opacity o' = 1 - (1 - o)^(1/n) keeps the centre, and the factor keeps the integral along a
-    line through it: o / sum_j C(n, j) (-1)^(j-1) o'^j / sqrt(j), j = 1..n (the double sum there, summed over i).
+    3DGS-MCMC (arXiv 2404.09591): opacity o' = 1 - (1 - o)^(1/n) keeps the centre, and the factor of the scales keeps
+    the integral along a line through it: o / sum_j C(n, j) (-1)^(j-1) o'^j / sqrt(j), j = 1..n (the double sum there,
+    summed over i).
+
+    Args:
+        opacities: (N,) o, in 0..1.
+        counts: (N,) number n of Gaussians that share each.
+
+    Returns:
+        Opacity (N,) of each sharer and factor (N,) of its scales.
     """
     o, n = opacities.double().clamp(max=1 - 1e-12), counts.double()
     shared = -torch.expm1(torch.log1p(-o) / n)
@@ -182,20 +274,29 @@ def share_opacity(opacities: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def split_along_longest_axis(cloud: GaussianCloud, index: Tensor, sign: float) -> dict[str, Tensor]:
-    """One of the two children (sign +1 or -1) of the Gaussians `index` (M,)."""
+    """Make one of the two children of Gaussians that are split.
+
+    Args:
+        cloud: The Gaussians.
+        index: (M,) those that are split.
+        sign: +1 or -1: the side of the parent on which the child is.
+
+    Returns:
+        The children's tensors by name, M rows each.
+    """
     child = {name: getattr(cloud, name)[index].clone() for name in PER_GAUSSIAN}
     scales = cloud.scales[index]
     longest = scales.argmax(dim=-1)
     rows = torch.arange(len(index), device=index.device)
     axis = rotation_matrices(cloud.quats[index])[rows, :, longest]
-    child["means"] += sign * 0.6 * scales[rows, longest, None] * axis
-    child["log_scales"][rows, longest] += float(torch.log(torch.tensor(0.8)))
-    child["opacity_logits"] = torch.logit(0.625 * cloud.opacities[index], eps=1e-6)
+    child["means"] += sign * SPLIT_OFFSET * scales[rows, longest, None] * axis
+    child["log_scales"][rows, longest] += float(torch.log(torch.tensor(SPLIT_SCALE)))
+    child["opacity_logits"] = torch.logit(SPLIT_OPACITY * cloud.opacities[index], eps=1e-6)
     return child
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
-    """(M, 3, 3) rotation matrices of quaternions (M, 4) wxyz of any length."""
+    """Return the rotation matrices (M, 3, 3) of quaternions (M, 4) wxyz of any length."""
     w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
     return torch.stack(
         [

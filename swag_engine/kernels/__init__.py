@@ -1,1 +1,1 @@
-"""Native code for the CPU and for NVIDIA cards."""
+"""The operations that each iteration runs: compiled for the CPU, for NVIDIA cards, and in plain torch."""

@@ -3,8 +3,8 @@
 
 #include <math.h>
 
-// Elements [begin, end) of `parameter` and its moments. step_size = rate / (1 - beta1^t), scale = 1 / sqrt(1 - beta2^t),
-// weight = 1 - beta rounded once, from double.
+// Elements [begin, end) of `parameter` and its moments. step_size = rate / (1 - beta1^t), scale = 1 / sqrt(1 - beta2^t).
+// weight1 = 1 - beta1 and weight2 = 1 - beta2 are computed in double: 1 - .999f is off by 1e-5.
 API void adam_step(int64_t begin, int64_t end, float *__restrict parameter, const float *__restrict gradient,
                    float *__restrict mean, float *__restrict square, float step_size, float scale, float beta1,
                    float weight1, float beta2, float weight2, float epsilon) {

@@ -1,43 +1,59 @@
-"""Which code draws: compiled kernels on the CPU, CUDA kernels, or plain torch."""
-
-from types import ModuleType
+"""The backends and the choice among them."""
 
 import torch
 from torch import Tensor
 
 from ..base.errors import InputError
-from . import cpu, cuda
+from .cpu import CpuKernels
+from .cuda import CudaKernels
+from .protocol import Kernels
+from .reference.kernels import REFERENCE
 
-BACKENDS = ("auto", "cpu", "cuda", "torch")
-KERNELS = {"cpu": cpu, "cuda": cuda}
+KERNELS: dict[str, Kernels] = {"cpu": CpuKernels(), "cuda": CudaKernels(), "torch": REFERENCE}
+"""The backends by name; "auto" takes the first that can run."""
 
 
-def kernels_for(backend: str, *tensors: Tensor) -> ModuleType | None:
-    """The module of kernels (cpu or cuda) that takes `tensors`, None where torch does it.
+def kernels_for(backend: str, *tensors: Tensor) -> Kernels:
+    """Choose the backend that computes on tensors.
 
-    backend: "cpu" or "cuda" (float32 on that device), "torch" (any dtype and device, slow), or "auto": kernels where
-    they can. Raises ValueError for another word, InputError when the kernels that are asked for cannot run.
+    Args:
+        backend: A name in `KERNELS`, or "auto": native kernels where they can run, torch otherwise.
+        *tensors: The tensors; "cpu" and "cuda" take float32 on their own device, "torch" any dtype and device.
+
+    Returns:
+        The backend.
+
+    Raises:
+        ValueError: There is no such backend.
+        InputError: The backend cannot run here, or does not take the tensors.
     """
-    if backend not in BACKENDS:
-        raise ValueError(f"backend {backend!r} is none of {', '.join(BACKENDS)}")
-    if backend == "torch":
-        return None
-    for name, kernels in KERNELS.items():
-        if backend in ("auto", name) and kernels.can_run(*tensors):
-            return kernels
-    if backend != "auto":
+    if backend == "auto":
+        return next(kernels for kernels in KERNELS.values() if kernels.can_run(*tensors))
+    if backend not in KERNELS:
+        raise ValueError(f"backend {backend!r} is none of {', '.join(('auto', *KERNELS))}")
+    kernels = KERNELS[backend]
+    if not kernels.can_run(*tensors):
         kind = f"{tensors[0].dtype} on {tensors[0].device}".removeprefix("torch.")
-        because = KERNELS[backend].reason() or f"it takes float32 on its own device, not {kind}."
-        raise InputError(f"The {backend} backend cannot run here: {because}")
-    return None
+        reason = kernels.unavailable_reason() or f"it takes float32 on its own device, not {kind}."
+        raise InputError(f"The {backend} backend cannot run here: {reason}")
+    return kernels
 
 
 def device_for(backend: str) -> torch.device:
-    """Where a run with this backend keeps its tensors. Raises InputError when "cuda" is asked for and cannot run."""
-    if backend == "cuda" and (reason := cuda.reason()):
+    """Choose where a run keeps its tensors.
+
+    Args:
+        backend: A name in `KERNELS`, or "auto": the card where CUDA kernels can run, the CPU otherwise.
+
+    Returns:
+        The device.
+
+    Raises:
+        InputError: The backend is "cuda" and cannot run here.
+    """
+    reason = KERNELS["cuda"].unavailable_reason() if backend in ("auto", "cuda") else None
+    if backend == "cuda" and reason:
         raise InputError(f"The cuda backend cannot run here: {reason}")
-    if backend == "cuda" or (backend == "auto" and cuda.reason() is None):
-        return torch.device("cuda")
-    if backend == "torch" and torch.accelerator.is_available():
-        return torch.accelerator.current_accelerator() or torch.device("cpu")
-    return torch.device("cpu")
+    if backend == "auto":
+        backend = "cpu" if reason else "cuda"
+    return KERNELS[backend].device()

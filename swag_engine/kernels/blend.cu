@@ -1,13 +1,15 @@
 // Blends tiles of projected Gaussians, forward and back to front; raster.cpp says what is computed.
 //
 // A block is a tile of 16 x 16 pixels, a warp a part of it of 8 x 4. The tile's Gaussians come through shared memory in
-// batches. Who loads one also finds which warps' pixels its ellipse may meet: each warp goes through its own only.
+// batches. The thread that loads one finds which warps' pixels its ellipse may meet; each warp visits only its own.
 #include "splat.cuh"
 
-constexpr int BATCH = 128;  // Gaussians in shared memory
-constexpr int MOMENTS = 6;  // of v: 1, dx, u, dx^2, dx u, u^2
-constexpr int WEIGHTS = 6;  // weight images that contributions are summed with in one pass
-constexpr int PART_WIDTH = 8, PART_HEIGHT = 4, BANDS = TILE / PART_HEIGHT;  // warp w: column w / BANDS, band w % BANDS
+constexpr int BATCH = 128;                 // Gaussians in shared memory
+constexpr int MOMENTS = 6;                 // sums of v times 1, dx, u, dx^2, dx u, u^2
+constexpr int WEIGHTS = 6;                 // weight images of contributions in one pass: what registers hold
+constexpr int PART_WIDTH = 8;              // width of a warp's pixels
+constexpr int PART_HEIGHT = 4;             // height of a warp's pixels
+constexpr int BANDS = TILE / PART_HEIGHT;  // warp w is in column w / BANDS, band w % BANDS
 
 // Bit w is set where the ellipse may meet pixels of warp w of the tile with this corner.
 __device__ inline unsigned warps_met(const Splat &g, int tile_x, int tile_y) {
@@ -134,7 +136,7 @@ struct Ending {
     }
 };
 
-// What a pass back to front finds at a pixel that it draws: T is in front of the Gaussian, inverse = 1 / (1 - alpha).
+// A Gaussian at a pixel in the pass back to front: T is in front of the Gaussian, inverse = 1 / (1 - alpha).
 struct Drawn {
     float dx, u, opacity, unclamped, alpha, inverse, T;
 };
@@ -172,8 +174,8 @@ struct Gradients {
     }
 };
 
-// |dC/dg|^2, (image_gradient . dC/dg)^2 and T alpha times WEIGHTS weights, with dC/dg = opacity T (channel - what is
-// seen behind), which is 0 where alpha is clamped.
+// |dC/dg|^2, (image_gradient . dC/dg)^2 and T alpha times WEIGHTS weights, with dC/dg = opacity T (channel - color
+// behind it), which is 0 where alpha is clamped.
 template <int C>
 struct Contributions {
     static constexpr int CHANNELS = C, SHARED = 2, VALUES = SHARED + WEIGHTS;

@@ -23,7 +23,9 @@ from importlib import metadata
 from pathlib import Path
 
 FOLDER = Path(__file__).parent
+"""Folder of the sources."""
 LIBRARIES = FOLDER / "lib"
+"""Folder of what is compiled."""
 SOURCES = ("adam.cpp", "project.cpp", "raster.cpp", "sh.cpp", "ssim.cpp", "water.cpp")
 FLAGS = (
     *("-std=c++17", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
@@ -38,7 +40,16 @@ NVRTC = "nvidia-cuda-nvrtc-cu12"
 
 @dataclass(frozen=True)
 class Target:
-    """One library: `system` and `machine` as `host` names them, `level` the x86-64 level (1 where there is none)."""
+    """One shared library.
+
+    Attributes:
+        system: "linux", "windows" or "macos".
+        machine: "x64" or "arm64".
+        level: x86-64 level, 2 to 4; 1 on other machines.
+        triple: Target of the compiler.
+        cpu: Processor that the compiler optimises for.
+        vector_width: Floats in a vector.
+    """
 
     system: str
     machine: str
@@ -49,6 +60,7 @@ class Target:
 
     @property
     def path(self) -> Path:
+        """File of the library."""
         suffix = {"windows": "dll", "macos": "dylib", "linux": "so"}[self.system]
         return LIBRARIES / f"swag-{self.system}-{self.machine}-v{self.level}-{source_hash()}.{suffix}"
 
@@ -70,6 +82,7 @@ TARGETS = (
 
 @cache
 def source_hash() -> str:
+    """Return 12 hexadecimal digits that change with the C++ sources and the flags."""
     digest = hashlib.sha256(" ".join(FLAGS).encode())
     for name in ("sh.h", "simd.h", *SOURCES):
         digest.update((FOLDER / name).read_bytes())
@@ -77,7 +90,7 @@ def source_hash() -> str:
 
 
 def ptx_path() -> Path:
-    """Where the CUDA kernels' PTX is, once it is built."""
+    """Return the path of the CUDA kernels' PTX, which is there once it is built."""
     digest = hashlib.sha256(" ".join(CUDA_FLAGS).encode())
     for name in (*CUDA_HEADERS, *CUDA_SOURCES):
         digest.update((FOLDER / name).read_bytes())
@@ -85,21 +98,28 @@ def ptx_path() -> Path:
 
 
 def host() -> tuple[str, str]:
-    """(system, machine) of this Python, e.g. ("linux", "x64")."""
+    """Return system and machine of this Python, e.g. ("linux", "x64")."""
     system = {"Windows": "windows", "Darwin": "macos"}.get(platform.system(), "linux")
     machine = platform.machine().lower()
     return system, {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}.get(machine, machine)
 
 
 def host_targets() -> list[Target]:
-    """What can be built for this machine, the highest level first; empty on a platform without kernels."""
+    """Return what can be built for this machine, the highest level first; empty on a platform without kernels."""
     return sorted((t for t in TARGETS if (t.system, t.machine) == host()), key=lambda t: -t.level)
 
 
 def build(targets: list[Target]) -> list[Path]:
-    """Compile what is missing among `targets`; returns their paths. Libraries of older sources are removed.
+    """Compile the libraries that are missing, and remove those of older sources.
 
-    Raises subprocess.CalledProcessError, after the compiler's own words on stderr, when a source does not compile.
+    Args:
+        targets: The libraries.
+
+    Returns:
+        Their paths.
+
+    Raises:
+        subprocess.CalledProcessError: A source does not compile; the compiler's messages are on stderr.
     """
     _remove_stale()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -124,9 +144,14 @@ def _compile(target: Target) -> None:
 
 
 def build_ptx() -> Path:
-    """Compile the CUDA kernels if they are not there yet; returns the path of their PTX.
+    """Compile the CUDA kernels if they are not there yet.
 
-    Raises importlib.metadata.PackageNotFoundError without NVRTC, RuntimeError with its log when a source is wrong.
+    Returns:
+        The path of their PTX.
+
+    Raises:
+        importlib.metadata.PackageNotFoundError: NVRTC is not installed.
+        RuntimeError: A source does not compile; the message has NVRTC's log.
     """
     path = ptx_path()
     if not path.exists():
@@ -146,7 +171,7 @@ def _nvrtc() -> ctypes.CDLL:
 
 
 def _compile_ptx(nvrtc: ctypes.CDLL) -> bytes:
-    """All sources as one program, the files given to NVRTC by name."""
+    """Compile all sources as one program; the files are given to NVRTC by name."""
     names = [*CUDA_HEADERS, *CUDA_SOURCES]
     program = ctypes.c_void_p()
     main = "".join(f'#include "{name}"\n' for name in CUDA_SOURCES).encode()
@@ -177,6 +202,7 @@ def _text(nvrtc: ctypes.CDLL, program: ctypes.c_void_p, what: str) -> bytes:
 
 
 def main() -> None:
+    """Build what the command line asks for and print the paths."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--all", action="store_true", help="every platform, not only this machine's")
     every = parser.parse_args().all

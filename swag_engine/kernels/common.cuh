@@ -1,12 +1,14 @@
-// What the CUDA kernels share. NVRTC compiles them to PTX; they include no header of CUDA or of C.
+// Shared by the CUDA kernels. NVRTC compiles them to PTX without headers of CUDA or of C.
 #pragma once
 
-typedef long long Index;  // of every integer argument: buffers may hold more than 2^31 numbers
+typedef long long Index;  // type of every integer argument: buffers may hold more than 2^31 numbers
 
-constexpr int THREADS = 256, WARP = 32, WARPS = THREADS / WARP;  // of every block
-constexpr unsigned ALL_LANES = 0xffffffffu;
+constexpr int THREADS = 256;                 // threads of every block: a tile of 16 x 16 pixels
+constexpr int WARP = 32;                     // threads of a warp, on all cards
+constexpr int WARPS = THREADS / WARP;        // warps of a block
+constexpr unsigned ALL_LANES = 0xffffffffu;  // mask of all threads of a warp
 
-// `blocks` should share a multiprocessor: that bounds the registers, to where nothing spills.
+// Declares a kernel of which `blocks` blocks fit on a multiprocessor: that bounds the registers, to where none spill.
 #define KERNEL(blocks) extern "C" __global__ void __launch_bounds__(THREADS, blocks)
 
 __device__ inline Index thread_index() { return (Index)blockIdx.x * THREADS + threadIdx.x; }

@@ -3,7 +3,7 @@
 import ctypes
 import sys
 from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -11,23 +11,54 @@ from torch import Tensor
 from .build import ptx_path
 
 Argument = Tensor | int | float
+"""What a kernel takes: a tensor as the pointer to its data, an int as int64, a float as float32."""
 
-OLDEST_CARD = (7, 5)  # compute capability that the PTX is for
-OLDEST_DRIVER = 12000  # CUDA 12.0, whose NVRTC the PTX is from
+OLDEST_CARD = (7, 5)
+"""Compute capability that the PTX is for: the oldest that all of CUDA 12 and later know."""
+OLDEST_DRIVER = 12000
+"""Version of CUDA whose NVRTC makes the PTX, 1000 major + 10 minor: 12.0."""
 LOG_BYTES = 8192
-CU_JIT_ERROR_LOG_BUFFER, CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES = 5, 6
+"""Size of the buffer for the messages of the driver's compiler, bytes."""
+CU_JIT_ERROR_LOG_BUFFER = 5
+"""Option of cuModuleLoadDataEx, from cuda.h: the buffer for error messages."""
+CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES = 6
+"""Option of cuModuleLoadDataEx, from cuda.h: its size."""
 
 
 class CudaError(RuntimeError):
-    """What the driver answered, in words."""
+    """An error that the driver reported, with its message."""
 
 
 class CudaUnavailable(Exception):
     """Why kernels cannot run on this machine: one sentence for users."""
 
 
+class Launcher(Protocol):
+    """What launches kernels.
+
+    Attributes:
+        device_type: Type of the torch devices whose tensors it takes.
+    """
+
+    device_type: str
+
+    def launch(self, kernel: str, grid: int, block: int, arguments: list[Argument]) -> None:
+        """Run a kernel on the device where the tensors are.
+
+        Args:
+            kernel: Name of the kernel.
+            grid: Number of blocks.
+            block: Number of threads in each block.
+            arguments: What the kernel takes.
+        """
+
+
 class Driver:
-    """Launches kernels on torch's devices and streams. Raises CudaUnavailable where that is impossible."""
+    """Launches kernels on torch's devices and streams, through the driver's own library.
+
+    Raises:
+        CudaUnavailable: That is impossible on this machine.
+    """
 
     device_type = "cuda"
 
@@ -59,9 +90,16 @@ class Driver:
             raise CudaUnavailable(f"the driver does not load its kernels: {error}") from None
 
     def launch(self, kernel: str, grid: int, block: int, arguments: list[Argument]) -> None:
-        """Run `grid` blocks of `block` threads on the current stream of the device where the tensors are.
+        """Run a kernel on the current stream of the device where the tensors are.
 
-        Tensors become pointers, int a 64-bit integer, float a 32-bit one. Raises CudaError.
+        Args:
+            kernel: Name of the kernel.
+            grid: Number of blocks; nothing is done for 0.
+            block: Number of threads in each block.
+            arguments: What the kernel takes; one at least is a tensor.
+
+        Raises:
+            CudaError: The driver refused.
         """
         if grid == 0:
             return
@@ -78,7 +116,7 @@ class Driver:
             self._call("cuCtxPopCurrent_v2", ctypes.byref(ctypes.c_void_p()))
 
     def _load_module(self, device: int) -> tuple[ctypes.c_void_p, ctypes.c_void_p]:
-        """torch's own context on a device, and the kernels in it."""
+        """Load the kernels into torch's own context on a device; returns both."""
         torch.cuda.synchronize(device)  # torch starts CUDA late; the context is torch's
         number, context, module = ctypes.c_int(), ctypes.c_void_p(), ctypes.c_void_p()
         self._call("cuDeviceGet", ctypes.byref(number), device)
@@ -116,7 +154,15 @@ def _load_library() -> ctypes.CDLL:
 
 
 def converted(argument: Argument, device_type: str) -> ctypes.c_void_p | ctypes.c_int64 | ctypes.c_float:
-    """An argument as the kernel takes it; tensors have to be contiguous and on `device_type`."""
+    """Convert an argument to what the kernel takes.
+
+    Args:
+        argument: A contiguous tensor on a device of `device_type`, or a number.
+        device_type: Type of the torch device.
+
+    Returns:
+        The pointer to a tensor's data, an int64 or a float32.
+    """
     if isinstance(argument, Tensor):
         assert argument.is_contiguous() and argument.device.type == device_type
         return ctypes.c_void_p(argument.data_ptr())

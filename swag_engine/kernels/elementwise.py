@@ -1,6 +1,6 @@
-"""The kernels that take each Gaussian or colour by itself: called alike on the CPU and on a card.
+"""Operations whose kernels take each Gaussian or color by itself: called alike on the CPU and on a card.
 
-Each function's `run(kernel, count, *arguments)` launches a kernel of its backend over [0, count).
+`run(kernel, count, *arguments)` launches a kernel of the backend over [0, count).
 """
 
 from collections.abc import Callable
@@ -10,11 +10,13 @@ import torch
 from torch import Tensor
 
 from ..base.timing import part
+from .protocol import Projection
+from .reference.kernels import REFERENCE
 
 Run = Callable[..., None]
 
 
-class Project(torch.autograd.Function):
+class _Project(torch.autograd.Function):
     @staticmethod
     @part("project")
     def forward(
@@ -52,7 +54,44 @@ class Project(torch.autograd.Function):
         return *results, None, None, None, None, None, None, None
 
 
-class Colors(torch.autograd.Function):
+def project(
+    run: Run,
+    camera_dtype: torch.dtype,
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    channels: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+) -> Projection:
+    """Project Gaussians by a native kernel, or by torch where a gradient by the camera is needed.
+
+    Args:
+        run: Launches a kernel of the backend.
+        camera_dtype: The dtype in which the kernel takes the view matrix.
+        means: (N, 3) centres, scene units.
+        quats: (N, 4) rotations wxyz, of any length.
+        scales: (N, 3) standard deviations, scene units.
+        opacities: (N,) in 0..1.
+        channels: (N, C) values to blend.
+        viewmat: (4, 4) world to camera.
+        K: (3, 3) intrinsics, pixels.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+
+    Returns:
+        The projected Gaussians, as `Kernels.project` describes them.
+    """
+    if viewmat.requires_grad or K.requires_grad:
+        return REFERENCE.project(means, quats, scales, opacities, channels, viewmat, K, width, height)
+    viewmat = viewmat.to(camera_dtype)
+    return Projection(*_Project.apply(means, quats, scales, opacities, channels, viewmat, K, width, height, run))
+
+
+class _Colors(torch.autograd.Function):
     @staticmethod
     @part("colours")
     def forward(ctx: Any, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int, run: Run) -> Tensor:
@@ -74,14 +113,32 @@ class Colors(torch.autograd.Function):
         return by_sh0, by_shN, None, None, None
 
 
-class Relit(torch.autograd.Function):
+def sh_colors(run: Run, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
+    """Evaluate spherical harmonics by a native kernel, or by torch where a gradient by the directions is needed.
+
+    Args:
+        run: Launches a kernel of the backend.
+        sh0: (N, 1, 3) constant coefficients.
+        shN: (N, K - 1, 3) the others.
+        directions: (N, 3) unit vectors from the camera to the Gaussians.
+        degree: Degree that is used, 0..3.
+
+    Returns:
+        (N, 3) colors.
+    """
+    if directions.requires_grad:
+        return REFERENCE.sh_colors(sh0, shN, directions, degree)
+    return _Colors.apply(sh0, shN, directions, degree, run)
+
+
+class _Gain(torch.autograd.Function):
     @staticmethod
     @part("light")
-    def forward(ctx: Any, display: Tensor, log_factor: Tensor, run: Run) -> Tensor:
-        display, n, strides = display.contiguous(), len(display), log_factor.stride()
-        shown, logs = torch.empty_like(display), log_factor.as_strided((1,), (1,))  # where its numbers begin
-        run("relit_forward", n, *strides, display, logs, shown)
-        ctx.save_for_backward(display, log_factor)
+    def forward(ctx: Any, display: Tensor, log_gain: Tensor, run: Run) -> Tensor:
+        display, n, strides = display.contiguous(), len(display), log_gain.stride()
+        shown, logs = torch.empty_like(display), log_gain.as_strided((1,), (1,))  # the first of its numbers
+        run("gain_forward", n, *strides, display, logs, shown)
+        ctx.save_for_backward(display, log_gain)
         ctx.run = run
         return shown
 
@@ -89,8 +146,27 @@ class Relit(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     @part("light backward")
     def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor, Tensor, None]:
-        display, log_factor = ctx.saved_tensors
-        n, strides, logs = len(display), log_factor.stride(), log_factor.as_strided((1,), (1,))
-        by_display, by_log_factor = torch.empty_like(display), torch.empty_like(display)
-        ctx.run("relit_backward", n, *strides, display, logs, by_shown.contiguous(), by_display, by_log_factor)
-        return by_display, by_log_factor, None
+        display, log_gain = ctx.saved_tensors
+        n, strides, logs = len(display), log_gain.stride(), log_gain.as_strided((1,), (1,))
+        by_display, by_log_gain = torch.empty_like(display), torch.empty_like(display)
+        ctx.run("gain_backward", n, *strides, display, logs, by_shown.contiguous(), by_display, by_log_gain)
+        return by_display, by_log_gain, None
+
+
+def apply_gain(run: Run, display: Tensor, log_gain: Tensor) -> Tensor:
+    """Multiply linear light by a native kernel, or by torch where the shapes are not those of colors and their gains.
+
+    Args:
+        run: Launches a kernel of the backend.
+        display: (..., 3) display values for the kernel; any shape for torch.
+        log_gain: Logarithm of the factor; expands to the shape of `display` for the kernel.
+
+    Returns:
+        Display values.
+    """
+    sizes = zip(reversed(log_gain.shape), reversed(display.shape), strict=False)
+    expands = log_gain.dim() <= display.dim() and all(small in (1, size) for small, size in sizes)
+    if display.shape[-1:] != (3,) or not expands:
+        return REFERENCE.apply_gain(display, log_gain)
+    logs = log_gain.expand_as(display).reshape(-1, 3)
+    return _Gain.apply(display.reshape(-1, 3), logs, run).view_as(display)

@@ -11,13 +11,16 @@ PACKAGES = (
     "torch", "numpy", "scipy", "pycolmap", "opencv-contrib-python-headless", "onnxruntime", "safetensors", "tyro",
     "rich", "platformdirs", "matplotlib",
 )  # fmt: skip
-"""Those of requirements.txt."""
+"""Packages that the engine needs; those of requirements.txt."""
 
 
 def examine() -> dict[str, Any]:
-    """System, packages (None for one that is missing), and for each backend whether it runs or why not.
+    """Describe this machine.
 
-    Where torch is missing there are neither `backends` nor `auto`.
+    Returns:
+        `system`, `engine` (its version), `python`, `cores`, `packages` (version by name, None for one that is missing)
+        and, where torch is installed, `backends` (by name: whether it `runs`, the `reason` why not, what it runs on)
+        and `auto`, the backend that "auto" takes.
     """
     packages = {name: _version(name) for name in PACKAGES}
     found = {
@@ -31,32 +34,18 @@ def examine() -> dict[str, Any]:
 
 
 def _backends() -> dict[str, Any]:
-    import torch
+    from .backends import KERNELS
 
-    from ..kernels import cpu, cuda
-    from ..kernels.backends import device_for
-    from ..kernels.cpu_library import target
-
-    chosen = target()
-    backends: dict[str, dict[str, Any]] = {
-        "cpu": {"runs": cpu.reason() is None, "reason": cpu.reason(), "threads": torch.get_num_threads()},
-        "cuda": {"runs": cuda.reason() is None, "reason": cuda.reason()},
-        "torch": {"runs": True, "reason": None, "device": str(device_for("torch"))},
-    }
-    backends["cpu"]["kernels"] = chosen.path.name if chosen else None
-    if cuda.reason() is None:
-        properties = torch.cuda.get_device_properties(torch.cuda.current_device())
-        backends["cuda"] |= {
-            "device": properties.name,
-            "memory_gb": round(properties.total_memory / 1e9, 1),
-            "architecture": f"sm_{properties.major}{properties.minor}",
-        }
+    backends = {}
+    for name, kernels in KERNELS.items():
+        reason = kernels.unavailable_reason()
+        backends[name] = {"runs": reason is None, "reason": reason} | kernels.details()
     auto = next(name for name in ("cuda", "cpu", "torch") if backends[name]["runs"])
     return {"backends": backends, "auto": auto}
 
 
 def engine_version() -> str | None:
-    """The version in the manifest of the extension around this package, else of the package that pip installed."""
+    """Return the version in the manifest of the extension around this package, else that of the installed package."""
     manifest = Path(__file__).parents[2] / "blender_manifest.toml"
     if manifest.is_file():
         return tomllib.loads(manifest.read_text(encoding="utf-8"))["version"]

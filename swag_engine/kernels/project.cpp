@@ -1,4 +1,4 @@
-// 3D Gaussians to 2D Gaussians, forward and backward: projection.py with its formulas and constants, one Gaussian after
+// 3D Gaussians to 2D Gaussians, forward and backward, with the formulas of reference/projection.py: one Gaussian after
 // the other, in double so that needles and distant cameras keep their digits.
 #include "simd.h"
 
@@ -6,7 +6,12 @@
 
 namespace {
 
-constexpr double NEAR = .01, BLUR = .3, GUARD = .3, MAX_SIGMA = 1e4, MAX_EXTENT = 128;
+// As in reference/projection.py, which has the reasons.
+constexpr double NEAR = .01;        // scene units; the near plane
+constexpr double BLUR = .3;         // pixel^2, added to the variances: a low-pass filter
+constexpr double GUARD = .3;        // fraction of the field of view beyond the edges where the linearisation holds
+constexpr double MAX_SIGMA = 1e4;   // pixels; larger Gaussians are flat over any image
+constexpr double MAX_EXTENT = 128;  // squared, in standard deviations; of no opacity in 0..1
 
 struct Camera {
     double r[3][3], t[3], fx, fy, cx, cy, left, right, top, bottom, max_sigma;  // guard band in x/z and y/z

@@ -1,10 +1,14 @@
-// 3D Gaussians to 2D Gaussians, forward and backward: projection.py with its formulas and constants, one thread per
-// Gaussian. Double where float would lose digits and nowhere else, since consumer cards are slow at it: the way into
-// camera coordinates (distant origins), and what cancels for needles: the covariance, its determinant and their
-// gradients.
+// 3D Gaussians to 2D Gaussians, forward and backward, with the formulas of reference/projection.py: one thread per
+// Gaussian. Double is slow on consumer cards, so only what would lose digits in float has it: camera coordinates (distant
+// origins) and, for needles, the covariance, its determinant and their gradients.
 #include "common.cuh"
 
-constexpr float NEAR = .01f, BLUR = .3f, GUARD = .3f, MAX_SIGMA = 1e4f, MAX_EXTENT = 128.f;
+// As in reference/projection.py, which has the reasons.
+constexpr float NEAR = .01f;         // scene units; the near plane
+constexpr float BLUR = .3f;          // pixel^2, added to the variances: a low-pass filter
+constexpr float GUARD = .3f;         // fraction of the field of view beyond the edges where the linearisation holds
+constexpr float MAX_SIGMA = 1e4f;    // pixels; larger Gaussians are flat over any image
+constexpr float MAX_EXTENT = 128.f;  // squared, in standard deviations; of no opacity in 0..1
 
 struct Camera {
     const double *viewmat;

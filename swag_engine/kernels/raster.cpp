@@ -1,4 +1,5 @@
-// Tile rasteriser for projected Gaussians, forward and backward. C ABI; the caller owns every buffer and the threads.
+// Tile rasteriser for projected Gaussians, forward and backward (Kernels.blend in protocol.py). The caller owns all
+// buffers and threads.
 //
 // A Gaussian weighs a pixel by alpha = min(.99, o exp(-s)), with (A, B, C) its conic and (dx, dy) = centre - pixel:
 //     s = (A dx^2 + 2 B dx dy + C dy^2) / 2 = h dx^2 + c u^2,   u = dy + k dx,   k = B/C,  c = C/2,  h = (A - B^2/C)/2.
@@ -15,12 +16,19 @@
 
 namespace {
 
-constexpr int TILE = 32;
-constexpr int STRIP = VW < 8 ? VW : 8, ROWS = VW / STRIP, STRIPS = TILE / STRIP, STRIP_VECTORS = TILE / ROWS;
-constexpr int GROUP = 8;    // channels blended in one pass
-constexpr int MOMENTS = 6;  // of v: 1, dx, u, dx^2, dx u, u^2
-constexpr float MAX_ALPHA = .99f, MIN_TRANSMITTANCE = 1e-4f;
-constexpr float LOG2E = 1.44269504f, LOG255 = 5.54126355f;
+constexpr int TILE = 32;                    // width and height, pixels: its state in one pass, 36 kB, is about the first-level cache
+constexpr int STRIP = VW < 8 ? VW : 8;      // columns of a strip
+constexpr int ROWS = VW / STRIP;            // rows of a strip in one vector
+constexpr int STRIPS = TILE / STRIP;        // strips of a tile
+constexpr int STRIP_VECTORS = TILE / ROWS;  // vectors of a strip
+constexpr int GROUP = 8;                    // channels blended in one pass: their sums stay in registers
+constexpr int MOMENTS = 6;                  // sums of v times 1, dx, u, dx^2, dx u, u^2
+constexpr float MAX_ALPHA = .99f;           // the backward pass divides by 1 - alpha; as in reference/blending.py
+constexpr float MIN_TRANSMITTANCE = 1e-4f;  // at which a pixel ends; as in reference/blending.py
+constexpr float LOG2E = 1.44269504f;        // log2(e): from e^x to 2^x
+constexpr float LOG255 = 5.54126355f;       // ln(255): alpha falls below 1/255 where s > ln(255 opacity)
+constexpr float ROW_MARGIN = .01f;          // pixels; for rounding, since each pixel is tested again
+constexpr uint32_t NOT_DRAWN = 0xffffffffu; // depth key of Gaussians that cannot be drawn
 
 typedef float StripF __attribute__((vector_size(STRIPS * 4)));
 typedef int32_t StripI __attribute__((vector_size(STRIPS * 4)));
@@ -61,8 +69,8 @@ inline void rows_over_columns(const Splat &g, F left, F right, F &low, F &high) 
     F top = zero + g.top;
     high = ((left <= top) & (top <= right)) ? zero + g.half_height : high;
     low = ((left <= -top) & (-top <= right)) ? zero - g.half_height : low;
-    low = left <= right ? low - .01f : zero + 1.f;  // a margin for rounding: each pixel is tested again
-    high = left <= right ? high + .01f : zero - 1.f;
+    low = left <= right ? low - ROW_MARGIN : zero + 1.f;
+    high = left <= right ? high + ROW_MARGIN : zero - 1.f;
 }
 
 // Calls visit(tile index) for each tile whose pixel centres the ellipse may meet.
@@ -321,8 +329,8 @@ void backward_tile(const Tile &tile, int image_width, const Replay &replay, cons
     for (int c = 0; c < C; c++) background_gradient[c] = (float)background_sum[c];
 }
 
-// Without gradients: what a Gaussian does to the picture. dC/dg, the picture's change by its value g = exp(-s), is
-// o T (channel - what is seen behind it), 0 where alpha is clamped. `importance` sums |dC/dg|^2, `error` sums
+// Without gradients: what a Gaussian does to the image. dC/dg, the image's change by its value g = exp(-s), is
+// o T (channel - color behind it), 0 where alpha is clamped. `importance` sums |dC/dg|^2, `error` sums
 // (gradient . dC/dg)^2, `weighted` T alpha times each of the weight images.
 template <int C>
 struct Contribution {
@@ -403,7 +411,7 @@ API int64_t tile_size() { return TILE; }
 API int64_t splat_bytes() { return sizeof(Splat); }
 API int64_t moment_count() { return MOMENTS; }
 
-// Packs Gaussians [begin, end) and writes their depth keys; those that cannot be drawn get the key 0xffffffff. The
+// Packs Gaussians [begin, end) and writes their depth keys; those that cannot be drawn get the key NOT_DRAWN. The
 // comparisons are written so that NaN is never drawn.
 API void pack(int64_t begin, int64_t end, const float *means2d, const float *conics, const float *opacities,
               const float *depths, const float *radii, int64_t width, int64_t height, Splat *splats, uint32_t *keys) {
@@ -414,7 +422,7 @@ API void pack(int64_t begin, int64_t end, const float *means2d, const float *con
         g.y = means2d[2 * i + 1];
         g.opacity = opacities[i];
         g.limit = g.opacity > 0 ? logf(g.opacity) + LOG255 : 0.f;
-        keys[i] = 0xffffffffu;
+        keys[i] = NOT_DRAWN;
         if (!(radii[i] > 0 && depths[i] > 0 && g.limit > 0 && g.limit < 64 && a > 0 && c > 0 && det > 0)) continue;
         g.k = (float)(b / c);
         g.c = (float)(.5 * c);
@@ -436,7 +444,7 @@ API int64_t sort_by_depth(int64_t n, const uint32_t *keys, int32_t *order, int32
     int32_t *from = spare, *to = order;
     int64_t drawable = 0;
     for (int64_t i = 0; i < n; i++)
-        if (keys[i] != 0xffffffffu) {
+        if (keys[i] != NOT_DRAWN) {
             from_keys[drawable] = keys[i];
             from[drawable++] = (int32_t)i;
         }

@@ -1,4 +1,4 @@
-// Colour by direction.
+// Color by direction.
 #include "sh.h"
 #include "simd.h"
 
@@ -18,7 +18,7 @@ API void sh_forward(int64_t begin, int64_t end, int64_t higher, int64_t degree, 
     }
 }
 
-// The gradients by sh0 and shN, zero where the colour was clamped and for coefficients beyond the degree.
+// The gradients by sh0 and shN, zero where the color was clamped and for coefficients beyond the degree.
 API void sh_backward(int64_t begin, int64_t end, int64_t higher, int64_t degree, const float *directions,
                      const float *colors, const float *by_colors, float *by_sh0, float *by_shN) {
     int64_t used = (degree + 1) * (degree + 1) - 1;

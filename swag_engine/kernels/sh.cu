@@ -1,8 +1,8 @@
-// Colour by direction: real spherical harmonics up to degree 3, the constants and order of gaussians/sh.py. One thread
-// per Gaussian and colour channel.
+// Color by direction: real spherical harmonics up to degree 3, constants and order of reference/harmonics.py. One thread
+// per Gaussian and color channel.
 #include "common.cuh"
 
-constexpr int MAX_BASIS = 16;
+constexpr int MAX_BASIS = 16;  // basis functions of degree 3
 
 __device__ inline void basis_at(const float *direction, float *basis) {
     float x = direction[0], y = direction[1], z = direction[2], xx = x * x, yy = y * y, zz = z * z;
@@ -42,7 +42,7 @@ sh_forward(Index n, Index higher, Index degree, const float *sh0, const float *s
     colors[at] = color < 0 ? 0 : color;  // NaN stays NaN
 }
 
-// The gradients by sh0 and shN, zero where the colour was clamped and for coefficients beyond the degree.
+// The gradients by sh0 and shN, zero where the color was clamped and for coefficients beyond the degree.
 KERNEL(4)
 sh_backward(Index n, Index higher, Index degree, const float *directions, const float *colors, const float *by_colors,
             float *by_sh0, float *by_shN) {

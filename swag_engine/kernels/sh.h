@@ -1,10 +1,10 @@
-// Real spherical harmonics up to degree 3: the constants and order of gaussians/sh.py.
+// Real spherical harmonics up to degree 3: constants and order of reference/harmonics.py.
 #pragma once
 #include <stdint.h>
 
-static constexpr int MAX_BASIS = 16;
+static constexpr int MAX_BASIS = 16;  // basis functions of degree 3
 
-// F: float, or a vector of them.
+// Values of the basis functions up to `degree`. F: float, or a vector of them.
 template <class F>
 static inline void basis_at(const F *direction, int64_t degree, F *basis) {
     F x = direction[0], y = direction[1], z = direction[2], xx = x * x, yy = y * y, zz = z * z;

@@ -1,10 +1,13 @@
-// A projected Gaussian as it is blended: raster.cpp's, which says how its numbers follow from the conic.
+// A projected Gaussian as it is blended. raster.cpp says how its numbers follow from the conic.
 #pragma once
 #include "common.cuh"
 
-constexpr int TILE = 16;  // pixels; a tile is a block, a pixel a thread
-constexpr float MAX_ALPHA = .99f, MIN_TRANSMITTANCE = 1e-4f;
-constexpr float LOG2E = 1.44269504f, LOG255 = 5.54126355f;
+constexpr int TILE = 16;                    // width and height, pixels; a tile is a block, a pixel a thread
+constexpr float MAX_ALPHA = .99f;           // the backward pass divides by 1 - alpha; as in reference/blending.py
+constexpr float MIN_TRANSMITTANCE = 1e-4f;  // at which a pixel ends; as in reference/blending.py
+constexpr float LOG2E = 1.44269504f;        // log2(e): from e^x to 2^x
+constexpr float LOG255 = 5.54126355f;       // ln(255): alpha falls below 1/255 where s > ln(255 opacity)
+constexpr float ROW_MARGIN = .01f;          // pixels; for rounding, since each pixel is tested again
 
 struct alignas(8) Splat {
     float x, y, k, c, h, opacity;
@@ -24,6 +27,6 @@ __device__ inline void rows_over_columns(const Splat &g, float left, float right
     high = fmaxf(-g.k * left + reach_left, -g.k * right + reach_right);
     if (left <= g.top && g.top <= right) high = g.half_height;
     if (left <= -g.top && -g.top <= right) low = -g.half_height;
-    low = left <= right ? low - .01f : 1;  // a margin for rounding: each pixel is tested again
-    high = left <= right ? high + .01f : -1;
+    low = left <= right ? low - ROW_MARGIN : 1;
+    high = left <= right ? high + ROW_MARGIN : -1;
 }

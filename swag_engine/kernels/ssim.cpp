@@ -9,9 +9,15 @@
 
 namespace {
 
-constexpr int CHANNELS = 3, REACH = 5, PAD = REACH * CHANNELS, BLOCK = 960;
-constexpr float C1 = 1e-4f, C2 = 9e-4f;
-constexpr float WINDOW[REACH + 1] = {2.660117249e-01f, 2.130055377e-01f, 1.093606895e-01f, 3.600077213e-02f, 7.598758135e-03f, 1.028380084e-03f};  // from the centre outwards
+constexpr int CHANNELS = 3;            // of an image
+constexpr int REACH = 5;               // pixels from the centre of the window to its end
+constexpr int PAD = REACH * CHANNELS;  // floats of a row from the centre to the end
+constexpr int BLOCK = 960;             // floats of a row at a time: its buffers stay in the cache
+constexpr float C1 = 1e-4f;            // .01^2, keeps the ratio of means finite
+constexpr float C2 = 9e-4f;            // .03^2, keeps the ratio of variances finite
+// The window from the centre outwards: a Gaussian of sigma 1.5 pixels whose 11 values sum to 1.
+constexpr float WINDOW[REACH + 1] = {2.660117249e-01f, 2.130055377e-01f, 1.093606895e-01f,
+                                     3.600077213e-02f, 7.598758135e-03f, 1.028380084e-03f};
 
 typedef float Padded[PAD + BLOCK + PAD];  // a block of one row with its neighbours; zeros beyond the image
 

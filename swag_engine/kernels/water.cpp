@@ -1,42 +1,46 @@
-// Colours through water, water/medium.py with its formulas: shown = J exp(-beta_D r) + B(d) (1 - exp(-beta_B r)).
-// VW Gaussians, or pixels of a row, at a time.
+// Colors through water (Kernels.through_water in protocol.py): shown = J exp(-beta_D r) + B(d) (1 - exp(-beta_B r)).
+// VW Gaussians, or VW pixels of a row, at a time.
 #include "sh.h"
 #include "simd.h"
 
 namespace {
 
-constexpr int SUMS = 33;  // beta_D (3), beta_B (3), raw coefficients of B (9, 3)
+constexpr int SUMS = 33;                 // gradients by beta_D (3), beta_B (3) and the raw SH coefficients of B (9, 3)
+constexpr float DISPLAY_TOE = .04045f;   // display value below which the sRGB curve is a straight line
+constexpr float LINEAR_TOE = .0031308f;  // linear light at the same place
+constexpr float LEAST_LENGTH = 1e-37f;   // scene units; keeps the division by the largest component finite
 
 struct Water {
     int degree, basis_count;
-    bool linear;  // whether the formula works on linear light: display values go there and back
-    float attenuation[3], backscatter[3], veil[9][3];
+    bool linear;  // whether the formula works on linear light: display values are converted and back
+    float attenuation[3], backscatter[3];  // beta_D and beta_B, 1 / scene unit
+    float raw_background[9][3];            // raw SH coefficients of B
 
-    Water(int64_t degree, int64_t linear, const float *values)
+    Water(int64_t degree, int64_t linear, const float *coefficients)
         : degree((int)degree), basis_count((int)((degree + 1) * (degree + 1))), linear(linear) {
-        memcpy(attenuation, values, sizeof attenuation);
-        memcpy(backscatter, values + 3, sizeof backscatter);
-        memcpy(veil, values + 6, sizeof veil);
+        memcpy(attenuation, coefficients, sizeof attenuation);
+        memcpy(backscatter, coefficients + 3, sizeof backscatter);
+        memcpy(raw_background, coefficients + 6, sizeof raw_background);
     }
 
-    // B of one channel
-    Vec veil_at(const Vec *basis, int channel) const {
+    // B of one channel: the sigmoid of its SH.
+    Vec background_light(const Vec *basis, int channel) const {
         Vec raw = Vec{};
-        for (int k = 0; k < basis_count; k++) raw += basis[k] * veil[k][channel];
+        for (int k = 0; k < basis_count; k++) raw += basis[k] * raw_background[k][channel];
         return 1.f / (1.f + exponential(-raw));
     }
 };
 
-// sRGB (IEC 61966-2-1), and its slope.
+// The sRGB curve (IEC 61966-2-1) and its slope.
 inline Vec to_light(Vec display, Vec &slope) {
-    Mask low = display <= .04045f;
-    Vec base = (larger(display, splat(.04045f)) + .055f) * (1 / 1.055f), power = exp2(log2(base) * 1.4f);
+    Mask low = display <= DISPLAY_TOE;
+    Vec base = (larger(display, splat(DISPLAY_TOE)) + .055f) * (1 / 1.055f), power = exp2(log2(base) * 1.4f);
     slope = select(low, splat(1 / 12.92f), power * (2.4f / 1.055f));
     return select(low, display * (1 / 12.92f), power * base);
 }
 inline Vec to_display(Vec light, Vec &slope) {
-    Mask low = light <= .0031308f;
-    Vec base = larger(light, splat(.0031308f)), power = exp2(log2(base) * (1 / 2.4f));
+    Mask low = light <= LINEAR_TOE;
+    Vec base = larger(light, splat(LINEAR_TOE)), power = exp2(log2(base) * (1 / 2.4f));
     slope = select(low, splat(12.92f), power / base * (1.055f / 2.4f));
     return select(low, light * 12.92f, power * 1.055f - .055f);
 }
@@ -53,9 +57,9 @@ inline void store_rows(const Vec *from, int count, float *to) {
 }
 
 inline void direction_and_range(const Vec *offset, Vec *direction, Vec &range) {
-    // The largest component goes first: squares of what is far away or near must not leave the range of numbers.
+    // Divided by the largest component first, so that squares of far and near offsets neither overflow nor vanish.
     Vec largest = larger(larger(larger(offset[0], -offset[0]), larger(offset[1], -offset[1])), larger(offset[2], -offset[2]));
-    largest = larger(largest, splat(1e-37f));
+    largest = larger(largest, splat(LEAST_LENGTH));
     Vec inverse = 1.f / largest, x = offset[0] * inverse, y = offset[1] * inverse, z = offset[2] * inverse;
     Vec length = square_root(x * x + y * y + z * z);
     range = length * largest;
@@ -73,8 +77,8 @@ inline void pixel_directions(int64_t x, int64_t y, const float *viewmat, const f
     for (int i = 0; i < 3; i++) direction[i] = (u * viewmat[i] + (v * viewmat[4 + i] + viewmat[8 + i])) * inverse;
 }
 
-// The logarithms of the factors of channel c of rows [row, row + count).
-inline Vec log_factors(const float *from, int64_t row, int c, int count, int64_t row_stride, int64_t channel_stride) {
+// The log gains of channel c of rows [row, row + count).
+inline Vec log_gains(const float *from, int64_t row, int c, int count, int64_t row_stride, int64_t channel_stride) {
     Vec logs = Vec{};
     for (int l = 0; l < count; l++) logs[l] = from[(row + l) * row_stride + c * channel_stride];
     return logs;
@@ -86,10 +90,10 @@ void write_sums(const Vec *total, double *sums) {
 
 }  // namespace
 
-// shown (N, 3) of Gaussians [begin, end) with colours J (N, 3) at offsets (N, 3) from the camera.
-API void water_forward(int64_t begin, int64_t end, int64_t degree, int64_t linear, const float *values, const float *colors,
-                       const float *offsets, float *shown) {
-    const Water water(degree, linear, values);
+// shown (N, 3) of Gaussians [begin, end) with colors J (N, 3) at offsets (N, 3) from the camera.
+API void water_forward(int64_t begin, int64_t end, int64_t degree, int64_t linear, const float *coefficients,
+                       const float *colors, const float *offsets, float *shown) {
+    const Water water(degree, linear, coefficients);
     for (int64_t i = begin; i < end; i += VW) {
         int count = (int)smaller<int64_t>(VW, end - i);
         Vec color[3], offset[3], direction[3], range, basis[MAX_BASIS], slope;
@@ -100,18 +104,19 @@ API void water_forward(int64_t begin, int64_t end, int64_t degree, int64_t linea
         for (int c = 0; c < 3; c++) {
             Vec J = water.linear ? to_light(color[c], slope) : color[c];
             Vec light = J * exponential(range * -water.attenuation[c]) +
-                        water.veil_at(basis, c) * (1.f - exponential(range * -water.backscatter[c]));
+                        water.background_light(basis, c) * (1.f - exponential(range * -water.backscatter[c]));
             color[c] = water.linear ? to_display(light, slope) : light;
         }
         store_rows(color, count, shown + 3 * i);
     }
 }
 
-// Gradients by colours (N, 3), by the range as gradients by offsets (N, 3), and the sums over [begin, end) of those by
-// `values`, in `sums` (33,).
-API void water_backward(int64_t begin, int64_t end, int64_t degree, int64_t linear, const float *values, const float *colors,
-                        const float *offsets, const float *by_shown, float *by_colors, float *by_offsets, double *sums) {
-    const Water water(degree, linear, values);
+// Gradients by colors (N, 3), by the range as gradients by offsets (N, 3), and the sums over [begin, end) of those by
+// the coefficients, in `sums` (33,).
+API void water_backward(int64_t begin, int64_t end, int64_t degree, int64_t linear, const float *coefficients,
+                        const float *colors, const float *offsets, const float *by_shown, float *by_colors,
+                        float *by_offsets, double *sums) {
+    const Water water(degree, linear, coefficients);
     Vec total[SUMS] = {};
     for (int64_t i = begin; i < end; i += VW) {
         int count = (int)smaller<int64_t>(VW, end - i);
@@ -124,16 +129,16 @@ API void water_backward(int64_t begin, int64_t end, int64_t degree, int64_t line
         for (int c = 0; c < 3; c++) {
             Vec J = color[c], in_slope = splat(1.f), out_slope = splat(1.f);
             if (water.linear) J = to_light(J, in_slope);
-            Vec transmission = exponential(range * -water.attenuation[c]), veil = water.veil_at(basis, c);
+            Vec transmission = exponential(range * -water.attenuation[c]), B = water.background_light(basis, c);
             Vec remains = exponential(range * -water.backscatter[c]);
-            if (water.linear) to_display(J * transmission + veil * (1.f - remains), out_slope);
+            if (water.linear) to_display(J * transmission + B * (1.f - remains), out_slope);
             Vec by_light = gradient[c] * out_slope;
             gradient[c] = by_light * transmission * in_slope;
-            Vec by_attenuation = -by_light * J * transmission, by_backscatter = by_light * veil * remains;
+            Vec by_attenuation = -by_light * J * transmission, by_backscatter = by_light * B * remains;
             total[c] += by_attenuation * range;
             total[3 + c] += by_backscatter * range;
             by_range += by_attenuation * water.attenuation[c] + by_backscatter * water.backscatter[c];
-            Vec by_raw = by_light * (1.f - remains) * veil * (1.f - veil);
+            Vec by_raw = by_light * (1.f - remains) * B * (1.f - B);
             for (int k = 0; k < water.basis_count; k++) total[6 + 3 * k + c] += by_raw * basis[k];
         }
         store_rows(gradient, count, by_colors + 3 * i);
@@ -143,27 +148,28 @@ API void water_backward(int64_t begin, int64_t end, int64_t degree, int64_t line
     write_sums(total, sums);
 }
 
-// Open water in rows [begin, end): B in the direction of each pixel, (height, width, 3).
-API void open_water_forward(int64_t begin, int64_t end, int64_t width, int64_t degree, int64_t linear, const float *values,
-                            const float *viewmat, const float *K, float *shown) {
-    const Water water(degree, linear, values);
+// Open water in rows [begin, end): B in the direction of each pixel, as display values (height, width, 3).
+API void open_water_forward(int64_t begin, int64_t end, int64_t width, int64_t degree, int64_t linear,
+                            const float *coefficients, const float *viewmat, const float *K, float *shown) {
+    const Water water(degree, linear, coefficients);
     for (int64_t y = begin; y < end; y++)
         for (int64_t x = 0; x < width; x += VW) {
-            Vec direction[3], basis[MAX_BASIS], veil[3], slope;
+            Vec direction[3], basis[MAX_BASIS], B[3], slope;
             pixel_directions(x, y, viewmat, K, direction);
             basis_at(direction, water.degree, basis);
             for (int c = 0; c < 3; c++) {
-                veil[c] = water.veil_at(basis, c);
-                if (water.linear) veil[c] = to_display(veil[c], slope);
+                B[c] = water.background_light(basis, c);
+                if (water.linear) B[c] = to_display(B[c], slope);
             }
-            store_rows(veil, (int)smaller<int64_t>(VW, width - x), shown + (y * width + x) * 3);
+            store_rows(B, (int)smaller<int64_t>(VW, width - x), shown + (y * width + x) * 3);
         }
 }
 
-// The sums over rows [begin, end) of the gradients by `values`.
-API void open_water_backward(int64_t begin, int64_t end, int64_t width, int64_t degree, int64_t linear, const float *values,
-                             const float *viewmat, const float *K, const float *by_shown, double *sums) {
-    const Water water(degree, linear, values);
+// The sums over rows [begin, end) of the gradients by the coefficients.
+API void open_water_backward(int64_t begin, int64_t end, int64_t width, int64_t degree, int64_t linear,
+                             const float *coefficients, const float *viewmat, const float *K, const float *by_shown,
+                             double *sums) {
+    const Water water(degree, linear, coefficients);
     Vec total[SUMS] = {};
     for (int64_t y = begin; y < end; y++)
         for (int64_t x = 0; x < width; x += VW) {
@@ -172,40 +178,41 @@ API void open_water_backward(int64_t begin, int64_t end, int64_t width, int64_t 
             basis_at(direction, water.degree, basis);
             load_rows(by_shown + (y * width + x) * 3, (int)smaller<int64_t>(VW, width - x), gradient);
             for (int c = 0; c < 3; c++) {
-                Vec veil = water.veil_at(basis, c), slope = splat(1.f);
-                if (water.linear) to_display(veil, slope);
-                Vec by_raw = gradient[c] * slope * veil * (1.f - veil);
+                Vec B = water.background_light(basis, c), slope = splat(1.f);
+                if (water.linear) to_display(B, slope);
+                Vec by_raw = gradient[c] * slope * B * (1.f - B);
                 for (int k = 0; k < water.basis_count; k++) total[6 + 3 * k + c] += by_raw * basis[k];
             }
         }
     write_sums(total, sums);
 }
 
-// shown (N, 3): display values (N, 3) of rows [begin, end) with their light times e^log_factor, whose strides may be 0.
-API void relit_forward(int64_t begin, int64_t end, int64_t row_stride, int64_t channel_stride, const float *display,
-                       const float *log_factor, float *shown) {
+// shown (N, 3): display values (N, 3) of rows [begin, end) with their linear light times e^log_gain, whose strides
+// may be 0.
+API void gain_forward(int64_t begin, int64_t end, int64_t row_stride, int64_t channel_stride, const float *display,
+                      const float *log_gain, float *shown) {
     for (int64_t i = begin; i < end; i += VW) {
         int count = (int)smaller<int64_t>(VW, end - i);
         Vec color[3], slope;
         load_rows(display + 3 * i, count, color);
         for (int c = 0; c < 3; c++) {
-            Vec logs = log_factors(log_factor, i, c, count, row_stride, channel_stride);
+            Vec logs = log_gains(log_gain, i, c, count, row_stride, channel_stride);
             color[c] = to_display(to_light(color[c], slope) * exponential(logs), slope);
         }
         store_rows(color, count, shown + 3 * i);
     }
 }
 
-// Gradients by display and by log_factor, each (N, 3).
-API void relit_backward(int64_t begin, int64_t end, int64_t row_stride, int64_t channel_stride, const float *display,
-                        const float *log_factor, const float *by_shown, float *by_display, float *by_log_factor) {
+// Gradients by display and by log_gain, each (N, 3).
+API void gain_backward(int64_t begin, int64_t end, int64_t row_stride, int64_t channel_stride, const float *display,
+                       const float *log_gain, const float *by_shown, float *by_display, float *by_log_gain) {
     for (int64_t i = begin; i < end; i += VW) {
         int count = (int)smaller<int64_t>(VW, end - i);
         Vec color[3], by_color[3], by_log[3];
         load_rows(display + 3 * i, count, color);
         load_rows(by_shown + 3 * i, count, by_color);
         for (int c = 0; c < 3; c++) {
-            Vec factor = exponential(log_factors(log_factor, i, c, count, row_stride, channel_stride));
+            Vec factor = exponential(log_gains(log_gain, i, c, count, row_stride, channel_stride));
             Vec light_slope, display_slope, light = to_light(color[c], light_slope) * factor;
             to_display(light, display_slope);
             Vec by_light = by_color[c] * display_slope;
@@ -213,6 +220,6 @@ API void relit_backward(int64_t begin, int64_t end, int64_t row_stride, int64_t 
             by_log[c] = by_light * light;
         }
         store_rows(by_color, count, by_display + 3 * i);
-        store_rows(by_log, count, by_log_factor + 3 * i);
+        store_rows(by_log, count, by_log_gain + 3 * i);
     }
 }

@@ -1,11 +1,15 @@
-// Colours through water; water/medium.py says what is computed. One thread per Gaussian or pixel.
+// Colors through water; Kernels.through_water in protocol.py has the formula. One thread per Gaussian or pixel.
 #include "common.cuh"
 
-constexpr int VEIL_BASIS = 9, WATER_VALUES = 6 + 3 * VEIL_BASIS;  // beta_D (3), beta_B (3), raw coefficients of B (9, 3)
+constexpr int BACKGROUND_BASIS = 9;                     // SH coefficients of the background light B per channel
+constexpr int COEFFICIENTS = 6 + 3 * BACKGROUND_BASIS;  // beta_D (3), beta_B (3), raw SH coefficients of B (9, 3)
+constexpr float DISPLAY_TOE = .04045f;                  // display value below which the sRGB curve is a straight line
+constexpr float LINEAR_TOE = .0031308f;                 // linear light at the same place
+constexpr float LEAST_LENGTH = 1e-37f;                  // scene units; keeps divisions by a length finite
 
-// sRGB (IEC 61966-2-1), and its slope.
+// The sRGB curve (IEC 61966-2-1) and its slope.
 __device__ inline float to_light(float display, float &slope) {
-    if (display <= .04045f) {
+    if (display <= DISPLAY_TOE) {
         slope = 1 / 12.92f;
         return display / 12.92f;
     }
@@ -14,7 +18,7 @@ __device__ inline float to_light(float display, float &slope) {
     return power * base;
 }
 __device__ inline float to_display(float light, float &slope) {
-    if (light <= .0031308f) {
+    if (light <= LINEAR_TOE) {
         slope = 12.92f;
         return light * 12.92f;
     }
@@ -24,17 +28,17 @@ __device__ inline float to_display(float light, float &slope) {
 }
 
 // B of one channel; the first `count` basis functions are used, the others are 0.
-__device__ inline float veil_at(const float *basis, Index count, const float *values, int channel) {
+__device__ inline float background_light(const float *basis, Index count, const float *coefficients, int channel) {
     float raw = 0;
 #pragma unroll
-    for (int k = 0; k < VEIL_BASIS; k++)
-        if (k < count) raw += basis[k] * values[6 + 3 * k + channel];
+    for (int k = 0; k < BACKGROUND_BASIS; k++)
+        if (k < count) raw += basis[k] * coefficients[6 + 3 * k + channel];
     return 1 / (1 + expf(-raw));
 }
 
-// Unit direction of an offset (0 for none), and its length, which is taken in parts that neither overflow nor vanish.
+// Unit direction of an offset (0 for none) and its length; no square overflows or vanishes.
 __device__ inline float direction_of(const float *offset, float *direction) {
-    float largest = fmaxf(fmaxf(fmaxf(fabsf(offset[0]), fabsf(offset[1])), fabsf(offset[2])), 1e-37f);
+    float largest = fmaxf(fmaxf(fmaxf(fabsf(offset[0]), fabsf(offset[1])), fabsf(offset[2])), LEAST_LENGTH);
     float x = offset[0] / largest, y = offset[1] / largest, z = offset[2] / largest;
     float length = sqrtf(x * x + y * y + z * z), unit = length > 0 ? 1 / length : 0;
     direction[0] = x * unit, direction[1] = y * unit, direction[2] = z * unit;
@@ -48,25 +52,25 @@ __device__ inline void pixel_direction(Index pixel, Index width, const float *vi
     for (int i = 0; i < 3; i++) direction[i] = (viewmat[i] * u + viewmat[4 + i] * v + viewmat[8 + i]) * inverse;
 }
 
-// sums (blocks, WATER_VALUES): the block's totals of what its threads give.
-__device__ inline void block_sums(const float (&given)[WATER_VALUES], float *sums) {
-    __shared__ float of_warp[WARPS][WATER_VALUES];
+// sums (blocks, COEFFICIENTS): totals over the threads of each block.
+__device__ inline void block_sums(const float (&given)[COEFFICIENTS], float *sums) {
+    __shared__ float of_warp[WARPS][COEFFICIENTS];
     int lane = threadIdx.x % WARP, warp = threadIdx.x / WARP;
-    for (int k = 0; k < WATER_VALUES; k++) {
+    for (int k = 0; k < COEFFICIENTS; k++) {
         float one[1] = {given[k]}, total = lane_sum(one, lane);
         if (lane_value<1>(lane) == 0) of_warp[warp][k] = total;
     }
     __syncthreads();
-    if (threadIdx.x >= WATER_VALUES) return;
+    if (threadIdx.x >= COEFFICIENTS) return;
     float total = 0;
     for (int w = 0; w < WARPS; w++) total += of_warp[w][threadIdx.x];
-    sums[(Index)blockIdx.x * WATER_VALUES + threadIdx.x] = total;
+    sums[(Index)blockIdx.x * COEFFICIENTS + threadIdx.x] = total;
 }
 
-// shown (N, 3) of colours J (N, 3) at offsets (N, 3) from the camera.
+// shown (N, 3) of colors J (N, 3) at offsets (N, 3) from the camera.
 KERNEL(4)
-water_forward(Index n, Index degree, Index linear, const float *values, const float *colors, const float *offsets,
-              float *shown) {
+water_forward(Index n, Index degree, Index linear, const float *coefficients, const float *colors,
+              const float *offsets, float *shown) {
     Index i = thread_index();
     if (i >= n) return;
     float direction[3], basis[MAX_BASIS], range = direction_of(offsets + 3 * i, direction), slope;
@@ -74,37 +78,38 @@ water_forward(Index n, Index degree, Index linear, const float *values, const fl
     for (int c = 0; c < 3; c++) {
         float J = colors[3 * i + c];
         if (linear) J = to_light(J, slope);
-        float veil = veil_at(basis, (degree + 1) * (degree + 1), values, c);
-        float light = J * expf(-values[c] * range) - veil * expm1f(-values[3 + c] * range);
+        float B = background_light(basis, (degree + 1) * (degree + 1), coefficients, c);
+        float light = J * expf(-coefficients[c] * range) - B * expm1f(-coefficients[3 + c] * range);
         shown[3 * i + c] = linear ? to_display(light, slope) : light;
     }
 }
 
-// Gradients by colours (N, 3), by the range as gradients by offsets (N, 3), and those by `values`, summed per block.
+// Gradients by colors (N, 3), by the range as gradients by offsets (N, 3), and those by the coefficients, summed per
+// block.
 KERNEL(2)
-water_backward(Index n, Index degree, Index linear, const float *values, const float *colors, const float *offsets,
-               const float *by_shown, float *by_colors, float *by_offsets, float *sums) {
+water_backward(Index n, Index degree, Index linear, const float *coefficients, const float *colors,
+               const float *offsets, const float *by_shown, float *by_colors, float *by_offsets, float *sums) {
     Index i = thread_index(), count = (degree + 1) * (degree + 1);
-    float given[WATER_VALUES] = {};
+    float given[COEFFICIENTS] = {};
     if (i < n) {
         float direction[3], basis[MAX_BASIS], range = direction_of(offsets + 3 * i, direction), by_range = 0;
         basis_at(direction, basis);
 #pragma unroll
         for (int c = 0; c < 3; c++) {
-            float J = colors[3 * i + c], in_slope = 1, out_slope = 1, veil = veil_at(basis, count, values, c);
+            float J = colors[3 * i + c], in_slope = 1, out_slope = 1, B = background_light(basis, count, coefficients, c);
             if (linear) J = to_light(J, in_slope);
-            float transmission = expf(-values[c] * range), remains = expf(-values[3 + c] * range);
-            float gathered = -expm1f(-values[3 + c] * range);
-            if (linear) to_display(J * transmission + veil * gathered, out_slope);
+            float transmission = expf(-coefficients[c] * range), remains = expf(-coefficients[3 + c] * range);
+            float gathered = -expm1f(-coefficients[3 + c] * range);
+            if (linear) to_display(J * transmission + B * gathered, out_slope);
             float by_light = by_shown[3 * i + c] * out_slope;
             by_colors[3 * i + c] = by_light * transmission * in_slope;
-            float by_attenuation = -by_light * J * transmission, by_backscatter = by_light * veil * remains;
+            float by_attenuation = -by_light * J * transmission, by_backscatter = by_light * B * remains;
             given[c] = by_attenuation * range;
             given[3 + c] = by_backscatter * range;
-            by_range += by_attenuation * values[c] + by_backscatter * values[3 + c];
-            float by_raw = by_light * gathered * veil * (1 - veil);
+            by_range += by_attenuation * coefficients[c] + by_backscatter * coefficients[3 + c];
+            float by_raw = by_light * gathered * B * (1 - B);
 #pragma unroll
-            for (int k = 0; k < VEIL_BASIS; k++)
+            for (int k = 0; k < BACKGROUND_BASIS; k++)
                 if (k < count) given[6 + 3 * k + c] = by_raw * basis[k];
         }
         for (int j = 0; j < 3; j++) by_offsets[3 * i + j] = by_range * direction[j];
@@ -112,64 +117,65 @@ water_backward(Index n, Index degree, Index linear, const float *values, const f
     block_sums(given, sums);
 }
 
-// Open water: B in the direction of each pixel, (height, width, 3).
+// Open water: B in the direction of each pixel, as display values (height, width, 3).
 KERNEL(4)
-open_water_forward(Index pixels, Index width, Index degree, Index linear, const float *values, const float *viewmat,
-                   const float *K, float *shown) {
+open_water_forward(Index pixels, Index width, Index degree, Index linear, const float *coefficients,
+                   const float *viewmat, const float *K, float *shown) {
     Index i = thread_index();
     if (i >= pixels) return;
     float direction[3], basis[MAX_BASIS], slope;
     pixel_direction(i, width, viewmat, K, direction);
     basis_at(direction, basis);
     for (int c = 0; c < 3; c++) {
-        float veil = veil_at(basis, (degree + 1) * (degree + 1), values, c);
-        shown[3 * i + c] = linear ? to_display(veil, slope) : veil;
+        float B = background_light(basis, (degree + 1) * (degree + 1), coefficients, c);
+        shown[3 * i + c] = linear ? to_display(B, slope) : B;
     }
 }
 
-// The gradients by `values`, summed per block.
+// The gradients by the coefficients, summed per block.
 KERNEL(2)
-open_water_backward(Index pixels, Index width, Index degree, Index linear, const float *values, const float *viewmat,
-                    const float *K, const float *by_shown, float *sums) {
+open_water_backward(Index pixels, Index width, Index degree, Index linear, const float *coefficients,
+                    const float *viewmat, const float *K, const float *by_shown, float *sums) {
     Index i = thread_index(), count = (degree + 1) * (degree + 1);
-    float given[WATER_VALUES] = {};
+    float given[COEFFICIENTS] = {};
     if (i < pixels) {
         float direction[3], basis[MAX_BASIS];
         pixel_direction(i, width, viewmat, K, direction);
         basis_at(direction, basis);
 #pragma unroll
         for (int c = 0; c < 3; c++) {
-            float veil = veil_at(basis, count, values, c), slope = 1;
-            if (linear) to_display(veil, slope);
-            float by_raw = by_shown[3 * i + c] * slope * veil * (1 - veil);
+            float B = background_light(basis, count, coefficients, c), slope = 1;
+            if (linear) to_display(B, slope);
+            float by_raw = by_shown[3 * i + c] * slope * B * (1 - B);
 #pragma unroll
-            for (int k = 0; k < VEIL_BASIS; k++)
+            for (int k = 0; k < BACKGROUND_BASIS; k++)
                 if (k < count) given[6 + 3 * k + c] = by_raw * basis[k];
         }
     }
     block_sums(given, sums);
 }
 
-// shown (N, 3): display values (N, 3) with their light times e^log_factor, whose strides may be 0. One thread per number.
+// shown (N, 3): display values (N, 3) with their linear light times e^log_gain,
+// whose strides may be 0. One thread per number.
 KERNEL(4)
-relit_forward(Index n, Index row_stride, Index channel_stride, const float *display, const float *log_factor,
-              float *shown) {
+gain_forward(Index n, Index row_stride, Index channel_stride, const float *display, const float *log_gain,
+             float *shown) {
     Index i = thread_index();
     if (i >= 3 * n) return;
-    float slope, factor = expf(log_factor[i / 3 * row_stride + i % 3 * channel_stride]);
+    float slope, factor = expf(log_gain[i / 3 * row_stride + i % 3 * channel_stride]);
     shown[i] = to_display(to_light(display[i], slope) * factor, slope);
 }
 
-// Gradients by display and by log_factor, each (N, 3).
+// Gradients by display and by log_gain, each (N, 3).
 KERNEL(4)
-relit_backward(Index n, Index row_stride, Index channel_stride, const float *display, const float *log_factor,
-               const float *by_shown, float *by_display, float *by_log_factor) {
+gain_backward(Index n, Index row_stride, Index channel_stride, const float *display, const float *log_gain,
+              const float *by_shown, float *by_display, float *by_log_gain) {
     Index i = thread_index();
     if (i >= 3 * n) return;
-    float light_slope, display_slope, factor = expf(log_factor[i / 3 * row_stride + i % 3 * channel_stride]);
+    float light_slope, display_slope, factor = expf(log_gain[i / 3 * row_stride + i % 3 * channel_stride]);
     float light = to_light(display[i], light_slope) * factor;
     to_display(light, display_slope);
     float by_light = by_shown[i] * display_slope;
     by_display[i] = by_light * factor * light_slope;
-    by_log_factor[i] = by_light * light;
+    by_log_gain[i] = by_light * light;
 }

@@ -1,1 +1,1 @@
-"""Networks that predict depth and frames."""
+"""Priors from networks: depth of single images, and frames between images."""

@@ -1,4 +1,4 @@
-"""Gaussians to pixels: one differentiable function over all backends."""
+"""Gaussians to pixels: differentiable functions over all backends."""
 
 from dataclasses import dataclass
 
@@ -6,18 +6,20 @@ import torch
 from torch import Tensor
 
 from ..kernels.backends import kernels_for
-from . import projection, reference
 
 MAX_SCORED = 8
-"""Channels that contributions() takes at most."""
+"""Largest number of channels that `contributions` takes: what the kernels hold in registers."""
 
 
 @dataclass
 class Rendering:
-    """channels (H, W, C) over the background, alpha (H, W) = 1 - final transmittance, both differentiable.
+    """A rendered image and where its N Gaussians are on it.
 
-    means2d (N, 2): projected centres in pixels, pixel centres at +0.5; keeps its gradient when it has one.
-    radii (N,): extent in pixels, 0 where a Gaussian is not visible; no gradient.
+    Attributes:
+        channels: (H, W, C) blended channels over the background, differentiable.
+        alpha: (H, W) = 1 - final transmittance, differentiable.
+        means2d: (N, 2) projected centres, pixels, with pixel centres at +0.5; keeps its gradient when it has one.
+        radii: (N,) extent, pixels, 0 where a Gaussian is not visible; no gradient.
     """
 
     channels: Tensor
@@ -39,39 +41,53 @@ def rasterize(
     background: Tensor,
     backend: str = "auto",
 ) -> Rendering:
-    """Render N Gaussians with any number C of channels; the blending is defined in reference.blend.
+    """Render Gaussians with any number of channels.
 
-    means (N, 3) in world units; quats (N, 4) wxyz, of any length; scales (N, 3) linear sigmas; opacities (N,) in 0..1;
-    channels (N, C); viewmat (4, 4) world to camera (x right, y down, z forward); K (3, 3) px; background (C,).
-    All tensors share one floating dtype and device; gradients reach the five per-Gaussian inputs and the background.
-    Gaussians with NaN or infinite parameters are not drawn and get zero gradients.
+    `kernels.protocol.Kernels` has the formulas of projection and blending. All tensors have one floating dtype and are
+    on one device. Gaussians with NaN or infinite parameters are not drawn and get zero gradients.
 
-    backend: as in backends.kernels_for. The torch backend takes any floating dtype.
-    Raises ValueError for wrong shapes, dtypes or devices, InputError when the backend asked for cannot run.
+    Args:
+        means: (N, 3) centres, scene units.
+        quats: (N, 4) rotations wxyz, of any length.
+        scales: (N, 3) standard deviations along the Gaussian's axes, scene units.
+        opacities: (N,) in 0..1.
+        channels: (N, C) values to blend.
+        viewmat: (4, 4) world to camera (x right, y down, z forward).
+        K: (3, 3) intrinsics, pixels.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+        background: (C,) values behind all Gaussians.
+        backend: What computes, as in `kernels_for`.
+
+    Returns:
+        The image, with gradients by the five tensors of the Gaussians, by the camera and by the background.
+
+    Raises:
+        ValueError: A tensor has the wrong shape, dtype or device.
+        InputError: The backend cannot run here.
+        TooManyPairs: The Gaussians meet too many tiles.
     """
     _check(means, quats, scales, opacities, channels, viewmat, K, width, height, background)
     kernels = kernels_for(backend, means)
-    # The kernels have no gradient by the camera.
-    project = kernels.project if kernels and not (viewmat.requires_grad or K.requires_grad) else projection.project
-    projected = project(means, quats, scales, opacities, channels, viewmat, K, width, height)
+    projected = kernels.project(means, quats, scales, opacities, channels, viewmat, K, width, height)
     if projected.means2d.requires_grad:
         projected.means2d.retain_grad()
-    blend = kernels.blend if kernels else reference.blend
-    blended, alpha = blend(
-        projected.means2d, projected.conics, opacities, channels, background, projected.depths, projected.radii,
-        width, height,
-    )  # fmt: skip
+    blended, alpha = kernels.blend(projected, opacities, channels, background, width, height)
     return Rendering(blended, alpha, projected.means2d, projected.radii)
 
 
 @dataclass
 class Contributions:
-    """What each of N Gaussians does to one picture; no gradients.
+    """What each of N Gaussians does to one image; no gradients.
 
-    With g = exp(-s) the value of the projected Gaussian at a pixel (alpha = opacity g), dC/dg is the picture's change
-    by it, opacity T (channel - what is seen behind), 0 where alpha is clamped. Sums over all pixels:
-    weighted (N, R): T alpha times each weight image;
-    importance (N,): |dC/dg|^2, and error (N,): (image_gradient . dC/dg)^2, as in SWAGSplatting's reallocation.
+    With g = exp(-s) the value of the projected Gaussian at a pixel (alpha = opacity g), dC/dg is the image's change
+    by it, opacity T (channel - color behind the Gaussian), 0 where alpha is clamped. Importance and error are those
+    of SWAGSplatting's relocation (docs/method.md, section 6).
+
+    Attributes:
+        weighted: (N, R) sums over all pixels of T alpha times each weight image.
+        importance: (N,) sums of |dC/dg|^2.
+        error: (N,) sums of (image_gradient . dC/dg)^2.
     """
 
     weighted: Tensor
@@ -95,11 +111,30 @@ def contributions(
     image_gradient: Tensor | None = None,
     backend: str = "auto",
 ) -> Contributions:
-    """What each Gaussian does to the picture that rasterize() makes of the same arguments, in one pass over it.
+    """Sum what each Gaussian does to the image that `rasterize` makes of the same arguments, in one pass over it.
 
-    weights (H, W, R): images that the sums of T alpha are weighted with; image_gradient (H, W, C): the loss by the
-    channels. Without them `weighted` has no columns and `error` is 0. At most MAX_SCORED channels.
-    Raises as rasterize() does.
+    Args:
+        means: (N, 3) centres, scene units.
+        quats: (N, 4) rotations wxyz, of any length.
+        scales: (N, 3) standard deviations along the Gaussian's axes, scene units.
+        opacities: (N,) in 0..1.
+        channels: (N, C) values to blend; C is at most MAX_SCORED.
+        viewmat: (4, 4) world to camera.
+        K: (3, 3) intrinsics, pixels.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+        background: (C,) values behind all Gaussians.
+        weights: (H, W, R) images that the sums of T alpha are weighted with; none by default.
+        image_gradient: (H, W, C) gradient of a loss by the channels; 0 by default.
+        backend: What computes, as in `kernels_for`.
+
+    Returns:
+        The sums.
+
+    Raises:
+        ValueError: A tensor has the wrong shape, dtype or device, or there are too many channels.
+        InputError: The backend cannot run here.
+        TooManyPairs: The Gaussians meet too many tiles.
     """
     _check(means, quats, scales, opacities, channels, viewmat, K, width, height, background)
     channel_count = channels.shape[1]
@@ -107,19 +142,15 @@ def contributions(
         raise ValueError(f"contributions are taken over at most {MAX_SCORED} channels, not {channel_count}")
     weights = means.new_zeros(height, width, 0) if weights is None else weights
     image_gradient = means.new_zeros(height, width, channel_count) if image_gradient is None else image_gradient
-    pictures: dict[str, tuple[Tensor, tuple[int, ...]]] = {
+    images: dict[str, tuple[Tensor, tuple[int, ...]]] = {
         "weights": (weights, (height, width, weights.shape[-1])),
         "image_gradient": (image_gradient, (height, width, channel_count)),
     }
-    _check_tensors(pictures, means)
+    _check_tensors(images, means)
     kernels = kernels_for(backend, means)
-    projected = (kernels or projection).project(means, quats, scales, opacities, channels, viewmat, K, width, height)
-    return Contributions(
-        *(kernels or reference).contributions(
-            projected.means2d, projected.conics, opacities, channels, background, projected.depths, projected.radii,
-            width, height, weights, image_gradient,
-        )
-    )  # fmt: skip
+    projected = kernels.project(means, quats, scales, opacities, channels, viewmat, K, width, height)
+    sums = kernels.contributions(projected, opacities, channels, background, width, height, weights, image_gradient)
+    return Contributions(*sums)
 
 
 def _check(

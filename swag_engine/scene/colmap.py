@@ -8,15 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2  # noqa: F401  (before pycolmap: in the other order cv2.imwrite has crashed)
 import numpy as np
-import pycolmap
 
 from ..base.errors import InputError
 from .cameras import Camera
+from .colmap_library import pycolmap
 from .lenses import Lens
 
-PICTURE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
+IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,12 +393,28 @@ def _scene_folder(folder: Path) -> Path:
     return scene.parent.parent if scene.parent.name.lower() == "colmap" else scene.parent
 
 
-def pictures_below(folder: Path) -> list[Path]:
-    """Picture files in `folder` and below, sorted, without hidden folders and masks/."""
-    found = []
-    for parent, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith(".") and name.lower() != "masks")
-        found += [Path(parent, name) for name in files if Path(name).suffix.lower() in PICTURE_SUFFIXES]
+def image_files_below(folder: Path) -> list[Path]:
+    """List the image files in a folder and below, sorted, without hidden folders and masks/.
+
+    Folders that are symbolic links are entered, as image collections often lie on another disk; each folder counts
+    once, so that links in a circle end, and under its own path where it has one here.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        Paths that begin with `folder`.
+    """
+    found: list[Path] = []
+    entered: set[str] = set()
+    for parent, folders, files in os.walk(folder, followlinks=True):
+        if (real := os.path.realpath(parent)) in entered:
+            folders.clear()
+            continue
+        entered.add(real)
+        wanted = [name for name in folders if not name.startswith(".") and name.lower() != "masks"]
+        folders[:] = sorted(wanted, key=lambda name: (os.path.islink(os.path.join(parent, name)), name))
+        found += [Path(parent, name) for name in files if Path(name).suffix.lower() in IMAGE_SUFFIXES]
     return sorted(path for path in found if not path.name.startswith("."))
 
 
@@ -416,7 +431,7 @@ def _find_pictures(scene: Path, names: list[str], warnings: list[str]) -> tuple[
     tried (a model's own folder may have been given as the scene).
     """
     for root in (scene, scene.parent / "images", scene.parent / "input"):
-        pictures = pictures_below(root) if root.is_dir() else []
+        pictures = image_files_below(root) if root.is_dir() else []
         for by_basename in (False, True):
             wanted = {_key(name.rsplit("/", 1)[-1] if by_basename else name): name for name in names}
             hits: dict[tuple[str, ...], dict[str, Path]] = {}

@@ -7,11 +7,10 @@ says where the lens images that ray.
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
-import cv2  # noqa: F401  (before pycolmap: in the other order cv2.imwrite has crashed)
 import numpy as np
-import pycolmap
 
 from ..base.errors import InputError
+from .colmap_library import pycolmap
 
 # A pinhole picture stretches without bound towards 90 degrees off the axis; beyond 60 it holds little but blur.
 _WIDEST_TANGENT = float(np.tan(np.radians(60)))

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from ..base.errors import InputError
-from .colmap import pictures_below
+from .colmap import image_files_below
 from .images import read_picture
 
 Progress = Callable[[str, float], None]
@@ -85,7 +85,7 @@ def reconstruct(source: Path, out: Path, progress: Progress | None = None) -> di
 
 
 def _copy_photographs(source: Path, scene: Path) -> list[str]:
-    names = [path.relative_to(source).as_posix() for path in pictures_below(source)]
+    names = [path.relative_to(source).as_posix() for path in image_files_below(source)]
     if not names:
         raise InputError(f"There are no photographs (JPEG, PNG, TIFF, BMP or WebP) in {source}.")
     if len(names) == 1:
@@ -264,7 +264,7 @@ def _rows(database: Path, table: str) -> int | None:
 
 def _child(job: Path) -> None:
     """What the child process does: features, matches, mapping; the largest model, with the photographs' own names."""
-    import pycolmap
+    from .colmap_library import pycolmap
 
     task = json.loads(job.read_text(encoding="utf-8"))
     names: list[str] = task["names"]

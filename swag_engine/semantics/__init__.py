@@ -1,1 +1,1 @@
-"""Labels of Gaussians: regions, embeddings, text search."""
+"""Labels of Gaussians: regions of images, embeddings, and text search."""

@@ -1,4 +1,4 @@
-"""From labelled photographs to labelled Gaussians, by what each Gaussian adds to each pixel."""
+"""Labels of Gaussians from labels of images, by what each Gaussian adds to each pixel (docs/method.md section 5)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,23 +15,29 @@ from .embed import DIMENSIONS
 from .regions import SceneRegions
 from .saliency import OPEN_WATER
 
-MIN_WEIGHT, MIN_SHARE = 0.5, 0.5
-"""Pixels, and share of all it adds to the picture, that a Gaussian needs in a region (docs/method.md section 5)."""
-EVERY = 4
-"""Features are learned in one iteration of so many: it costs as much as all else in an iteration."""
-AT_ONCE = 16
-"""Labels that one pass over a picture sums."""
+MIN_WEIGHT = 0.5
+"""Pixels that a Gaussian must add to a region to belong to it."""
+MIN_FRACTION = 0.5
+"""Fraction, of all that a Gaussian adds to the image, that it must add to a region to belong to it."""
+FEATURES_EVERY = 4
+"""Features are learned in one iteration of so many, because that costs as much as the rest of an iteration."""
+LABELS_PER_PASS = 16
+"""Labels that one pass over an image sums."""
 ROUNDS = 3
-"""In which votes are cast again; more change no label that counts (mIoU of the demo's validation views)."""
-LEAST_SAID = 1e-4
-"""Opacity with a pixel's label, below which the pixel says nothing."""
+"""Rounds of expectation maximisation after the first votes; more did not change mIoU on the demo's validation views."""
+MIN_LABEL_ALPHA = 1e-4
+"""Smallest alpha of a pixel's label that the pixel's vote is divided by."""
 
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """features (N, 32): mean of the embeddings of the regions that the Gaussian lay in, of length 1, 0 where none;
-    labels (N,) int64, 0 for none; agreement (N,): the share of all that it adds to labelled pixels which lies in its
-    own label, 0 where none."""
+    """Labels and features of N Gaussians.
+
+    Attributes:
+        features: (N, 32), mean of the embeddings of the regions that the Gaussian belongs to, of length 1; 0 for none.
+        labels: (N,) int64, 0 for none.
+        agreement: (N,), fraction of what the Gaussian adds to labelled pixels that lies in its own label; 0 for none.
+    """
 
     features: Tensor
     labels: Tensor
@@ -42,42 +48,75 @@ class Assignment:
 def label_weights(
     cloud: GaussianCloud, camera: Camera, labels: np.ndarray, backend: str = "auto"
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """What each Gaussian adds to the labels of one photograph, sum of T alpha over their pixels, occlusion counted.
+    """Sum what each Gaussian adds to the labels of one image: transmittance times alpha over their pixels.
 
-    labels (H, W) integers, 0 for none, of the photograph that `camera` took; the camera is brought to their size.
-    Returns the labels there, (R,) int64 and rising, the weights (N, R) in pixels, and each Gaussian's sum (N,) over the
-    whole picture.
+    Args:
+        cloud: N Gaussians.
+        camera: Camera of the image; it is resized to the labels.
+        labels: (H, W) integers, 0 for none.
+        backend: What computes.
+
+    Returns:
+        The R labels of the image, (R,) int64, ascending; the weights (N, R), pixels; and each Gaussian's sum (N,) over
+        the whole image, pixels.
     """
     camera = camera.resized(labels.shape[1])
-    here = np.unique(labels[labels > 0]).astype(np.int64)
-    pictures = torch.from_numpy(np.stack([labels == label for label in here] + [np.ones_like(labels)], -1))
-    weights = contribution_sums(cloud, camera, pictures.to(cloud.means), backend)
-    return torch.from_numpy(here).to(weights.device), weights[:, :-1], weights[:, -1]
+    present = np.unique(labels[labels > 0]).astype(np.int64)
+    masks = torch.from_numpy(np.stack([labels == label for label in present] + [np.ones_like(labels)], -1))
+    weights = contribution_sums(cloud, camera, masks.to(cloud.means), backend)
+    return torch.from_numpy(present).to(weights.device), weights[:, :-1], weights[:, -1]
 
 
 def labels_in_view(cloud: GaussianCloud, camera: Camera, labels: np.ndarray, backend: str = "auto") -> Tensor:
-    """(N,) int64: the label that each Gaussian lies in as this camera sees it, 0 for none.
+    """Find the label of the region of one image that each Gaussian belongs to.
 
-    That with the largest weight, if it has MIN_WEIGHT pixels and MIN_SHARE of all that the Gaussian adds.
+    It is the label with the largest weight, if that is at least MIN_WEIGHT and MIN_FRACTION of the Gaussian's sum.
+
+    Args:
+        cloud: N Gaussians.
+        camera: Camera of the image.
+        labels: (H, W) integers, 0 for none.
+        backend: What computes.
+
+    Returns:
+        Labels (N,) int64, 0 for none.
     """
-    return _surest(*label_weights(cloud, camera, labels, backend))
+    return _dominant_labels(*label_weights(cloud, camera, labels, backend))
 
 
 def targets_in_view(
-    cloud: GaussianCloud, camera: Camera, regions: SceneRegions, backend: str = "auto", shown: np.ndarray | None = None
+    cloud: GaussianCloud,
+    camera: Camera,
+    regions: SceneRegions,
+    backend: str = "auto",
+    resized: np.ndarray | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """What `semantic_loss` compares with in one view: targets (N, 32) float32 and assigned (N,) bool.
+    """Find the targets of `semantic_loss` in one view.
 
-    shown: the photograph's labels at another size than the regions'.
+    Args:
+        cloud: N Gaussians.
+        camera: Camera of the view.
+        regions: Regions of the scene's images.
+        backend: What computes.
+        resized: (H, W) labels of the image at another size than those of `regions`.
+
+    Returns:
+        Targets (N, 32) float32, and which Gaussians have one, (N,) bool.
     """
-    labels = labels_in_view(cloud, camera, regions.maps[camera.name] if shown is None else shown, backend)
+    labels = labels_in_view(cloud, camera, regions.maps[camera.name] if resized is None else resized, backend)
     return _features(regions, camera.name, labels), labels > 0
 
 
 def semantic_loss(features: Tensor, targets: Tensor, assigned: Tensor) -> Tensor:
-    """L_s of docs/method.md section 5: the mean over the assigned Gaussians of |features - targets|^2, 0 without any.
+    """Compute L_s of docs/method.md section 5: the mean of |features - targets|^2 over the assigned Gaussians.
 
-    features and targets (N, 32), assigned (N,) bool. Differentiable in features.
+    Args:
+        features: (N, 32).
+        targets: (N, 32).
+        assigned: (N,) bool.
+
+    Returns:
+        The loss, a scalar, 0 where no Gaussian is assigned; differentiable in features.
     """
     squared = (features - targets).square().sum(1)
     return torch.where(assigned, squared, torch.zeros_like(squared)).sum() / assigned.sum().clamp(min=1)
@@ -87,94 +126,123 @@ def semantic_loss(features: Tensor, targets: Tensor, assigned: Tensor) -> Tensor
 def assign(
     cloud: GaussianCloud, regions: SceneRegions, cameras: Mapping[str, Camera], backend: str = "auto"
 ) -> Assignment:
-    """Labels and features of all Gaussians from all photographs that have regions.
+    """Assign labels and features to all Gaussians from all images that have regions.
 
-    cameras: by the photograph's name. A photograph votes with the weights of `label_weights` for its labels, and takes
-    part in the features of those Gaussians that `labels_in_view` gives a label. Then votes are cast again: a pixel's
-    goes to the Gaussians in it as far as they have its label, so that what is faint at a border does not take the
-    label of what it borders on. That is expectation maximisation of the mixture that a pixel shows. What no photograph
-    says anything of stays without a label.
+    Each image votes with the weights of `label_weights`. It adds its regions' embeddings to the features of those
+    Gaussians to which `labels_in_view` gives a label. Then the votes are repeated ROUNDS times: the vote of a pixel
+    goes to the Gaussians in it in proportion to their current probability of its label. This is expectation
+    maximisation of the mixture that a pixel shows; without it transparent Gaussians at a border would get the label of
+    their neighbours.
+
+    Args:
+        cloud: N Gaussians.
+        regions: Regions of the images.
+        cameras: Camera of each image, by the image's name.
+        backend: What computes.
+
+    Returns:
+        Labels, features and agreement; Gaussians that no image shows have no label.
     """
     device = cloud.means.device
     votes = torch.zeros(len(cloud), len(regions.labels) + 1, device=device)
     sums = torch.zeros(len(cloud), DIMENSIONS, device=device)
     for name, labels in regions.maps.items():
-        here, weights, total = label_weights(cloud, cameras[name], labels, backend)
-        votes[:, here] += weights.float()
-        sums += _features(regions, name, _surest(here, weights, total))
-    shares = torch.nn.functional.normalize(votes, p=1, dim=1)
+        present, weights, total = label_weights(cloud, cameras[name], labels, backend)
+        votes[:, present] += weights.float()
+        sums += _features(regions, name, _dominant_labels(present, weights, total))
+    probabilities = torch.nn.functional.normalize(votes, p=1, dim=1)
     behind = regions.labels.index(OPEN_WATER) + 1 if OPEN_WATER in regions.labels else 0
     for _ in range(ROUNDS):
-        again = torch.zeros_like(votes)
+        repeated = torch.zeros_like(votes)
         for name, labels in regions.maps.items():
-            _vote_again(again, shares, cloud, cameras[name], labels, behind, backend)
-        shares = torch.nn.functional.normalize(again, p=1, dim=1)
-    most, best = shares.max(1)
-    labelled = most > 0
+            _add_votes(repeated, probabilities, cloud, cameras[name], labels, behind, backend)
+        probabilities = torch.nn.functional.normalize(repeated, p=1, dim=1)
+    highest, best = probabilities.max(1)
+    labelled = highest > 0
     own = votes.gather(1, best[:, None])[:, 0] / votes.sum(1).clamp(min=1e-12)
     features = torch.nn.functional.normalize(sums, dim=1)
     return Assignment(features, torch.where(labelled, best, 0), torch.where(labelled, own, 0))
 
 
 @torch.no_grad()
-def rendered_labels(
+def render_labels(
     cloud: GaussianCloud, labels: Tensor, count: int, camera: Camera, behind: int = 0, backend: str = "auto"
 ) -> np.ndarray:
-    """(H, W) uint16: the label, of `count`, that most of each pixel shows; `behind` is what no Gaussian covers."""
-    shares = torch.nn.functional.one_hot(labels, count + 1).to(cloud.means)
+    """Render the label that covers most of each pixel.
+
+    Args:
+        cloud: N Gaussians.
+        labels: (N,) int64, 0 for none.
+        count: Number of labels.
+        camera: Camera to render.
+        behind: Label of what no Gaussian covers, 0 for none.
+        backend: What computes.
+
+    Returns:
+        Labels (H, W) uint16.
+    """
+    one_hot = torch.nn.functional.one_hot(labels, count + 1).to(cloud.means)
     viewmat, intrinsics = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
     best = cloud.means.new_full((camera.height, camera.width), -1.0)
     found = torch.zeros_like(best, dtype=torch.int64)
-    for start in range(0, count + 1, AT_ONCE):
-        some = shares[:, start : start + AT_ONCE].contiguous()
-        drawn = rasterize(
+    for start in range(0, count + 1, LABELS_PER_PASS):
+        some = one_hot[:, start : start + LABELS_PER_PASS].contiguous()
+        rendered = rasterize(
             cloud.means, cloud.quats, cloud.scales, cloud.opacities, some, viewmat, intrinsics, camera.width,
             camera.height, cloud.means.new_zeros(some.shape[1]), backend,
         )  # fmt: skip
-        shown = drawn.channels.clone()
-        if start <= behind < start + AT_ONCE:
-            shown[..., behind - start] += 1 - drawn.alpha
-        most, place = shown.max(-1)
-        found = torch.where(most > best, place + start, found)
-        best = torch.maximum(best, most)
+        coverage = rendered.channels.clone()
+        if start <= behind < start + LABELS_PER_PASS:
+            coverage[..., behind - start] += 1 - rendered.alpha
+        largest, index = coverage.max(-1)
+        found = torch.where(largest > best, index + start, found)
+        best = torch.maximum(best, largest)
     return found.cpu().numpy().astype(np.uint16)
 
 
-def _vote_again(
-    votes: Tensor, shares: Tensor, cloud: GaussianCloud, camera: Camera, labels: np.ndarray, behind: int, backend: str
+def _add_votes(
+    votes: Tensor,
+    probabilities: Tensor,
+    cloud: GaussianCloud,
+    camera: Camera,
+    labels: np.ndarray,
+    behind: int,
+    backend: str,
 ) -> None:
-    """Add to votes (N, L + 1) what each Gaussian gets of one photograph's labels (H, W) by its shares (N, L + 1).
+    """Add to votes (N, L + 1) those of one image's labels (H, W), divided by the probabilities (N, L + 1).
 
-    behind: the label of what no Gaussian covers, 0 for none.
+    `behind` is the label of what no Gaussian covers, 0 for none.
     """
     camera = camera.resized(labels.shape[1])
-    drawn_labels = torch.from_numpy(labels.astype(np.int64)).to(votes.device)
-    here = torch.unique(drawn_labels[drawn_labels > 0])
+    image_labels = torch.from_numpy(labels.astype(np.int64)).to(votes.device)
+    present = torch.unique(image_labels[image_labels > 0])
     viewmat, intrinsics = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
-    said = cloud.means.new_zeros(labels.shape)
-    for some in here.split(AT_ONCE):
-        drawn = rasterize(
-            cloud.means, cloud.quats, cloud.scales, cloud.opacities, shares[:, some].to(cloud.means).contiguous(),
-            viewmat, intrinsics, camera.width, camera.height, cloud.means.new_zeros(len(some)), backend,
+    label_alpha = cloud.means.new_zeros(labels.shape)  # of each pixel's own label
+    for some in present.split(LABELS_PER_PASS):
+        rendered = rasterize(
+            cloud.means, cloud.quats, cloud.scales, cloud.opacities,
+            probabilities[:, some].to(cloud.means).contiguous(), viewmat, intrinsics, camera.width, camera.height,
+            cloud.means.new_zeros(len(some)), backend,
         )  # fmt: skip
-        said += (drawn.channels * (drawn_labels[..., None] == some)).sum(-1)
+        label_alpha += (rendered.channels * (image_labels[..., None] == some)).sum(-1)
         if behind in some:
-            said += torch.where(drawn_labels == behind, 1 - drawn.alpha, 0)
-    for some in here.split(AT_ONCE):
-        pictures = (drawn_labels[..., None] == some) / said.clamp(min=LEAST_SAID)[..., None]
-        votes[:, some] += contribution_sums(cloud, camera, pictures, backend).float() * shares[:, some]
+            label_alpha += torch.where(image_labels == behind, 1 - rendered.alpha, 0)
+    for some in present.split(LABELS_PER_PASS):
+        masks = (image_labels[..., None] == some) / label_alpha.clamp(min=MIN_LABEL_ALPHA)[..., None]
+        votes[:, some] += contribution_sums(cloud, camera, masks, backend).float() * probabilities[:, some]
 
 
-def _surest(here: Tensor, weights: Tensor, total: Tensor) -> Tensor:
-    if not len(here):
+def _dominant_labels(present: Tensor, weights: Tensor, total: Tensor) -> Tensor:
+    """Return the label (N,) of the largest weight, 0 where that is too small."""
+    if not len(present):
         return torch.zeros_like(total, dtype=torch.int64)
-    most, best = weights.max(1)
-    sure = (most >= MIN_WEIGHT) & (most >= MIN_SHARE * total)
-    return torch.where(sure, here[best], 0)
+    largest, best = weights.max(1)
+    enough = (largest >= MIN_WEIGHT) & (largest >= MIN_FRACTION * total)
+    return torch.where(enough, present[best], 0)
 
 
 def _features(regions: SceneRegions, name: str, labels: Tensor) -> Tensor:
-    """(N, 32) float32: the embeddings of the photograph's regions of these labels (N,), 0 for label 0."""
+    """Return the embeddings (N, 32) float32 of an image's regions by labels (N,), 0 for label 0."""
     table = torch.zeros(len(regions.labels) + 1, DIMENSIONS)
     for label, feature in regions.features[name].items():
         table[label] = torch.from_numpy(feature)

@@ -1,4 +1,4 @@
-"""What was found in photographs, kept so that the next run of the same question answers at once."""
+"""Cache of the regions found in images, so that finding them again takes no time."""
 
 import hashlib
 import json
@@ -14,44 +14,63 @@ from ..base.strict_json import from_json
 from ..scene.images import TrainingImage
 
 _FORMAT = 1
+"""Version of the files; a change of what is computed needs another."""
 
 
-def load_found(
+def load_regions(
     cache: Path | None, image: TrainingImage, key: Sequence[str]
 ) -> tuple[np.ndarray, tuple[str, ...], np.ndarray] | None:
-    """Index, names and embeddings (see regions.Found) that were kept for a photograph; None when there are none."""
+    """Load the regions of an image.
+
+    Args:
+        cache: Folder of the cache, None for no cache.
+        image: The image; its pixels are part of the key.
+        key: What else the regions depend on.
+
+    Returns:
+        Index, labels and embeddings as in regions.ImageRegions; None where the cache has none that can be read.
+    """
     if cache is None:
         return None
     try:
-        with np.load(_path(cache, image, key), allow_pickle=False) as kept:
-            index, names, embeddings = kept["index"], from_json(str(kept["names"])), kept["embeddings"]
+        with np.load(_path(cache, image, key), allow_pickle=False) as stored:
+            index, labels, embeddings = stored["index"], from_json(str(stored["names"])), stored["embeddings"]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
-    if index.shape != image.valid.shape or len(names) != len(embeddings):
+    if index.shape != image.valid.shape or len(labels) != len(embeddings):
         return None
-    return index, tuple(names), embeddings
+    return index, tuple(labels), embeddings
 
 
-def save_found(
+def save_regions(
     cache: Path | None,
     image: TrainingImage,
     key: Sequence[str],
     index: np.ndarray,
-    names: Sequence[str],
+    labels: Sequence[str],
     embeddings: np.ndarray,
 ) -> None:
-    """Keep what was found; a cache that cannot be written only costs time."""
+    """Save the regions of an image; a cache that cannot be written is ignored, because it only costs time.
+
+    Args:
+        cache: Folder of the cache, None for no cache.
+        image: The image.
+        key: What else the regions depend on.
+        index: (H, W) uint16, 0 for no region, i for the i-th label.
+        labels: R labels.
+        embeddings: (R, D) float32.
+    """
     if cache is None:
         return
     try:
         with atomic_path(_path(cache, image, key)) as temporary, open(temporary, "wb") as file:
-            np.savez_compressed(file, index=index, names=json.dumps(list(names)), embeddings=embeddings)
+            np.savez_compressed(file, index=index, names=json.dumps(list(labels)), embeddings=embeddings)
     except (InputError, OSError):
         pass
 
 
 def file_key(path: Path) -> str:
-    """Tells a weights file from another without reading it."""
+    """Return a key that distinguishes a file of weights from others, without reading it."""
     status = path.stat()
     return f"{path.name}:{status.st_size}:{status.st_mtime_ns}"
 

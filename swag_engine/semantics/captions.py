@@ -1,4 +1,4 @@
-"""Captions of photographs, and the things they name."""
+"""Captions of images, and the phrases in them that can be looked for."""
 
 import re
 from pathlib import Path
@@ -18,22 +18,37 @@ _CONNECTING = (
     "picture image view close up shot underwater swimming sitting standing lying floating laying"
 )
 CONNECTING = frozenset(_CONNECTING.split())
-"""Words of captions that part one thing from the next."""
+"""Words of captions that separate phrases."""
 
 
 class Captioner(Protocol):
-    """Says what a photograph shows. `name` and `key` as in RegionProvider."""
+    """Describes images in words.
+
+    Attributes:
+        name: Name for the user.
+        key: Distinguishes the captioner and its weights from others in the cache.
+    """
 
     name: str
     key: str
 
     def captions(self, pixels: np.ndarray) -> list[str]:
-        """Sentences about an image (H, W, 3) uint8 sRGB, the best first."""
+        """Describe an image.
+
+        Args:
+            pixels: (H, W, 3) uint8 sRGB.
+
+        Returns:
+            Sentences, the best first.
+
+        Raises:
+            InputError: If a network fails.
+        """
         ...
 
 
 def phrases(caption: str) -> list[str]:
-    """The things that a caption names, each once: "a red starfish on some coral" gives "red starfish", "coral"."""
+    """Extract the phrases of a caption, each once: "a red starfish on some coral" gives "red starfish", "coral"."""
     found: list[str] = []
     words: list[str] = []
     for word in [*re.findall(r"[\w'-]+|[^\w\s]", caption.lower()), "."]:
@@ -48,15 +63,27 @@ def phrases(caption: str) -> list[str]:
 class Blip:
     """BLIP's captioner (Li et al. 2022, arXiv 2201.12086) in two ONNX files, with BERT's vocabulary.
 
-    Image: (1, 3, 384, 384) to (1, T, D). Text: token ids (1, L) and the image's states, named encoder_hidden_states, to
-    logits (1, L, V); masks where the file asks for them. The most likely token is taken each time.
+    Image network: (1, 3, 384, 384) to (1, T, D). Text network: token ids (1, L) and the image's states, named
+    encoder_hidden_states, to logits (1, L, V); masks where the file has these inputs. Decoding is greedy.
+
+    Args:
+        image: File of the image network.
+        text: File of the text network.
+        vocabulary: BERT's vocab.txt.
+
+    Raises:
+        InputError: If a file is absent or of another kind.
     """
 
     name = "blip"
-    START, END, MOST_TOKENS = 30522, 102, 20  # [DEC] and [SEP]
+    START = 30522
+    """Token [DEC], which BERT's vocabulary does not have."""
+    END = 102
+    """Token [SEP]."""
+    MAX_TOKENS = 20
+    """Of one caption."""
 
     def __init__(self, image: Path, text: Path, vocabulary: Path) -> None:
-        """Raises InputError when a file is absent or of another kind."""
         pixels = {"pixel_values": (None, 3, None, None)}
         states = {"input_ids": (None, None), "encoder_hidden_states": (None, None, None)}
         masks = ["attention_mask", "encoder_attention_mask"]
@@ -66,13 +93,13 @@ class Blip:
         self.key = f"blip:{file_key(image)}:{file_key(text)}"
 
     def captions(self, pixels: np.ndarray) -> list[str]:
-        """As in Captioner: one sentence. Raises InputError when a network fails."""
+        """Describe an image in one sentence, as in Captioner."""
         side = self.image_network.shapes["pixel_values"][-1] or 384
         resized = cv2.resize(pixels.astype(np.float32) / 255, (side, side), interpolation=cv2.INTER_CUBIC)
-        shown = ((resized - CLIP_MEAN) / CLIP_STD).transpose(2, 0, 1)[None]
-        states = self.image_network(pixel_values=shown)["last_hidden_state"]
+        normalised = ((resized - CLIP_MEAN) / CLIP_STD).transpose(2, 0, 1)[None]
+        states = self.image_network(pixel_values=normalised)["last_hidden_state"]
         tokens = [self.START]
-        for _ in range(self.MOST_TOKENS):
+        for _ in range(self.MAX_TOKENS):
             ids = np.array([tokens])
             logits = self.text_network(
                 input_ids=ids,

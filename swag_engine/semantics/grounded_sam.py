@@ -1,6 +1,6 @@
-"""Regions of words: Grounding DINO finds boxes, SAM or MobileSAM their outlines (as in Grounded SAM, arXiv 2401.14159).
+"""Regions by words: Grounding DINO finds boxes, SAM or MobileSAM their masks, as in Grounded SAM (arXiv 2401.14159).
 
-Both through ONNX Runtime, with the inputs and outputs that their published exports have.
+Both run in ONNX Runtime, with the inputs and outputs that their published exports have.
 """
 
 from collections.abc import Sequence
@@ -17,20 +17,29 @@ from .cache import file_key
 from .regions import Region
 from .tokenizer import WordPieceTokenizer
 
-IMAGENET_MEAN, IMAGENET_STD = np.array([0.485, 0.456, 0.406], np.float32), np.array([0.229, 0.224, 0.225], np.float32)
-MOST_TOKENS = 256
+IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)
+"""Mean of ImageNet's images, sRGB in 0..1."""
+IMAGENET_STD = np.array([0.229, 0.224, 0.225], np.float32)
+"""Their standard deviation."""
+MAX_TOKENS = 256
 """Of one text that Grounding DINO takes."""
 MIN_SCORE = 0.3
 """Of a box, as in Grounding DINO's own demonstration."""
-MOST_OVERLAP = 0.7
-"""Intersection over union of two boxes of one word; of more, only the surer stays."""
+MAX_OVERLAP = 0.7
+"""Intersection over union above which, of two boxes with one label, only the one of the higher score is kept."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """Left, top, right, bottom in pixels of the photograph; what it holds, and how sure that is, 0..1."""
+    """A detection.
 
-    name: str
+    Attributes:
+        label: The word that was found.
+        score: Confidence, 0..1.
+        corners: Left, top, right, bottom, pixels of the image.
+    """
+
+    label: str
     score: float
     corners: tuple[float, float, float, float]
 
@@ -38,30 +47,51 @@ class Box:
 class GroundingDino:
     """Grounding DINO (Liu et al. 2023, arXiv 2303.05499) as exported from transformers, with BERT's vocabulary.
 
-    pixel_values (1, 3, H, W), pixel_mask (1, H, W), input_ids, token_type_ids, attention_mask (1, L) to logits
-    (1, Q, 256) of each box by token, and pred_boxes (1, Q, 4): centre and size in 0..1 of the picture.
+    Inputs: pixel_values (1, 3, H, W), pixel_mask (1, H, W), input_ids, token_type_ids, attention_mask (1, L). Outputs:
+    logits (1, Q, 256) of each box by token, and pred_boxes (1, Q, 4), centre and size as fractions of the image.
+
+    Args:
+        path: File of the network.
+        vocabulary: BERT's vocab.txt.
+
+    Raises:
+        InputError: If a file is absent or of another kind.
     """
 
-    SHORT_SIDE, LONG_SIDE = 800, 1333
+    SHORT_SIDE = 800
+    """Pixels that the shorter side is resized to, as in Grounding DINO's own preprocessing."""
+    LONG_SIDE = 1333
+    """Pixels that the longer side may have at most."""
 
     def __init__(self, path: Path, vocabulary: Path) -> None:
-        """Raises InputError when a file is absent or of another kind."""
         inputs = {"pixel_values": (None, 3, None, None), "input_ids": (None, None)}
         others = ["pixel_mask", "token_type_ids", "attention_mask"]
         self.network = Graph(path, "Grounding DINO", inputs, ["logits", "pred_boxes"], others)
         self.tokenizer = WordPieceTokenizer(vocabulary)
 
     def boxes(self, pixels: np.ndarray, words: Sequence[str]) -> list[Box]:
-        """What is found of `words` in an image (H, W, 3) uint8 sRGB, the surest first."""
-        shown = self._shown(pixels)
-        found = [box for text in self._texts(words) for box in self._found(shown, pixels.shape, text)]
+        """Detect words in an image.
+
+        Args:
+            pixels: (H, W, 3) uint8 sRGB.
+            words: Words or phrases to look for.
+
+        Returns:
+            Boxes, the highest score first.
+
+        Raises:
+            InputError: If the network fails.
+        """
+        pixel_values = self._pixel_values(pixels)
+        found = [box for text in self._texts(words) for box in self._detect(pixel_values, pixels.shape, text)]
         kept: list[Box] = []
         for box in sorted(found, key=lambda box: -box.score):
-            if all(box.name != other.name or overlap(box, other) <= MOST_OVERLAP for other in kept):
+            if all(box.label != other.label or intersection_over_union(box, other) <= MAX_OVERLAP for other in kept):
                 kept.append(box)
         return kept
 
-    def _shown(self, pixels: np.ndarray) -> np.ndarray:
+    def _pixel_values(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the image resized and normalised, (1, 3, H', W') float32."""
         height, width = pixels.shape[:2]
         scale = min(self.SHORT_SIDE / min(height, width), self.LONG_SIDE / max(height, width))
         rows, columns = (
@@ -72,8 +102,8 @@ class GroundingDino:
         return ((resized - IMAGENET_MEAN) / IMAGENET_STD).transpose(2, 0, 1)[None]
 
     def _texts(self, words: Sequence[str]) -> list[list[tuple[str, list[int]]]]:
-        """Words with their tokens, in groups that fit into one text each."""
-        length = self.network.shapes["input_ids"][1] or MOST_TOKENS
+        """Return words with their tokens, in groups that fit into one text each."""
+        length = self.network.shapes["input_ids"][1] or MAX_TOKENS
         texts: list[list[tuple[str, list[int]]]] = [[]]
         room = length - 2
         for word in words:
@@ -85,7 +115,8 @@ class GroundingDino:
             room -= len(tokens) + 1
         return texts
 
-    def _found(self, shown: np.ndarray, shape: tuple[int, ...], text: list[tuple[str, list[int]]]) -> list[Box]:
+    def _detect(self, pixel_values: np.ndarray, shape: tuple[int, ...], text: list[tuple[str, list[int]]]) -> list[Box]:
+        """Return the boxes that one pass over an image of this shape finds."""
         ids = [self.tokenizer.ids["[CLS]"]]
         spans = []
         for _, tokens in text:
@@ -95,8 +126,8 @@ class GroundingDino:
         length = self.network.shapes["input_ids"][1] or len(ids)
         padded = np.array([ids + [self.tokenizer.ids["[PAD]"]] * (length - len(ids))])
         made = self.network(
-            pixel_values=shown,
-            pixel_mask=np.ones((1, *shown.shape[2:]), np.int64),
+            pixel_values=pixel_values,
+            pixel_mask=np.ones((1, *pixel_values.shape[2:]), np.int64),
             input_ids=padded,
             token_type_ids=np.zeros_like(padded),
             attention_mask=np.arange(length)[None] < len(ids),
@@ -118,16 +149,26 @@ class GroundingDino:
 class Sam:
     """SAM (Kirillov et al. 2023, arXiv 2304.02643), or MobileSAM (arXiv 2306.14289), in two ONNX files.
 
-    Encoder: one image to image_embeddings (1, 256, 64, 64), either (H, W, 3) in 0..255 with its longer side 1024, which
-    it normalises itself, or (1, 3, 1024, 1024) normalised and padded. Decoder: as segment-anything's own export makes
-    it; a box is two points with the labels 2 and 3.
+    Encoder: an image to image_embeddings (1, 256, 64, 64); the image is (H, W, 3) in 0..255 with a longer side of 1024,
+    which the file normalises itself, or (1, 3, 1024, 1024) normalised and padded. Decoder: as the export of
+    segment-anything makes it; a box is two points with the labels 2 and 3.
+
+    Args:
+        encoder: File of the image encoder.
+        decoder: File of the mask decoder.
+
+    Raises:
+        InputError: If a file is absent or of another kind.
     """
 
     SIDE = 1024
-    MEAN, STD = np.array([123.675, 116.28, 103.53], np.float32), np.array([58.395, 57.12, 57.375], np.float32)
+    """Pixels of the longer side."""
+    MEAN = np.array([123.675, 116.28, 103.53], np.float32)
+    """Mean of the training images, 0..255."""
+    STD = np.array([58.395, 57.12, 57.375], np.float32)
+    """Their standard deviation."""
 
     def __init__(self, encoder: Path, decoder: Path) -> None:
-        """Raises InputError when a file is absent or of another kind."""
         self.encoder = Graph(encoder, "SAM's image encoder", {"input_image": None}, ["image_embeddings"])
         inputs = {
             "image_embeddings": (1, None, None, None), "point_coords": (None, None, 2), "point_labels": (None, None),
@@ -137,16 +178,27 @@ class Sam:
         self.decoder = Graph(decoder, "SAM's mask decoder", inputs, outputs)
 
     def masks(self, pixels: np.ndarray, boxes: Sequence[Box]) -> list[np.ndarray]:
-        """(H, W) bool for each box in an image (H, W, 3) uint8 sRGB."""
+        """Segment what boxes hold.
+
+        Args:
+            pixels: (H, W, 3) uint8 sRGB.
+            boxes: Boxes in the image.
+
+        Returns:
+            A mask (H, W) bool for each box.
+
+        Raises:
+            InputError: If a network fails.
+        """
         height, width = pixels.shape[:2]
         scale = self.SIDE / max(height, width)
         size = round(width * scale), round(height * scale)
-        shown = cv2.resize(pixels, size, interpolation=cv2.INTER_LINEAR).astype(np.float32)
+        resized = cv2.resize(pixels, size, interpolation=cv2.INTER_LINEAR).astype(np.float32)
         if len(self.encoder.shapes["input_image"]) == 4:
             padded = np.zeros((1, 3, self.SIDE, self.SIDE), np.float32)
-            padded[0, :, : size[1], : size[0]] = ((shown - self.MEAN) / self.STD).transpose(2, 0, 1)
-            shown = padded
-        embeddings = self.encoder(input_image=shown)["image_embeddings"]
+            padded[0, :, : size[1], : size[0]] = ((resized - self.MEAN) / self.STD).transpose(2, 0, 1)
+            resized = padded
+        embeddings = self.encoder(input_image=resized)["image_embeddings"]
         masks = []
         for box in boxes:
             made = self.decoder(
@@ -165,7 +217,12 @@ class Sam:
 
 
 class GroundedSam:
-    """Regions of words; each word's regions in one photograph are one."""
+    """Provider of regions by words.
+
+    Args:
+        detector: Finds boxes.
+        segmenter: Finds the masks of boxes.
+    """
 
     name = "grounded-sam"
 
@@ -175,19 +232,19 @@ class GroundedSam:
         self.key = f"grounded-sam:{MIN_SCORE}:{[file_key(path) for path in paths]}"
 
     def regions(self, image: TrainingImage, words: Sequence[str]) -> list[Region]:
-        """As in RegionProvider. Raises InputError without words."""
+        """Find regions as in RegionProvider; raises InputError without words."""
         if not words:
             raise InputError("grounded-sam looks for words, and there are none: name what to look for, such as coral.")
         boxes = self.detector.boxes(image.pixels, words)
         if not boxes:
             return []
         return [
-            Region(mask, box.name) for box, mask in zip(boxes, self.segmenter.masks(image.pixels, boxes), strict=True)
+            Region(mask, box.label) for box, mask in zip(boxes, self.segmenter.masks(image.pixels, boxes), strict=True)
         ]
 
 
-def overlap(a: Box, b: Box) -> float:
-    """Intersection over union of two boxes."""
+def intersection_over_union(a: Box, b: Box) -> float:
+    """Return the area that two boxes share over the area that they cover, 0..1."""
     left, top = max(a.corners[0], b.corners[0]), max(a.corners[1], b.corners[1])
     right, bottom = min(a.corners[2], b.corners[2]), min(a.corners[3], b.corners[3])
     common = max(0.0, right - left) * max(0.0, bottom - top)

@@ -1,4 +1,4 @@
-"""The labels of a run: labels.json for people and Blender, semantics.safetensors for searching."""
+"""Files of a run's labels: labels.json for people and Blender, semantics.safetensors for searching."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,8 +11,6 @@ from safetensors.numpy import load_file, save_file
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
-from ..formats.gltf import write_glb
-from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..formats.select import LABEL
 from ..splats.splats import Splats
@@ -20,13 +18,22 @@ from .assign import Assignment
 from .embed import DIMENSIONS, Projection
 from .regions import SceneRegions
 
-TABLE, FEATURES = "labels.json", "semantics.safetensors"
+TABLE = "labels.json"
+"""File of the labels: id, name, count and share each."""
+FEATURES = "semantics.safetensors"
+"""File of the features."""
 
 
 @dataclass(frozen=True, eq=False)
 class Semantics:
-    """What searching needs: features (N, 32) of the run's splats, prototypes (L, 32) of its labels, the projection, and
-    the embedder that they are from."""
+    """What searching needs.
+
+    Attributes:
+        features: (N, 32) of the run's splats.
+        prototypes: (L, 32), mean feature of each label.
+        projection: From embeddings to features.
+        embedder: Name of the embedder.
+    """
 
     features: np.ndarray
     prototypes: np.ndarray
@@ -35,11 +42,19 @@ class Semantics:
 
 
 def label_table(regions: SceneRegions, labels: np.ndarray) -> list[dict[str, Any]]:
-    """One entry a label: id, name, count of the Gaussians in labels (N,), share of the photographs' pixels."""
+    """Make the entries of labels.json.
+
+    Args:
+        regions: Regions of the scene's images.
+        labels: (N,) labels of the Gaussians.
+
+    Returns:
+        For each label `id`, `name`, `count` of Gaussians, and `share`, the fraction of the images' pixels.
+    """
     counts = np.bincount(labels, minlength=len(regions.labels) + 1)
-    shares = regions.shares()
+    fractions = regions.pixel_fractions()
     return [
-        {"id": i, "name": name, "count": int(counts[i]), "share": round(float(shares[i]), 6)}
+        {"id": i, "name": name, "count": int(counts[i]), "share": round(float(fractions[i]), 6)}
         for i, name in enumerate(regions.labels, start=1)
     ]
 
@@ -53,10 +68,22 @@ def write_semantics(
     about: dict[str, Any],
     with_features: bool = False,
 ) -> dict[str, Any]:
-    """Write result.ply and result.glb with the splats' labels, labels.json and semantics.safetensors to a run.
+    """Write a run's result with labels, labels.json and semantics.safetensors.
 
-    splats: the run's, in the order of the assignment's Gaussians. with_features: 32 further properties feature_00 ...
-    in both files. `about` (`embedder` among it) becomes part of labels.json, which is returned.
+    Args:
+        folder: Folder of the run.
+        splats: Its splats, in the order of the assignment's Gaussians.
+        up: Up direction (3,) of the scene.
+        regions: Regions of the scene's images.
+        assignment: Labels and features of the Gaussians.
+        about: Further entries of labels.json, `embedder` among them.
+        with_features: Whether the result has the features too, as 32 properties feature_00 to feature_31.
+
+    Returns:
+        The contents of labels.json.
+
+    Raises:
+        InputError: If a file cannot be written.
     """
     run = RunFolder(folder)
     labels = assignment.labels.cpu().numpy().astype(np.int32)
@@ -74,8 +101,7 @@ def write_semantics(
         **about,
         "notes": list(regions.notes),
     }
-    write_ply(run.ply, labelled)
-    write_glb(run.glb, labelled, up)
+    run.write_result(labelled, up)
     tensors = {
         "features": features,
         "prototypes": regions.prototypes,
@@ -88,8 +114,15 @@ def write_semantics(
     return document
 
 
-def read_table(folder: Path) -> list[dict[str, Any]]:
-    """The labels of a run: id, name, count, share each. Raises InputError when it has none yet."""
+def read_labels(folder: Path) -> list[dict[str, Any]]:
+    """Read labels.json of a run.
+
+    Returns:
+        Its labels, as `label_table` makes them.
+
+    Raises:
+        InputError: If the run has no labels yet or the file is damaged.
+    """
     path = folder / TABLE
     document = read_json(path, f"The run {folder} has no labels yet: make them with `label`.")
     try:
@@ -102,7 +135,11 @@ def read_table(folder: Path) -> list[dict[str, Any]]:
 
 
 def read_semantics(folder: Path) -> Semantics:
-    """What `write_semantics` kept for searching. Raises InputError when it is missing or damaged."""
+    """Read semantics.safetensors of a run.
+
+    Raises:
+        InputError: If the run has no labels yet or a file is damaged.
+    """
     path = folder / FEATURES
     table = read_json(folder / TABLE, f"The run {folder} has no labels yet: make them with `label`.")
     try:

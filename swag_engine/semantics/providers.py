@@ -1,4 +1,4 @@
-"""Who finds regions and embeds them: chosen by name, by the user's words and masks, and by what is on this machine."""
+"""Choice of what finds regions and embeds them: by name, by the user's words and masks, and by available networks."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Literal
 
 from ..base.errors import InputError
 from ..scene.colmap import Scene
-from ..weights.registry import find_or_fetch, is_here
+from ..weights.registry import find_or_fetch, is_available
 from .captions import Blip, Captioner
 from .embed import Clip, Descriptor, Embedder
 from .grounded_sam import GroundedSam, GroundingDino, Sam
@@ -15,16 +15,25 @@ from .regions import RegionProvider
 from .saliency import Saliency
 
 Provider = Literal["masks", "grounded-sam", "saliency"]
+"""Name of a provider of regions."""
 Progress = Callable[[str, float], None]
+"""Called with the name of a stage and the fraction of it that is done."""
 
 
-def choose(
+def choose_provider(
     scene: Scene, words: Sequence[str], masks: Path | None, provider: Provider | None = None
 ) -> tuple[Provider, Path | None]:
-    """Whose regions, and the folder of masks.
+    """Choose the provider of regions.
 
-    Without a provider's name: masks where a folder is given, grounded-sam where there are words, else the scene's own
-    folder `labels` where it has one, else saliency.
+    Args:
+        scene: The scene, whose folder `labels` holds masks where it exists.
+        words: Words to look for.
+        masks: Folder of masks that the user named.
+        provider: Provider that the user named; without it masks where a folder is given, grounded-sam where there are
+            words, else masks where the scene has the folder `labels`, else saliency.
+
+    Returns:
+        The provider, and the folder of masks.
     """
     own = scene.folder / "labels"
     if masks is None and own.is_dir() and (provider == "masks" or not (provider or words)):
@@ -32,7 +41,7 @@ def choose(
     return provider or ("masks" if masks else "grounded-sam" if words else "saliency"), masks
 
 
-def region_provider(
+def make_provider(
     provider: Provider,
     scene: Scene,
     masks: Path | None,
@@ -41,7 +50,23 @@ def region_provider(
     download: bool,
     progress: Progress = lambda stage, fraction: None,
 ) -> tuple[RegionProvider, Captioner | None]:
-    """The provider of that name, and the captioner that says what to look for where it needs words and has none."""
+    """Make a provider of regions.
+
+    Args:
+        provider: Its name.
+        scene: The scene.
+        masks: Folder of masks.
+        has_words: Whether the user named words to look for.
+        weights_dir: Folder where networks are looked for first.
+        download: Whether networks may be downloaded.
+        progress: Called during downloads.
+
+    Returns:
+        The provider, and the captioner that finds words where the provider needs some and the user named none.
+
+    Raises:
+        InputError: If the folder of masks or a network is missing or damaged.
+    """
     if provider == "masks":
         if masks is None:
             raise InputError("Masks need a folder: name it with --masks.")
@@ -58,12 +83,24 @@ def region_provider(
     return GroundedSam(detector, Sam(network("mobile-sam-image"), network("mobile-sam-mask"))), captioner
 
 
-def region_embedder(
+def make_embedder(
     weights_dir: Path | None, download: bool, progress: Progress = lambda stage, fraction: None
 ) -> Embedder:
-    """CLIP where its files are there or may be fetched, else colour and texture. A damaged file of CLIP is refused."""
+    """Make an embedder of regions.
+
+    Args:
+        weights_dir: Folder where networks are looked for first.
+        download: Whether networks may be downloaded.
+        progress: Called during downloads.
+
+    Returns:
+        CLIP where its files exist or may be downloaded, else a Descriptor.
+
+    Raises:
+        InputError: If a file of CLIP is damaged or cannot be downloaded.
+    """
     files = "clip-image", "clip-text", "clip-vocabulary"
-    if not download and not all(is_here(name, weights_dir) for name in files):
+    if not download and not all(is_available(name, weights_dir) for name in files):
         return Descriptor()
     image, text, vocabulary = (_network(name, weights_dir, download, progress) for name in files)
     return Clip(image, text, vocabulary)

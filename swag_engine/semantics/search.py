@@ -1,4 +1,4 @@
-"""Words to Gaussians."""
+"""Search of Gaussians by words."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,31 +9,43 @@ from .embed import Embedder
 from .labels import Semantics
 
 NEUTRAL = ("object", "thing", "stuff", "texture", "scene", "background")
-"""Words that mean nothing in particular: what every text has in common is taken away (as LERF's canonical phrases,
-arXiv 2303.09553)."""
+"""Words without a particular meaning: the mean of their embeddings is subtracted from that of a query, as with the
+canonical phrases of LERF (arXiv 2303.09553)."""
 
 
 def similarity(
     semantics: Semantics, table: Sequence[dict[str, Any]], words: str, embedder: Embedder
 ) -> tuple[np.ndarray, list[str]]:
-    """How near each Gaussian is to `words`: (N,) float32, the cosine in -1..1, and the labels that are called so.
+    """Compare each Gaussian with words.
 
-    Labels whose name has the words in it, or is one of them, speak for themselves: the largest cosine with one of
-    theirs. Otherwise the words' embedding is compared. Gaussians without a feature get -1. Raises InputError when no
-    label is called so and `embedder` knows no words.
+    Labels that match the words are compared by their prototypes; without such labels the embedding of the words is.
+
+    Args:
+        semantics: Features of the run.
+        table: Its labels, as `read_labels` returns them.
+        words: What to look for.
+        embedder: Embeds the words.
+
+    Returns:
+        Cosine similarity (N,) float32, -1..1, the largest one of several labels, -1 for Gaussians without a feature;
+        and the labels that match the words.
+
+    Raises:
+        InputError: If no label matches and the embedder cannot embed words.
     """
-    named = [entry for entry in table if _called(entry["name"], words)]
-    if named:
-        queries = semantics.prototypes[[entry["id"] - 1 for entry in named]]
+    matching = [entry for entry in table if _matches(entry["name"], words)]
+    if matching:
+        queries = semantics.prototypes[[entry["id"] - 1 for entry in matching]]
     else:
         meaning = embedder.words([words])
         queries = semantics.projection(meaning, embedder.words(NEUTRAL).mean(0))
     cosines = (semantics.features @ queries.T).max(1)
     known = np.abs(semantics.features).sum(1) > 0
-    return np.where(known, cosines, -1).astype(np.float32), [entry["name"] for entry in named]
+    return np.where(known, cosines, -1).astype(np.float32), [entry["name"] for entry in matching]
 
 
-def _called(name: str, words: str) -> bool:
-    name, words = name.casefold(), words.casefold()
+def _matches(label: str, words: str) -> bool:
+    """Return whether a label contains the words, or all its words are among them; plural and case do not matter."""
+    label, words = label.casefold(), words.casefold()
     singular = {word.removesuffix("s") for word in words.split()}
-    return words in name or singular >= {word.removesuffix("s") for word in name.split()}
+    return words in label or singular >= {word.removesuffix("s") for word in label.split()}

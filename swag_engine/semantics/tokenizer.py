@@ -1,4 +1,4 @@
-"""Words to the numbers that text networks take: CLIP's byte pairs, BERT's word pieces."""
+"""Tokenizers of text networks: CLIP's byte pairs and BERT's word pieces."""
 
 import gzip
 import html
@@ -13,18 +13,24 @@ import numpy as np
 from ..base.errors import InputError
 
 END_OF_WORD = "</w>"
+"""Suffix of tokens that end a word."""
 CLIP_MERGES = 49152 - 256 - 2
-"""The file has more; CLIP uses these."""
+"""Merges that CLIP uses; its file has more."""
 
 
 class BytePairTokenizer:
-    """CLIP's lower-case byte pair encoding (Sennrich et al. 2016), of its file bpe_simple_vocab_16e6.txt.gz.
+    """CLIP's lower-case byte pair encoding (Sennrich et al. 2016).
 
     Tokens in this order: the 256 bytes, the 256 bytes that end a word, one for each merge, start and end of a text.
+
+    Args:
+        path: CLIP's bpe_simple_vocab_16e6.txt.gz.
+
+    Raises:
+        InputError: If the file is absent or not this vocabulary.
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises InputError when the file is absent or no such vocabulary."""
         lines = _text(path, gzip.open).splitlines()[1 : 1 + CLIP_MERGES]
         merges = [tuple(line.split()) for line in lines]
         if not merges or any(len(merge) != 2 for merge in merges):
@@ -38,7 +44,7 @@ class BytePairTokenizer:
         self.start, self.end = len(tokens), len(tokens) + 1
 
     def encode(self, text: str) -> list[int]:
-        """Token ids of the text, without start and end."""
+        """Return the token ids of a text, without start and end."""
         ids = []
         for word in _clip_words(html.unescape(html.unescape(text)).lower()):
             letters = "".join(self.letters[byte] for byte in word.encode("utf-8"))
@@ -46,11 +52,12 @@ class BytePairTokenizer:
         return ids
 
     def padded(self, text: str, length: int) -> np.ndarray:
-        """(length,) int64: start, tokens, end, and zeros; a text too long is cut short."""
+        """Return start, tokens, end and zeros, (length,) int64; a text that is too long is truncated."""
         ids = [self.start, *self.encode(text)[: length - 2], self.end]
         return np.array(ids + [0] * (length - len(ids)), np.int64)
 
     def _merged(self, letters: str) -> Sequence[str]:
+        """Return the tokens of a word."""
         pieces = [*letters[:-1], letters[-1] + END_OF_WORD]
         while len(pieces) > 1:
             pairs = list(zip(pieces, pieces[1:], strict=False))
@@ -68,21 +75,27 @@ class BytePairTokenizer:
 
 
 class WordPieceTokenizer:
-    """BERT's lower-case word pieces (Devlin et al. 2019), of its file vocab.txt, one token a line."""
+    """BERT's lower-case word pieces (Devlin et al. 2019).
+
+    Args:
+        path: BERT's vocab.txt, one token a line.
+
+    Raises:
+        InputError: If the file is absent or not this vocabulary.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Raises InputError when the file is absent or no such vocabulary."""
         self.tokens = _text(path, open).splitlines()
         self.ids = {token: number for number, token in enumerate(self.tokens)}
         if not {"[UNK]", "[CLS]", "[SEP]", "[PAD]", "."} <= self.ids.keys():
             raise InputError(f"{path} is not BERT's vocabulary vocab.txt: get it again.")
 
     def encode(self, text: str) -> list[int]:
-        """Token ids of the text, without [CLS] and [SEP]."""
+        """Return the token ids of a text, without [CLS] and [SEP]."""
         return [number for word in _bert_words(text) for number in self._pieces(word)]
 
     def decode(self, ids: Sequence[int]) -> str:
-        """The text of token ids; special tokens, and numbers beyond the vocabulary, are left out."""
+        """Return the text of token ids, without special tokens and numbers beyond the vocabulary."""
         text = ""
         for number in ids:
             token = self.tokens[number] if number < len(self.tokens) else "[UNK]"
@@ -93,7 +106,7 @@ class WordPieceTokenizer:
         return text.strip()
 
     def _pieces(self, word: str) -> list[int]:
-        """The longest piece of the vocabulary that the word begins with, and so on."""
+        """Return the tokens of a word: the longest piece of the vocabulary that it starts with, and so on."""
         pieces = []
         start = 0
         while start < len(word):
@@ -110,7 +123,7 @@ class WordPieceTokenizer:
 
 @lru_cache(maxsize=1)
 def _byte_letters() -> dict[int, str]:
-    """A visible letter for each byte, in the order of CLIP's vocabulary: the visible ones of Latin-1 are themselves."""
+    """Return a printable character for each byte, in the order of CLIP's vocabulary; printable Latin-1 is itself."""
     visible = [*range(ord("!"), ord("~") + 1), *range(ord("¡"), ord("¬") + 1), *range(ord("®"), ord("ÿ") + 1)]
     hidden = [byte for byte in range(256) if byte not in visible]
     letters = {byte: chr(byte) for byte in visible}
@@ -118,7 +131,7 @@ def _byte_letters() -> dict[int, str]:
 
 
 def _clip_words(text: str) -> Iterator[str]:
-    """CLIP's split: English endings after an apostrophe, runs of letters, single digits, runs of anything else."""
+    """Split as CLIP does: English endings after an apostrophe, runs of letters, digits, runs of anything else."""
     at = 0
     while at < len(text):
         ending = next((e for e in ("'s", "'t", "'re", "'ve", "'m", "'ll", "'d") if text.startswith(e, at)), None)
@@ -141,7 +154,7 @@ def _kind(character: str) -> str:
 
 
 def _bert_words(text: str) -> list[str]:
-    """Lower case without accents, split at blanks and at each punctuation mark."""
+    """Return lower case without accents, split at blanks and at each punctuation mark."""
     plain = unicodedata.normalize("NFD", text.lower())
     spaced = ""
     for character in plain:
@@ -155,7 +168,7 @@ def _bert_words(text: str) -> list[str]:
 
 def _text(path: Path, opened: object) -> str:
     if not path.is_file():
-        raise InputError(f"There is no file {path}: put the vocabulary there.")
+        raise InputError(f"There is no file {path}: save the vocabulary there.")
     try:
         with opened(path, "rt", encoding="utf-8") as file:  # type: ignore[operator]
             return str(file.read())

@@ -1,4 +1,4 @@
-"""Known kinds of water, for a user who knows better than the photographs tell."""
+"""Jerlov water types, for a user who knows the kind of water."""
 
 import math
 
@@ -20,14 +20,21 @@ JERLOV = {
 }
 """Diffuse attenuation per metre at 600, 525 and 475 nm (red, green, blue) of Jerlov's water types, from the clearest
 ocean (I) to the murkiest coast (9C): Jerlov, Marine Optics, 1976."""
-MOST = 10.0  # per metre; nothing is seen through it
+MOST = 10.0  # per metre; half a metre of such water transmits less than 1 %
 
 
 def water_of_type(text: str, metres_per_unit: float | None) -> tuple[np.ndarray, np.ndarray]:
-    """beta_D and beta_B (3,) per scene unit of a water type, to start from: both the water's attenuation.
+    """Return the initial coefficients of a water type.
 
-    text: a name of JERLOV in any case, or attenuation per metre as in "0.3,0.1,0.06" (red, green, blue).
-    Raises InputError for anything else, and where metres_per_unit is missing or no positive number.
+    Args:
+        text: A name of JERLOV in any case, or attenuation per metre such as "0.3,0.1,0.06" (red, green, blue).
+        metres_per_unit: Length of one scene unit in metres.
+
+    Returns:
+        beta_D and beta_B, each (3,), per scene unit; both are the water's attenuation.
+
+    Raises:
+        InputError: For an unknown type, and where `metres_per_unit` is missing or not positive.
     """
     name = text.strip()
     values = JERLOV.get(name.upper()) or _numbers(name)
@@ -52,7 +59,7 @@ def _numbers(name: str) -> tuple[float, ...]:
         )
     if not all(0 <= value <= MOST for value in values):
         raise InputError(
-            f"The water type {name!r} is no water: attenuation of red, green and blue must each be from 0 to {MOST:g} "
-            f"per metre."
+            f"The water type {name!r} is out of range: attenuation of red, green and blue must each be from 0 to "
+            f"{MOST:g} per metre."
         )
     return values

@@ -1,50 +1,74 @@
-"""How large a run is: three presets, and the sizes between and beyond them that a time budget chooses from."""
+"""Size of a run: three presets, and the sizes between and beyond them that a time budget chooses from."""
 
 import re
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any
 
 from ..base.errors import InputError
-
-Preset = Literal["draft", "standard", "high"]
 
 
 @dataclass(frozen=True)
 class Size:
-    """iterations: optimisation steps; width in pixels that photographs are trained at; most Gaussians."""
+    """Size of a run.
+
+    Attributes:
+        iterations: Number of optimisation steps.
+        width: Width of the training images in pixels.
+        max_gaussians: Largest number of Gaussians.
+        description: What a preset of this size is for.
+    """
 
     iterations: int
     width: int
     max_gaussians: int
+    description: str = field(default="", compare=False)
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the numbers by the names of the settings that they stand for."""
+        return {name: getattr(self, name) for name in SIZES}
 
 
-PRESETS: dict[Preset, Size] = {
-    "draft": Size(1500, 480, 45_000),
-    "standard": Size(3000, 640, 60_000),
-    "high": Size(9000, 960, 150_000),
+SIZES = ("iterations", "width", "max_gaussians")
+"""Settings that a preset or a time budget chooses where the user does not."""
+
+
+PRESETS: dict[str, Size] = {
+    "draft": Size(1500, 480, 45_000, "To see whether a scene works"),
+    "standard": Size(3000, 640, 60_000, "A good result in moderate time"),
+    "high": Size(9000, 960, 150_000, "For a result to keep"),
 }
 
 LADDER = (Size(60, 240, 5_000), *PRESETS.values(), Size(30_000, 1600, 1_000_000))
-"""Sizes that belong together, from what seconds suffice for to what only a fast graphics card finishes."""
+"""Sizes in ascending order, from a run of seconds to one that only a fast graphics card finishes."""
 
 
 def size_at(rung: float) -> Size:
-    """The size at a place of LADDER, 0 to len(LADDER) - 1; between two of them geometrically."""
+    """Interpolate between the sizes of LADDER.
+
+    Args:
+        rung: Position in LADDER, from 0 to len(LADDER) - 1; values outside are clamped.
+
+    Returns:
+        The size, each number interpolated geometrically.
+    """
     rung = min(max(rung, 0.0), len(LADDER) - 1)
     below = min(int(rung), len(LADDER) - 2)
     part = rung - below
-    pairs = zip(_numbers(LADDER[below]), _numbers(LADDER[below + 1]), strict=True)
+    pairs = zip(LADDER[below].numbers().values(), LADDER[below + 1].numbers().values(), strict=True)
     return Size(*(round(low ** (1 - part) * high**part) for low, high in pairs))
 
 
-def _numbers(size: Size) -> tuple[int, int, int]:
-    return size.iterations, size.width, size.max_gaussians
-
-
 def seconds_of(budget: str) -> float:
-    """Seconds that a text such as 90s, 10m, 1h30m or 600 says; 0 for an empty one.
+    """Read a duration.
 
-    Raises InputError for anything else, and for less than a second or more than a hundred days.
+    Args:
+        budget: Text such as 90s, 10m, 1h30m or 600 (seconds).
+
+    Returns:
+        Seconds; 0 for an empty text.
+
+    Raises:
+        InputError: For any other text, for less than a second and for more than 100 days.
     """
     if not budget:
         return 0.0

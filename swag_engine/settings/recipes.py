@@ -1,19 +1,25 @@
-"""Methods as values of one configuration; docs/recipes.md says line by line what each shares with its namesake."""
+"""Training methods as values of one configuration; docs/recipes.md compares each with the published method."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from ..base.errors import InputError
 from .effect_names import EFFECTS, PARTS, parse_effects
 
 Weights = tuple[float, float]
-"""A loss weight at the start and at the end of the run; linear between, unless said otherwise."""
+"""A loss weight at the start and at the end of the run, interpolated linearly unless stated otherwise."""
 
 
 @dataclass(frozen=True)
 class Photometric:
-    """Weights of what compares picture and photograph: mean absolute error, 1 - SSIM and mean square error."""
+    """Weights of the terms that compare a rendered image with its training image.
+
+    Attributes:
+        l1: Weight of the mean absolute error.
+        ssim: Weight of 1 - SSIM.
+        l2: Weight of the mean squared error.
+    """
 
     l1: Weights = (0.8, 0.8)
     ssim: float = 0.2
@@ -21,84 +27,95 @@ class Photometric:
 
 
 TRUE_L2 = Photometric(l1=(0.05, 0.05), ssim=0.0, l2=(0.9, 0.9))
-"""What PSNR measures; SWAGSplatting's own weights leave stage two to the absolute error (19:1 in gradient at 30 dB)."""
+"""The error that PSNR measures. With SWAGSplatting's own weights the absolute error dominates stage two: its gradient
+is 19 times that of the squared error at 30 dB."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a run computes beside plain Gaussian splatting (arXiv 2308.04079). A weight of 0 is not computed at all."""
+    """A training method: what it computes in addition to 3D Gaussian splatting (arXiv 2308.04079).
 
+    A loss term of weight 0 is not computed.
+    """
+
+    description: str = field(default="", compare=False)
+    """One line for the user, without a full stop."""
     planned: bool = False
-    """Let the plan of the scene (planning/plan.py) decide which effects to model; else only what the recipe names."""
+    """Whether the scene's plan (planning/plan.py) decides which effects to model; otherwise `effects` does."""
     effects: frozenset[str] = frozenset()
     """Names of the effects that are modelled."""
 
     medium: Literal["analytic", "network"] = "analytic"
-    """Coefficients of the whole scene (water/medium.py), or a network of direction and range (water/network.py)."""
+    """Water model: coefficients for the whole scene (water/medium.py), or a network of viewing direction and range
+    (water/network.py)."""
     light: Literal["linear", "srgb"] = "linear"
-    """What the water's formula works on."""
+    """Values that the water model works on: linear light or sRGB display values."""
     water_from: float = 0.0
-    """Share of the run after which the water joins."""
+    """Fraction of the run after which the water is modelled."""
     water_rate: float = 3e-3
-    """Adam's step size for the water's raw coefficients at the start; falls to 0 as a cosine."""
-    veil_rate: float = 3e-3
-    """The same for the water's colour: the sparse points see little of it where the water is endless."""
-    veil_degrees_from: float = 0.4
-    """Share of the run after which the water's colour may change with direction."""
+    """Initial learning rate (Adam) of the water's unconstrained coefficients; decays to 0 as a cosine."""
+    B_inf_rate: float = 3e-3
+    """Initial learning rate of the background light. It may be larger: sparse points show little of that light."""
+    B_inf_degrees_from: float = 0.4
+    """Fraction of the run after which the background light may change with direction."""
 
     photometric: Photometric = Photometric()
     relative: bool = False
-    """Divide residuals by the rendered brightness (WaterSplatting): dark, far parts count as much as bright ones."""
+    """Whether residuals are divided by the rendered brightness (WaterSplatting), so that dark, distant parts count as
+    much as bright ones."""
 
     stage_two_from: float = 1.0
-    """Share of the run after which geometry and water are frozen, and only appearance goes on."""
+    """Fraction of the run after which geometry and water are frozen and only appearance is optimised."""
     photometric_two: Photometric = TRUE_L2
     """Weights in stage two."""
 
-    growth: Literal["default", "mcmc"] = "default"
-    grow_until: float = 0.5
-    """Share of the run after which the number of Gaussians stays."""
-    undimmed_growth: bool = False
-    """Weigh what a Gaussian is pulled with by how much of it the water lets through (UW-GS)."""
+    densification: Literal["default", "mcmc"] = "default"
+    """Strategy that adds and removes Gaussians (gaussians/densify.py)."""
+    densify_until: float = 0.5
+    """Fraction of the run after which the number of Gaussians stays the same."""
+    undimmed_densification: bool = False
+    """Whether the gradients that densification compares are divided by the water's transmission (UW-GS)."""
     reallocation: Literal["off", "balanced", "identical"] = "off"
-    """Move Gaussians from where they show least to where the error is largest: clones that keep the picture, or
-    identical copies."""
+    """Whether Gaussians that contribute least are moved to where the error is largest: as clones whose opacities keep
+    the rendered image, or as identical copies."""
 
     dropout: float = 0.0
     """Largest fraction of the Gaussians that an iteration drops at random where the run overfits
     (training/dropout.py)."""
 
     depth_weight: float = 0.1
-    """Weight of the depth prior at the start, where it is on; falls to a tenth geometrically until stage two."""
+    """Initial weight of the depth prior, where it is on; decays geometrically to a tenth until stage two."""
     grey_world: float = 0.0
-    """Weight of the restored picture being grey on average."""
+    """Weight of the term that makes the restored image grey on average."""
     grey_world_target: Literal["mean", "middle"] = "mean"
-    """Grey like its own mean, or middle grey."""
+    """Grey of the restored image's own mean, or middle grey."""
     smoothness: float = 0.0
-    """Weight of range being smooth where the picture is."""
+    """Weight of the term that makes range smooth where the image is smooth."""
     smoothness_edges: Literal["photograph", "render"] = "photograph"
+    """Image whose edges allow edges in range."""
     hinge: float = 0.0
-    """Weight of the channels' attenuation keeping its order."""
+    """Weight of the term that keeps the order of attenuation between the channels."""
     hinge_order: Literal["fitted", "oceanic"] = "fitted"
-    """The order that the sparse points gave, or red over green over blue."""
+    """The order fitted to the sparse points, or red above green above blue."""
     range_consistency: float = 0.0
-    """Weight of the range that the network's transmission implies being the Gaussian's (recipe paper's L_ca)."""
+    """Weight of the difference between the Gaussians' range and the range that the network's transmission implies
+    (L_ca of SWAGSplatting)."""
     frame_weight: float = 0.1
     """Weight of interpolated frames, where they are on."""
-    salient_growth: bool = False
-    """Grow, and reallocate to, what stands out in the photographs more than the rest."""
+    salient_densification: bool = False
+    """Whether salient regions are densified, and reallocated to, first."""
     salient_pixels: bool = False
-    """Let pixels of what stands out count more than the rest."""
+    """Whether pixels of salient regions weigh more in the loss."""
     open_water: float = 0.0
-    """Weight of open water being empty, and of the water's own colour being that of its pixels."""
+    """Weight of the terms that keep open water free of Gaussians and fit the background light to its pixels."""
     class_pruning: bool = False
-    """Drop Gaussians of haze, fish and open water."""
+    """Whether Gaussians of haze, fish and open water are removed."""
 
     @property
     def uses_regions(self) -> bool:
-        """Whether the photographs have to be parted into regions."""
+        """Whether the images have to be segmented into regions."""
         return "semantics" in self.effects or any(
-            (self.salient_growth, self.salient_pixels, self.open_water, self.class_pruning)
+            (self.salient_densification, self.salient_pixels, self.open_water, self.class_pruning)
         )
 
 
@@ -109,22 +126,46 @@ WATER = frozenset({"attenuation", "backscatter", "separate_backscatter"})
 """Effects of methods that always model the water."""
 
 RECIPES: dict[str, Recipe] = {
-    "swag": Recipe(planned=True, water_rate=1e-3, veil_rate=1e-2, stage_two_from=0.9, dropout=0.2),
-    "3dgs": Recipe(),
-    "seasplat": Recipe(
-        effects=WATER, light="srgb", water_from=0.33, veil_degrees_from=1.0, grey_world=0.02, smoothness=0.05
+    "swag": Recipe(
+        "Models the water and the effects that the scene calls for, and removes them",
+        planned=True,
+        water_rate=1e-3,
+        B_inf_rate=1e-2,
+        stage_two_from=0.9,
+        dropout=0.2,
     ),
-    "uw-gs": Recipe(effects=WATER | {"depth_prior"}, light="srgb", veil_degrees_from=1.0, undimmed_growth=True),
-    "watersplatting": Recipe(effects=WATER, light="srgb", veil_degrees_from=0.0, relative=True),
-    "rusplatting": Recipe(effects=WATER | {"interpolation"}, light="srgb", veil_degrees_from=1.0, smoothness=0.05),
+    "3dgs": Recipe("Plain Gaussian splatting: the scene as photographed"),
+    "seasplat": Recipe(
+        "Follows SeaSplat",
+        effects=WATER,
+        light="srgb",
+        water_from=0.33,
+        B_inf_degrees_from=1.0,
+        grey_world=0.02,
+        smoothness=0.05,
+    ),
+    "uw-gs": Recipe(
+        "Follows UW-GS",
+        effects=WATER | {"depth_prior"},
+        light="srgb",
+        B_inf_degrees_from=1.0,
+        undimmed_densification=True,
+    ),
+    "watersplatting": Recipe(
+        "Follows WaterSplatting", effects=WATER, light="srgb", B_inf_degrees_from=0.0, relative=True
+    ),
+    "rusplatting": Recipe(
+        "Follows RUSplatting", effects=WATER | {"interpolation"}, light="srgb", B_inf_degrees_from=1.0, smoothness=0.05
+    ),
     "paper": Recipe(
+        "Follows SWAGSplatting as published",
         effects=WATER | {"depth_prior", "interpolation"},
         medium="network",
         light="srgb",
         photometric=PAPER_LOSS,
         stage_two_from=0.6,
         photometric_two=PAPER_LOSS_TWO,
-        grow_until=0.4,
+        densify_until=0.4,
         reallocation="identical",
         grey_world=1.0,
         grey_world_target="middle",
@@ -143,7 +184,7 @@ SWITCHES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "grey_world": ({"grey_world": 0.02}, {"grey_world": 0.0}),
     "smoothness": ({"smoothness": 0.05}, {"smoothness": 0.0}),
     "hinge": ({"hinge": 1e-3}, {"hinge": 0.0}),
-    "salient_growth": ({"salient_growth": True}, {"salient_growth": False}),
+    "salient_densification": ({"salient_densification": True}, {"salient_densification": False}),
     "salient_pixels": ({"salient_pixels": True}, {"salient_pixels": False}),
     "open_water": ({"open_water": 0.1}, {"open_water": 0.0}),
     "class_pruning": ({"class_pruning": True}, {"class_pruning": False}),
@@ -153,10 +194,18 @@ assert set(SWITCHES) == set(PARTS)
 
 
 def recipe_of(name: str, effects: str = "", planned: Mapping[str, bool] | None = None) -> Recipe:
-    """The recipe `name` with the effects that a plan has on (`planned`, by name), where the recipe takes a plan, and
-    with switches such as "water=off,lamp=on" applied.
+    """Return a recipe with the plan's effects and the user's choices applied.
 
-    Switching on what the recipe has keeps the recipe's own values. Raises InputError for unknown names and states.
+    Args:
+        name: Name of the recipe.
+        effects: Choices such as "water=off,lamp=on"; they override the plan.
+        planned: Whether the plan has each effect on, by name; used only by recipes that follow a plan.
+
+    Returns:
+        The recipe. A part that is switched on and was on already keeps the recipe's values.
+
+    Raises:
+        InputError: For an unknown recipe, effect or state.
     """
     if name not in RECIPES:
         raise InputError(f"The setting recipe must be one of {', '.join(RECIPES)}, not {name!r}.")

@@ -1,4 +1,4 @@
-"""Splats as they leave the optimiser: what files hold, what Blender shows. numpy only, Blender's Python imports it."""
+"""Splats as numpy arrays, as files hold them and Blender shows them. numpy only, Blender imports it."""
 
 import logging
 from collections.abc import Sequence
@@ -15,17 +15,19 @@ log = logging.getLogger(__name__)
 
 @dataclass(eq=False)
 class Splats:
-    """N anisotropic Gaussians with view-dependent colour, every value after its activation.
+    """N anisotropic Gaussians with view-dependent color, every value after its activation.
 
-    positions  (N, 3) float32, world units
-    rotations  (N, 4) float32, unit quaternions wxyz, from the Gaussian's axes to the world
-    scales     (N, 3) float32, standard deviation along each axis, world units (not their logarithm)
-    opacities  (N,)   float32, 0..1 (not their logit)
-    sh         (N, K, 3) float32, raw spherical-harmonic coefficients of R, G, B, constant term first;
-               K = 1, 4, 9 or 16 for degree 0 to 3; colour = .5 + sum of coefficient x basis (see transform.sh_basis)
-    extras     name -> (N,) numbers of any real, integer or bool dtype, such as label or similarity
+    Attributes:
+        positions: (N, 3) float32, world units.
+        rotations: (N, 4) float32, unit quaternions wxyz, from the Gaussian's axes to the world.
+        scales: (N, 3) float32, standard deviation along each axis, world units (not their logarithm).
+        opacities: (N,) float32, 0..1 (not their logit).
+        sh: (N, K, 3) float32, spherical-harmonic coefficients of R, G, B, constant term first; K = 1, 4, 9 or 16 for
+            degree 0 to 3. Color = .5 + sum of coefficient times basis (`transform.sh_basis`).
+        extras: Name -> (N,) numbers of any real, integer or bool dtype, such as label or similarity.
 
-    Raises ValueError when a shape or a dtype is another.
+    Raises:
+        ValueError: If a shape or a dtype is another.
     """
 
     positions: np.ndarray
@@ -64,7 +66,11 @@ class Splats:
         return isqrt(self.sh.shape[1]) - 1
 
     def subset(self, chosen: np.ndarray) -> "Splats":
-        """The splats that `chosen`, a mask (N,) bool or indices (M,), picks."""
+        """Return some of the splats.
+
+        Args:
+            chosen: Mask (N,) bool, or indices (M,).
+        """
         return Splats(
             self.positions[chosen],
             self.rotations[chosen],
@@ -76,7 +82,14 @@ class Splats:
 
 
 def concatenate(parts: Sequence[Splats]) -> Splats:
-    """All `parts` (at least one) as one; harmonics and extras that a part lacks are zero for its splats."""
+    """Join splats.
+
+    Args:
+        parts: At least one.
+
+    Returns:
+        All splats; spherical harmonics and extras that a part lacks are zero for its splats.
+    """
     if len(parts) == 1:
         return parts[0]
     ends = np.cumsum([len(part) for part in parts])
@@ -101,16 +114,25 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
     )
 
 
-def cleaned(splats: Splats, path: Path) -> Splats:
-    """What was read from the file `path`, fit to be shown: unit quaternions, no splat with a NaN or an infinity.
+def clean_splats(splats: Splats, path: Path) -> Splats:
+    """Normalise quaternions, and drop splats with a NaN or an infinity.
 
-    Quaternions are brought to length 1 (zero ones to no rotation, as the field's renderers take them). Splats with a
-    value that is not finite are left out and their number is logged. Raises InputError when none is left.
+    Quaternions of length 0 become no rotation, as in 3DGS renderers. The number of dropped splats is logged.
+
+    Args:
+        splats: Splats as they were read.
+        path: The file that they were read from, for messages.
+
+    Returns:
+        The splats that can be shown.
+
+    Raises:
+        InputError: If there are none.
     """
     lengths = np.linalg.norm(splats.rotations.astype(np.float64), axis=1)
     rotations = splats.rotations.copy()
-    off = (np.abs(lengths - 1) > 1e-6) & (lengths > 0) & np.isfinite(lengths)  # the others stay bit-equal
-    rotations[off] = rotations[off] / lengths[off, None]
+    scaled = (np.abs(lengths - 1) > 1e-6) & (lengths > 0) & np.isfinite(lengths)  # the others stay the same to the bit
+    rotations[scaled] = rotations[scaled] / lengths[scaled, None]
     rotations[lengths == 0] = (1, 0, 0, 0)
     splats = Splats(splats.positions, rotations, splats.scales, splats.opacities, splats.sh, splats.extras)
 
@@ -118,10 +140,8 @@ def cleaned(splats: Splats, path: Path) -> Splats:
     for array in (splats.positions, rotations, splats.scales, splats.sh.reshape(len(splats), splats.sh.shape[1] * 3)):
         finite &= np.isfinite(array).all(axis=1)
     if not finite.any():
-        raise InputError(
-            f"{path} holds no splat with finite numbers; write the file again from the program it is from."
-        )
+        raise InputError(f"{path} holds no splat with finite numbers; write it again with the program that made it.")
     if finite.all():
         return splats
-    log.warning("%s: %d of %d splats hold a NaN or an infinity and were left out", path, (~finite).sum(), len(splats))
+    log.warning("%s: %d of %d splats hold a NaN or an infinity and were dropped", path, (~finite).sum(), len(splats))
     return splats.subset(finite)

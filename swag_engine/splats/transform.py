@@ -1,20 +1,34 @@
-"""Moving, turning, scaling, mirroring and shearing splats, colours included. numpy only, Blender's Python imports it.
+"""Affine transforms of splats, colors included. numpy only, Blender imports it.
 
-Everything is computed in float64 and rounded once to float32, but for the product that turns the harmonics.
+Everything is computed in float64 and rounded once to float32, except the product that rotates spherical harmonics.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from .splats import Splats
 
+C0 = 0.28209479177387814
+"""Constant spherical harmonic, 1 / (2 sqrt(pi))."""
+
 
 def transformed(splats: Splats, matrix: np.ndarray) -> Splats:
-    """The splats after the affine map `matrix` (4, 4), which multiplies column vectors from the left.
+    """Apply an affine map to splats.
 
-    Covariances become A Sigma A^T with A = matrix[:3, :3], whatever A is. Colours turn with the splats, so that what a
-    camera sees stays what the camera moved along sees; under an uneven scale or a shear, where no finite harmonic can
-    follow exactly, they turn with the nearest rotation (or reflection) of the polar decomposition of A.
-    Raises ValueError when the matrix is not finite or not affine.
+    Covariances become A Sigma A^T with A = matrix[:3, :3]. Colors rotate with the splats, so that a camera that is
+    transformed along sees the same. Under an uneven scale or a shear, which no finite degree of spherical harmonics can
+    follow exactly, they rotate with the orthogonal factor of the polar decomposition of A.
+
+    Args:
+        splats: Splats to transform.
+        matrix: (4, 4), which multiplies column vectors from the left.
+
+    Returns:
+        The transformed splats, with the same opacities and extras.
+
+    Raises:
+        ValueError: If the matrix is not finite or not affine.
     """
     matrix = np.asarray(matrix, np.float64)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or not np.allclose(matrix[3], (0, 0, 0, 1)):
@@ -22,10 +36,10 @@ def transformed(splats: Splats, matrix: np.ndarray) -> Splats:
     linear = matrix[:3, :3]
     positions = (splats.positions @ linear.T + matrix[:3, 3]).astype(np.float32)
     left, stretches, right = np.linalg.svd(linear)
-    turn = left @ right  # orthogonal; a reflection when the matrix mirrors
+    rotation = left @ right  # orthogonal; a reflection when the matrix mirrors
     if stretches[0] - stretches[2] <= 1e-7 * stretches[0]:
-        # A Gaussian is its own mirror image through its centre, so a reflection acts on it as the rotation -turn.
-        proper = turn * np.sign(np.linalg.det(turn))
+        # A Gaussian is symmetric about its centre, so a reflection acts on it as the rotation -reflection does.
+        proper = rotation * np.sign(np.linalg.det(rotation))
         rotations = splats.rotations @ _left_product(quaternions(proper)).T
         scales = splats.scales * stretches.mean()
     else:
@@ -35,7 +49,7 @@ def transformed(splats: Splats, matrix: np.ndarray) -> Splats:
         scales = np.sqrt(np.maximum(variances, 0))
     count, coefficients = splats.sh.shape[:2]
     # One product of (N, 3K) with (3K, 3K): much faster than N small ones.
-    mixing = np.kron(sh_rotation(turn, splats.degree), np.eye(3)).astype(np.float32)
+    mixing = np.kron(sh_rotation(rotation, splats.degree), np.eye(3)).astype(np.float32)
     return Splats(
         positions,
         rotations.astype(np.float32),
@@ -47,13 +61,13 @@ def transformed(splats: Splats, matrix: np.ndarray) -> Splats:
 
 
 def covariances(splats: Splats) -> np.ndarray:
-    """Sigma = R diag(scales^2) R^T of each splat, (N, 3, 3) float64, world units squared."""
-    spread = rotation_matrices(splats.rotations) * splats.scales.astype(np.float64)[:, None, :]
-    return spread @ spread.transpose(0, 2, 1)
+    """Return Sigma = R diag(scales^2) R^T of each splat, (N, 3, 3) float64, world units squared."""
+    factor = rotation_matrices(splats.rotations) * splats.scales.astype(np.float64)[:, None, :]
+    return factor @ factor.transpose(0, 2, 1)
 
 
 def rotation_matrices(rotations: np.ndarray) -> np.ndarray:
-    """Unit quaternions (..., 4) wxyz as rotation matrices (..., 3, 3) float64."""
+    """Convert unit quaternions (..., 4) wxyz to rotation matrices (..., 3, 3) float64."""
     w, x, y, z = np.moveaxis(np.asarray(rotations, np.float64), -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -64,7 +78,7 @@ def rotation_matrices(rotations: np.ndarray) -> np.ndarray:
 
 
 def quaternions(matrices: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) as unit quaternions (..., 4) wxyz float64, the largest component positive."""
+    """Convert rotation matrices (..., 3, 3) to unit quaternions (..., 4) wxyz float64, largest component positive."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(np.asarray(matrices, np.float64), (-2, -1), (0, 1))
     # 4 q q^T from the matrix; its row with the largest diagonal is q times a number well away from zero.
     products = np.stack(
@@ -82,13 +96,18 @@ def quaternions(matrices: np.ndarray) -> np.ndarray:
 
 
 def sh_basis(directions: np.ndarray, degree: int) -> np.ndarray:
-    """The real spherical harmonics of 3D Gaussian Splatting (Kerbl et al. 2023), Condon-Shortley phase included.
+    """Evaluate the real spherical harmonics of 3D Gaussian Splatting (Kerbl et al. 2023), with Condon-Shortley phase.
 
-    directions (M, 3), unit, from the eye to the splat; degree 0 to 3; returns (M, (degree + 1)^2) float64.
+    Args:
+        directions: (M, 3), of unit length, from the camera centre to the splat.
+        degree: 0 to 3.
+
+    Returns:
+        Values (M, (degree + 1)^2) float64, constant term first.
     """
     x, y, z = np.asarray(directions, np.float64).T
     xx, yy, zz = x * x, y * y, z * z
-    basis = [np.full_like(x, 0.28209479177387814)]
+    basis = [np.full_like(x, C0)]
     if degree > 0:
         basis += [-0.4886025119029199 * y, 0.4886025119029199 * z, -0.4886025119029199 * x]
     if degree > 1:
@@ -112,27 +131,57 @@ def sh_basis(directions: np.ndarray, degree: int) -> np.ndarray:
     return np.stack(basis, axis=1)
 
 
-def sh_rotation(turn: np.ndarray, degree: int) -> np.ndarray:
-    """The matrix (K, K) float64 that takes coefficients of a function f(d) to those of f(turn^-1 d).
+def sh_rotation(rotation: np.ndarray, degree: int) -> np.ndarray:
+    """Make the matrix that rotates spherical-harmonic coefficients.
 
-    turn (3, 3) is orthogonal, a rotation or a reflection. Each degree maps to itself, so its block follows exactly from
-    more directions than it has coefficients, by least squares.
+    Each degree maps to itself, so its block follows exactly, by least squares, from values in more directions than it
+    has coefficients.
+
+    Args:
+        rotation: (3, 3) orthogonal matrix, a rotation or a reflection.
+        degree: 0 to 3.
+
+    Returns:
+        Matrix (K, K) float64, K = (degree + 1)^2, from the coefficients of f(d) to those of f(rotation^-1 d).
     """
-    # A spiral of directions, evenly spread over the sphere and without symmetry.
+    # A spiral of directions, uniform over the sphere and without symmetry.
     steps = np.arange(32)
     height, angle = (2 * steps + 1) / 32 - 1, steps * np.pi * (3 - 5**0.5)
     radius = np.sqrt(1 - height**2)
     directions = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
-    here, before = sh_basis(directions, degree), sh_basis(directions @ turn, degree)
+    after, before = sh_basis(directions, degree), sh_basis(directions @ rotation, degree)
     result = np.zeros(((degree + 1) ** 2,) * 2)
     for band in range(degree + 1):
         block = slice(band**2, (band + 1) ** 2)
-        result[block, block] = np.linalg.lstsq(here[:, block], before[:, block], rcond=None)[0]
-    result[np.abs(result) < 1e-12] = 0  # so that quarter turns, and none, are exact
+        result[block, block] = np.linalg.lstsq(after[:, block], before[:, block], rcond=None)[0]
+    result[np.abs(result) < 1e-12] = 0  # so that rotations by multiples of 90 degrees are exact
     return result
 
 
+def rotation_to_y_up(up: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Make the rotation from axes with any up direction to axes with y up.
+
+    Args:
+        up: Up direction (3,), of any length.
+
+    Returns:
+        Matrix (3, 3) float64 that takes `up` to y: by 180 degrees around x first where `up` points below, then by the
+        smallest angle.
+
+    Raises:
+        ValueError: If `up` is not three finite numbers, or is zero.
+    """
+    direction = np.asarray(up, np.float64)
+    length = np.linalg.norm(direction)
+    if direction.shape != (3,) or not np.isfinite(length) or not length:
+        raise ValueError(f"up must be a direction of three numbers, got {up}")
+    flip = np.diag([1.0, -1.0, -1.0]) if direction[1] < 0 else np.eye(3)
+    x, y, z = flip @ direction / length
+    cross = np.array([[0, -x, 0], [x, 0, z], [0, -z, 0]])  # of the axis, direction x (0, 1, 0) = (-z, 0, x)
+    return (np.eye(3) + cross + cross @ cross / (1 + y)) @ flip
+
+
 def _left_product(quaternion: np.ndarray) -> np.ndarray:
-    """The matrix (4, 4) that multiplies a quaternion wxyz by `quaternion` from the left."""
+    """Return the matrix (4, 4) that multiplies a quaternion wxyz by `quaternion` from the left."""
     w, x, y, z = quaternion
     return np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])

@@ -4,8 +4,8 @@ import torch
 from torch import Tensor
 
 from ..base.timing import part
-from ..gaussians.densify import Growth, McmcGrowth, random_of
-from ..gaussians.relocate import reallocate
+from ..gaussians.densify import DensificationStrategy, McmcStrategy, SplitStrategy, random_of
+from ..gaussians.relocate import relocate
 from ..rendering.importance import scores
 from ..settings.recipes import Recipe
 from .effect_selection import EffectSelection
@@ -19,9 +19,9 @@ FULL_AFTER = 0.8
 """Fraction of densification after which the number of Gaussians is at its limit, so that late ones can settle."""
 
 
-def strategy_of(recipe: Recipe) -> Growth:
+def strategy_of(recipe: Recipe) -> DensificationStrategy:
     """Return the densification strategy of a recipe."""
-    return McmcGrowth() if recipe.growth == "mcmc" else Growth()
+    return McmcStrategy() if recipe.densification == "mcmc" else SplitStrategy()
 
 
 class Densification:
@@ -55,7 +55,7 @@ class Densification:
             self._relocate(state, sh_degree, water_degree)
 
     def _densify(self, state: RunState, random: torch.Generator) -> None:
-        schedule, fraction, until = self.inputs.schedule, state.clock.fraction, state.recipe.grow_until
+        schedule, fraction, until = self.inputs.schedule, state.clock.fraction, state.recipe.densify_until
         if state.iteration % schedule.densify_every or not schedule.densify_from <= fraction <= until:
             return
         progress = (fraction - schedule.densify_from) / (until - schedule.densify_from)
@@ -64,10 +64,10 @@ class Densification:
         weight = None
         if self.guidance:
             self.guidance.prune(state.cloud)
-            weight = self.guidance.growth_weights(state.cloud)
+            weight = self.guidance.densification_weights(state.cloud)
         with torch.no_grad():
             state.replace_cloud(
-                *strategy_of(state.recipe).event(
+                *strategy_of(state.recipe).densify(
                     state.cloud, state.statistics, budget, self.inputs.median_range, random, weight
                 )
             )
@@ -77,7 +77,7 @@ class Densification:
         schedule, recipe, fraction = self.inputs.schedule, state.recipe, state.clock.fraction
         every = max(1, round(schedule.relocate_every * state.clock.iterations))
         last = recipe.stage_two_from - schedule.relocate_every
-        if recipe.reallocation == "off" or state.iteration % every or not recipe.grow_until <= fraction <= last:
+        if recipe.reallocation == "off" or state.iteration % every or not recipe.densify_until <= fraction <= last:
             return
         objective = self.selection.objective(recipe)
 
@@ -93,6 +93,6 @@ class Densification:
         backend = self.inputs.settings.backend
         effects = state.effects
         S, E = scores(state.cloud, views, sh_degree, effects.medium, water_degree, backend, effects.lamp)
-        if self.guidance and (weight := self.guidance.growth_weights(state.cloud)) is not None:
+        if self.guidance and (weight := self.guidance.densification_weights(state.cloud)) is not None:
             E = E * weight
-        state.replace_cloud(*reallocate(state.cloud, S, E, identical=recipe.reallocation == "identical"))
+        state.replace_cloud(*relocate(state.cloud, S, E, identical=recipe.reallocation == "identical"))

@@ -19,11 +19,11 @@ from ..rendering.render import background_color
 from ..scene.cameras import Camera
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage, cache_folder
-from ..semantics.assign import EVERY, assign, semantic_loss, targets_in_view
+from ..semantics.assign import FEATURES_EVERY, assign, semantic_loss, targets_in_view
 from ..semantics.labels import write_semantics
-from ..semantics.providers import choose, region_embedder, region_provider
-from ..semantics.regions import SceneRegions, checked_words, find_regions, resized_labels
-from ..semantics.saliency import OPEN_WATER, open_water, saliency, small_copy
+from ..semantics.providers import choose_provider, make_embedder, make_provider
+from ..semantics.regions import SceneRegions, check_words, find_regions, resized_labels
+from ..semantics.saliency import OPEN_WATER, open_water, resize_for_saliency, saliency
 from ..settings.recipes import Recipe
 from ..settings.settings import TrainSettings
 from ..splats.splats import Splats
@@ -88,8 +88,8 @@ class Guidance:
     ) -> Tensor:
         """Compute what the regions of an image add to its loss.
 
-        In one iteration of EVERY that is L_s, differentiable in the cloud's features alone; and, where the recipe says
-        so, open_water_loss.
+        In one iteration of FEATURES_EVERY that is L_s, differentiable in the cloud's features alone; and, where the
+        recipe says so, open_water_loss.
 
         Args:
             cloud: The Gaussians.
@@ -105,7 +105,7 @@ class Guidance:
         """
         labels = self.labels_at(target.camera)
         loss = alpha.new_zeros(())
-        if iteration % EVERY == 0:
+        if iteration % FEATURES_EVERY == 0:
             with torch.no_grad():
                 targets, assigned = targets_in_view(cloud, target.camera, self.regions, self.backend, labels)
             loss = max(0.01, 0.3 * (1 - progress)) * semantic_loss(cloud.features, targets, assigned)
@@ -123,9 +123,9 @@ class Guidance:
         lengths = features.norm(dim=1)
         return torch.where((lengths > SURE) & (cosines > SURE * lengths), best + 1, 0)
 
-    def growth_weights(self, cloud: GaussianCloud) -> Tensor | None:
+    def densification_weights(self, cloud: GaussianCloud) -> Tensor | None:
         """Return factors (N,) float32 on the scores of densification and relocation by salience; None without."""
-        if not self.recipe.salient_growth:
+        if not self.recipe.salient_densification:
             return None
         return self.weights.to(cloud.features)[self.labels_of(cloud.features)]
 
@@ -164,10 +164,10 @@ def find_guidance(
         A sentence for the user, and the guidance; None where regions cannot be found.
     """
     try:
-        words = checked_words(settings.words.split(",")) if settings.words else ()
-        chosen, masks = choose(scene, words, Path(settings.masks) if settings.masks else None)
-        finder, captioner = region_provider(chosen, scene, masks, bool(words), weights_dir, download=False)
-        embedder = region_embedder(weights_dir, download=False)
+        words = check_words(settings.words.split(",")) if settings.words else ()
+        chosen, masks = choose_provider(scene, words, Path(settings.masks) if settings.masks else None)
+        finder, captioner = make_provider(chosen, scene, masks, bool(words), weights_dir, download=False)
+        embedder = make_embedder(weights_dir, download=False)
         regions = find_regions(training, finder, embedder, words, captioner, cache_folder(scene, "semantics"))
     except InputError as error:
         return f"No labels: {error}", None
@@ -181,7 +181,7 @@ def salience(regions: SceneRegions, images: Sequence[TrainingImage]) -> Tensor:
     count = len(regions.labels) + 1
     sums, pixels = np.zeros(count), np.zeros(count)
     for image in images:
-        small = small_copy(image.pixels)
+        small = resize_for_saliency(image.pixels)
         standing = np.where(open_water(small), 0, saliency(small)).astype(np.float32)
         found = cv2.resize(standing, image.valid.shape[::-1])
         labels = regions.maps[image.camera.name].ravel()

@@ -9,13 +9,13 @@ from torch import Tensor
 
 from ..evidence.observations import FIT_WIDTH, observe
 from ..gaussians.cloud import GaussianCloud
-from ..gaussians.sh import C0
+from ..kernels.reference.harmonics import C0
+from ..kernels.reference.transfer import to_display
 from ..planning.plan import Plan
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage, load_images
 from ..settings.jerlov import water_of_type
 from ..settings.recipes import Recipe
-from ..water.light import to_display
 from ..water.medium import Medium, without_water
 from ..water.network import WaterNetwork
 from .inputs import RunInputs

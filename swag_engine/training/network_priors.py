@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
+from ..evidence.scene_evidence import FrameNetwork
 from ..priors.depth import InverseDepth, StoredDepth, depth_priors
-from ..priors.interpolate import Interpolator, admission, interpolated_pose, neighbour_pairs
+from ..priors.interpolate import Interpolator, interpolated_pose, interpolation_test, neighbour_pairs
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage
 from ..weights.registry import find
@@ -68,20 +69,30 @@ def interpolated_frames(
     Returns:
         A sentence for the user, and the frames with their cameras.
     """
-    images = {image.camera.name: image for image in training}
-    pairs = neighbour_pairs([view.camera.name for view in scene.views], images)
     try:
-        interpolator = Interpolator(find(FRAME_NETWORK, weights_dir))
-        judged = admission(interpolator, images, pairs)
-        if not judged.admitted:
-            return f"No interpolated frames: {judged.reason}", []
-        frames = []
-        for first, second in ((images[a], images[b]) for a, b in pairs):
-            if first.pixels.shape != second.pixels.shape:
-                continue
-            camera = interpolated_pose(first.camera, second.camera, 0.5)
-            pixels = interpolator(first.pixels, second.pixels, 0.5)
-            frames.append(TrainingImage(camera, pixels, first.valid & second.valid))
+        return frames_between(Interpolator(find(FRAME_NETWORK, weights_dir)), scene, training)
     except InputError as error:
         return f"No interpolated frames: {error}", []
+
+
+def frames_between(
+    interpolator: FrameNetwork, scene: Scene, training: Sequence[TrainingImage]
+) -> tuple[str, list[TrainingImage]]:
+    """Interpolate frames by a network; other arguments and results as of `interpolated_frames`.
+
+    Raises:
+        InputError: If two neighbouring images have different intrinsics, or the network fails.
+    """
+    images = {image.camera.name: image for image in training}
+    pairs = neighbour_pairs([view.camera.name for view in scene.views], images)
+    judged = interpolation_test(interpolator, images, pairs)
+    if not judged.accepted:
+        return f"No interpolated frames: {judged.reason}", []
+    frames = []
+    for first, second in ((images[a], images[b]) for a, b in pairs):
+        if first.pixels.shape != second.pixels.shape:
+            continue
+        camera = interpolated_pose(first.camera, second.camera, 0.5)
+        pixels = interpolator(first.pixels, second.pixels, 0.5)
+        frames.append(TrainingImage(camera, pixels, first.valid & second.valid))
     return f"{len(frames)} interpolated frames ({judged.psnr:.1f} dB against images that were left out).", frames

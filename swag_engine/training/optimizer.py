@@ -144,10 +144,5 @@ def adam_step(
         step: Number of the step, from 1.
         backend: What computes.
     """
-    if kernels := kernels_for(backend, parameter):
-        kernels.adam_step(parameter, gradient, exp_avg, exp_avg_sq, rate, *BETAS, EPS, step)
-        return
-    exp_avg.lerp_(gradient, 1 - BETAS[0])
-    exp_avg_sq.lerp_(gradient * gradient, 1 - BETAS[1])
-    root = (exp_avg_sq / (1 - BETAS[1] ** step)).sqrt() + EPS
-    parameter.sub_(rate / (1 - BETAS[0] ** step) * exp_avg / root)
+    kernels = kernels_for(backend, parameter)
+    kernels.adam_step(parameter, gradient, exp_avg, exp_avg_sq, rate, *BETAS, EPS, step)

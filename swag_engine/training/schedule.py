@@ -47,6 +47,8 @@ class Schedule:
     """Seconds between two checkpoints."""
     preview_seconds: float = 2.0
     """Seconds between two previews."""
+    closing_seconds: float = 3.0
+    """Seconds of a time budget that are kept for writing results and their report."""
     learning_rates: LearningRates = LearningRates()
     """Step sizes of the Gaussians' parameters."""
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..effects.scene_effects import SceneEffects
 from ..gaussians.cloud import GaussianCloud
-from ..gaussians.densify import GrowthStatistics
+from ..gaussians.densify import DensificationStatistics
 from ..rendering.model import SceneModel
 from ..scene.images import TrainingImage
 from ..settings.recipes import Recipe
@@ -52,7 +52,7 @@ class RunState:
     recipe: Recipe
     clock: Clock
     guarded: GuardedState
-    statistics: GrowthStatistics
+    statistics: DensificationStatistics
     start_count: int
     choices: dict[str, bool] = field(default_factory=dict)
     trials: list[dict[str, Any]] = field(default_factory=list)
@@ -92,7 +92,7 @@ class RunState:
         optimizer = Optimizer(model.cloud, model.effects, backend)
         guarded = GuardedState()
         guarded.keep(optimizer)
-        statistics = GrowthStatistics.zeros(len(model.cloud), model.cloud.means.device)
+        statistics = DensificationStatistics.zeros(len(model.cloud), model.cloud.means.device)
         return cls(optimizer, recipe, Clock(iterations), guarded, statistics, start_count, choices)
 
     @property
@@ -117,7 +117,7 @@ class RunState:
 
     def reset_statistics(self) -> None:
         """Forget what densification has collected."""
-        self.statistics = GrowthStatistics.zeros(len(self.cloud), self.cloud.means.device)
+        self.statistics = DensificationStatistics.zeros(len(self.cloud), self.cloud.means.device)
 
     def to_checkpoint(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Copy the state to the CPU's memory.
@@ -184,7 +184,7 @@ class RunState:
             recipe=recipe_with(choices),
             clock=Clock(**stored["clock"]),
             guarded=GuardedState(GuardRecord.from_json(stored["guard"]), last_good),
-            statistics=GrowthStatistics(
+            statistics=DensificationStatistics(
                 *(tensors[name].to(device, copy=True) for name in ("growth.gradient", "growth.views"))
             ),
             start_count=stored["start_count"],

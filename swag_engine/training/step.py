@@ -132,7 +132,7 @@ class AutogradStep:
         if problem:
             state.optimizer.clear_gradients()
         else:
-            if gradient is not None and state.recipe.undimmed_growth and medium is not None:
+            if gradient is not None and state.recipe.undimmed_densification and medium is not None:
                 gradient = gradient / visibility(medium, picture.offsets).detach()[:, None]
             with part("optimiser"):
                 state.optimizer.step(config.learning_rates)

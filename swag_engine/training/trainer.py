@@ -14,14 +14,14 @@ from ..base.errors import InputError
 from ..base.files import claimed
 from ..base.timing import Ledger
 from ..evaluation.metrics import ViewScore, mean_score, median_control, score_views
-from ..formats.gltf import write_glb
 from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, write_json
+from ..gaussians.cloud import GaussianCloud
 from ..gaussians.init import gaussians_from_points
 from ..kernels.backends import device_for
 from ..planning.plan import write_plan
 from ..rendering.model import SceneModel
-from ..scene.colmap import Scene, load_scene
+from ..scene.colmap import Points, Scene, load_scene
 from ..scene.images import TrainingImage
 from ..semantics.embed import DIMENSIONS
 from ..settings.settings import TrainSettings
@@ -46,6 +46,8 @@ from .state import CPU, RunState
 from .step import GEOMETRY, AutogradStep, Step, StepConfig
 from .target_cache import Targets
 from .trials import run_trials, trials_due
+
+InitialCloud = Callable[[Points, int, int, int, np.ndarray], GaussianCloud]
 
 PROGRESS_SECONDS = 0.2
 """Seconds between two `progress` events."""
@@ -99,23 +101,28 @@ def make_trainer(
     weights_dir: Path | None,
     started: float,
     schedule: Schedule = STANDARD,
+    initial_cloud: InitialCloud = gaussians_from_points,
 ) -> "Trainer":
     """Make the trainer of a new run, or of one as far as it came; arguments and errors as of `train` and `Trainer`."""
     longer = False
     if resume:
+        if not run.config.exists():
+            raise InputError(f"There is no run in {run.path} to continue: start one without --resume.")
         settings, longer = run.resumed_settings(scene_folder, settings)
     elif run.config.exists():
         raise InputError(
             f"{run.path} holds a training run already; continue it with --resume or choose another folder."
         )
     scene = load_scene(scene_folder)
-    settings, budget = fit_budget(scene, settings.sized(), started)
+    settings, budget = fit_budget(scene, settings.sized(), started, schedule.closing_seconds)
     note = ""
     if not resume:
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
     try:
-        trainer = within_memory(lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule))
+        trainer = within_memory(
+            lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud)
+        )
         if not trainer:
             raise InputError(TOO_LITTLE)
         trainer.notes += filter(None, [note])
@@ -140,6 +147,7 @@ class Trainer:
         budget: The time budget, if there is one.
         resume: Whether the run continues; then `resume` is called next.
         schedule: When things happen, and the learning rates.
+        initial_cloud: Makes the Gaussians that a new run starts from; called as `gaussians_from_points` is.
 
     Attributes:
         inputs: What never changes during the run.
@@ -163,6 +171,7 @@ class Trainer:
         budget: Budget | None = None,
         resume: bool = False,
         schedule: Schedule = STANDARD,
+        initial_cloud: InitialCloud = gaussians_from_points,
     ) -> None:
         self.run, self.on_event = run, on_event
         self.notes: list[str] = []
@@ -170,7 +179,7 @@ class Trainer:
         self.pacer = Pacer(budget)
         inputs = self.inputs = load_inputs(scene, settings, schedule, on_event)
         self.ledger = Ledger(torch.cuda.synchronize if inputs.device.type == "cuda" else None)
-        cloud = gaussians_from_points(
+        cloud = initial_cloud(
             scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, inputs.median_color()
         )
         start_count = len(cloud)
@@ -304,7 +313,7 @@ class Trainer:
         return min(self.inputs.settings.sh_degree, joined)
 
     def _water_degree(self, fraction: float) -> int:
-        return MAX_DEGREE if fraction >= self.state.recipe.veil_degrees_from else 0
+        return MAX_DEGREE if fraction >= self.state.recipe.B_inf_degrees_from else 0
 
     def _learning_rates(self, fraction: float) -> dict[str, float]:
         """Adam's step size by parameter name, `fraction` (0..1) of the way through the run."""
@@ -364,7 +373,7 @@ class Trainer:
         """Skip to the last stage once the curve is flat and the Gaussians have had time to settle."""
         clock, recipe = self.state.clock, self.state.recipe
         last = recipe.stage_two_from
-        if recipe.grow_until + FLAT_FRACTION <= clock.fraction < last and is_flat(self.state.curve):
+        if recipe.densify_until + FLAT_FRACTION <= clock.fraction < last and is_flat(self.state.curve):
             self.notes.append(
                 f"Finished early: the last {FLAT_FRACTION:.0%} of the run gained less than {FLAT_DB} dB in validation."
             )
@@ -444,8 +453,7 @@ class Trainer:
         if self.guidance:
             self.guidance.write(self.run.path, splats, inputs.scene.up.tolist(), state.cloud)
         else:
-            write_ply(self.run.ply, splats)
-            write_glb(self.run.glb, splats, inputs.scene.up)
+            self.run.write_result(splats, inputs.scene.up)
         scores = self._scores(inputs.test)
         test_psnr, test_ssim = mean_score(scores)
         overfitting = dropout_note(dropped, self.training_psnr, state.psnr)

@@ -1,13 +1,13 @@
 """The water between camera and Gaussians: the revised underwater image formation model (Akkaynak and Treibitz 2018).
 
-A Gaussian of colour J at the range r (Euclidean, scene units) in the direction d is seen as
+A Gaussian of color J at the range r (Euclidean, scene units) in the direction d is seen as
 
     J exp(-beta_D r) + B(d) (1 - exp(-beta_B r))
 
-and what no Gaussian covers as B(d): the water's colour where it is endless. Blending these equals the integral over the
-water between the Gaussians (WaterSplatting's interval form) where the coefficients are constant along a ray.
-The formula holds for light, so display values are taken to linear light and back (IEC 61966-2-1) unless a medium says
-otherwise; blending works on display values as everywhere.
+and a pixel where no Gaussian is shows B(d), the background light of open water. Blending these equals the integral over
+the water between the Gaussians (WaterSplatting's interval form, arXiv 2408.08206) where the coefficients are constant
+along a ray. The formula holds for light, so display values are converted to linear light and back (IEC 61966-2-1)
+unless a medium says otherwise; blending works on display values as everywhere. docs/method.md, section 1.
 """
 
 from dataclasses import dataclass, fields
@@ -16,24 +16,44 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from ..gaussians.sh import sh_basis
 from ..kernels.backends import kernels_for
-from .light import relit, to_display, to_light
+from ..kernels.reference.harmonics import C0
+from ..kernels.reference.kernels import background_light
+from ..kernels.reference.transfer import to_display, to_light
+from .light import apply_gain
 
 Light = Literal["linear", "srgb"]
+"""What the formula works on: linear light or display values."""
 MAX_DEGREE = 2
-BRIGHTEST = 1.2  # display value
+"""Highest SH degree of the background light."""
+SH_COUNT = (MAX_DEGREE + 1) ** 2
+"""SH coefficients of the background light per color channel."""
+INITIAL_BETA_D = (0.5, 0.25, 0.2)
+"""Initial beta_D times the median range, (R, G, B): red is absorbed first, as in clear natural water."""
+INITIAL_BETA_B = (0.3, 0.3, 0.3)
+"""Initial beta_B times the median range, (R, G, B)."""
+INITIAL_B = 0.2
+"""Initial background light of each channel, in 0..1 of the medium's light."""
+BRIGHTEST = 1.2
+"""Largest display value of a color without water: exp(beta_D r) multiplies noise in far colors."""
+SETTINGS = ("unit_range", "light")
+"""Fields of a medium that are not learned."""
+NO_BACKGROUND_LIGHT = -100.0
+"""Raw SH coefficient of degree 0 whose sigmoid is 0 in float32."""
 
 
 @dataclass
 class Medium:
     """Parameters of the water, all tensors of one dtype.
 
-    attenuation, backscatter (3,): raw; the coefficients are softplus(raw) / unit_range per scene unit, so that they
-    stay positive and never lose their gradient. veil (9, 3): raw SH of degree 2; B = sigmoid(their sum).
-    unit_range: the scene's median range. light: what the formula works on.
-
-    backscatter None: beta_B is beta_D. veil None: water that only attenuates, B = 0.
+    Attributes:
+        attenuation: (3,) raw; beta_D = softplus(attenuation) / unit_range per scene unit, so that it stays positive
+            and never loses its gradient.
+        backscatter: (3,) raw, the same for beta_B; None where beta_B is beta_D.
+        veil: (9, 3) raw SH coefficients of degree 2 of the background light, B = sigmoid(their sum); None for water
+            that only attenuates, B = 0.
+        unit_range: Median range of the scene, scene units.
+        light: What the formula works on.
     """
 
     attenuation: Tensor
@@ -51,21 +71,31 @@ class Medium:
         beta_B: Tensor | None = None,
         B: Tensor | None = None,
     ) -> "Medium":
-        """From coefficients (3,) per scene unit and B (3,) in 0..1 of `light`; METHOD's defaults for what is None."""
-        first = [
+        """Make a medium of known coefficients, with initial values for those that are None.
+
+        Args:
+            unit_range: Median range of the scene, scene units.
+            light: What the formula works on.
+            beta_D: (3,) attenuation, 1 / scene unit.
+            beta_B: (3,) increase of the backscatter, 1 / scene unit.
+            B: (3,) background light in 0..1 of `light`, the same in all directions.
+
+        Returns:
+            The medium.
+        """
+        scaled = [
             torch.tensor(default) if value is None else value.float() * unit_range
-            for value, default in ((beta_D, (0.5, 0.25, 0.2)), (beta_B, (0.3, 0.3, 0.3)))
+            for value, default in ((beta_D, INITIAL_BETA_D), (beta_B, INITIAL_BETA_B))
         ]
-        veil = torch.zeros((MAX_DEGREE + 1) ** 2, 3)
-        constant = sh_basis(torch.tensor([[0.0, 0.0, 1.0]]), 0)[0, 0]
-        veil[0] = torch.logit((torch.full((3,), 0.2) if B is None else B.float()).clamp(1e-3, 1 - 1e-3)) / constant
+        veil = torch.zeros(SH_COUNT, 3)
+        veil[0] = torch.logit((torch.full((3,), INITIAL_B) if B is None else B.float()).clamp(1e-3, 1 - 1e-3)) / C0
         # The inverse of softplus, log(exp(x) - 1), without its overflow.
-        first = [value.clamp(min=1e-3) for value in first]
-        attenuation, backscatter = (value + torch.log(-torch.expm1(-value)) for value in first)
+        scaled = [value.clamp(min=1e-3) for value in scaled]
+        attenuation, backscatter = (value + torch.log(-torch.expm1(-value)) for value in scaled)
         return cls(attenuation, backscatter, veil, unit_range, light)
 
     def to(self, device: torch.device) -> "Medium":
-        """The medium with its tensors on a device."""
+        """Return the medium with its tensors on a device."""
         moved = {name: tensor.to(device) for name, tensor in self.parameters().items()}
         return Medium(**moved, unit_range=self.unit_range, light=self.light)
 
@@ -80,47 +110,46 @@ class Medium:
 
     @property
     def beta_D(self) -> Tensor:
-        """(3,) attenuation per scene unit."""
+        """Attenuation (3,), 1 / scene unit."""
         return torch.nn.functional.softplus(self.attenuation) / self.unit_range
 
     @property
     def beta_B(self) -> Tensor:
-        """(3,) growth of the backscatter per scene unit."""
+        """Increase of the backscatter (3,), 1 / scene unit."""
         if self.backscatter is None:
             return self.beta_D
         return torch.nn.functional.softplus(self.backscatter) / self.unit_range
 
     def to_json(self, metres_per_unit: float = 0.0) -> dict[str, Any]:
-        """What a compositor needs: beta_D and beta_B, B_inf in 0..1 of `light`, each (R, G, B).
+        """Return what a compositor needs, for water.json.
 
-        The coefficients are per metre where the scene has a scale (metres_per_unit > 0), else per scene unit: `per`.
-        B_inf is without the change by direction; veil_sh (9, 3) has its raw SH coefficients, B = sigmoid(their sum).
+        Args:
+            metres_per_unit: Scale of the scene; 0 where it has none.
+
+        Returns:
+            beta_D and beta_B, `per` metre where the scene has a scale and per scene unit otherwise; B_inf in 0..1 of
+            `light`, without its change by direction; each (R, G, B). veil_sh (9, 3): raw SH coefficients of the
+            background light, B = sigmoid(their sum).
         """
         scale = metres_per_unit or 1.0
         with torch.no_grad():
             veil = self.veil
             if veil is None:
-                veil = self.attenuation.new_zeros((MAX_DEGREE + 1) ** 2, 3)
-                veil[0] = NO_VEIL
-            constant = (veil[0] * sh_basis(torch.tensor([[0.0, 0.0, 1.0]]).to(veil), 0)[0, 0]).sigmoid()
+                veil = self.attenuation.new_zeros(SH_COUNT, 3)
+                veil[0] = NO_BACKGROUND_LIGHT
             return {
                 "beta_D": _rounded(self.beta_D / scale),
                 "beta_B": _rounded(self.beta_B / scale),
-                "B_inf": _rounded(constant),
+                "B_inf": _rounded((veil[0] * C0).sigmoid()),
                 "veil_sh": [_rounded(row) for row in veil],
                 "light": self.light,
                 "per": "metre" if metres_per_unit else "unit",
             }
 
-    def values(self) -> Tensor:
-        """(33,) beta_D, beta_B and veil, as the kernels take them; of water that has a veil."""
+    def coefficients(self) -> Tensor:
+        """Return beta_D, beta_B and the SH of the background light, (33,), of water that has a background light."""
         assert self.veil is not None
         return torch.cat([self.beta_D, self.beta_B, self.veil.reshape(-1)])
-
-
-SETTINGS = ("unit_range", "light")
-NO_VEIL = -100.0
-"""Raw SH of degree 0 whose sigmoid is no light at all."""
 
 
 def _rounded(values: Tensor) -> list[float]:
@@ -135,35 +164,46 @@ def through_water(
     amount: float = 1.0,
     backend: str = "auto",
 ) -> Tensor:
-    """Display colours (N, 3) as seen through the water, from those without it; differentiable.
+    """Show colors through the water.
 
-    offsets (N, 3): from the camera to the Gaussians, scene units; detach them to stop the gradient of the range (there
-    is none of the direction). degree: SH of B that count, 0 to 2. amount: 0 (no water) to 1, scales coefficients and B.
+    Args:
+        colors: (N, 3) display values without the water.
+        offsets: (N, 3) from the camera to the Gaussians, scene units; there is a gradient by their length, the range,
+            and none by their direction. Detach them to stop it.
+        medium: The water.
+        degree: SH degree of the background light that is used, 0..2.
+        amount: Factor of the coefficients and of the background light, 0 (no water) to 1.
+        backend: What computes, as in `kernels_for`.
+
+    Returns:
+        (N, 3) display values, differentiable.
     """
     linear = medium.light == "linear"
     if medium.veil is None:
         depth = amount * medium.beta_D * offsets.norm(dim=1, keepdim=True)
-        return relit(colors, -depth, backend) if linear else colors * torch.exp(-depth)
-    values = medium.values()
+        return apply_gain(colors, -depth, backend) if linear else colors * torch.exp(-depth)
     kernels = kernels_for(backend, colors)
-    if kernels and amount == 1:
-        return kernels.through_water(colors, offsets, values, degree, linear)
-    ranges = offsets.norm(dim=1, keepdim=True)
-    directions = (offsets / ranges.clamp(min=torch.finfo(offsets.dtype).tiny)).detach()
-    J = to_light(colors) if linear else colors
-    veil = amount * _veil(directions, values, degree)
-    light = J * torch.exp(-amount * values[:3] * ranges) - veil * torch.expm1(-amount * values[3:6] * ranges)
-    return to_display(light) if linear else light
+    return kernels.through_water(colors, offsets, medium.coefficients(), degree, linear, amount)
 
 
 @torch.no_grad()
 def without_water(seen: Tensor, ranges: Tensor, medium: Medium) -> Tensor:
-    """Display colours (N, 3) without the water, from those seen at ranges (N,) through it; at most BRIGHTEST.
+    """Remove the water from colors, for initial values: the inverse of `through_water` with B of degree 0.
 
-    The inverse of through_water with B of degree 0, for starting values: what the water has drowned stays dark.
+    Colors that the water has absorbed stay dark.
+
+    Args:
+        seen: (N, 3) display values through the water.
+        ranges: (N,) scene units.
+        medium: The water.
+
+    Returns:
+        (N, 3) display values, at most BRIGHTEST.
     """
     r = ranges[:, None]
-    B = torch.zeros_like(seen[:1]) if medium.veil is None else _veil(torch.zeros_like(seen[:1]), medium.values(), 0)
+    B = torch.zeros_like(seen[:1])
+    if medium.veil is not None:
+        B = background_light(B, medium.coefficients(), degree=0)
     light = to_light(seen) if medium.light == "linear" else seen
     J = (light + B * torch.expm1(-medium.beta_B * r)).clamp(min=0) * torch.exp((medium.beta_D * r).clamp(max=80.0))
     return (to_display(J) if medium.light == "linear" else J).clamp(max=BRIGHTEST)
@@ -179,22 +219,21 @@ def open_water(
     amount: float = 1.0,
     backend: str = "auto",
 ) -> Tensor:
-    """Display colour (height, width, 3) of endless water in each pixel's direction; differentiable in the medium.
+    """Render the background light of open water in each pixel's direction.
 
-    viewmat (4, 4) world to camera, K (3, 3) px; degree and amount as in through_water.
+    Args:
+        medium: The water; it has a background light.
+        viewmat: (4, 4) world to camera.
+        K: (3, 3) intrinsics, pixels.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+        degree: SH degree of the background light that is used, 0..2.
+        amount: Factor of the background light, 0 (no water) to 1.
+        backend: What computes, as in `kernels_for`.
+
+    Returns:
+        (height, width, 3) display values, differentiable in the medium.
     """
-    values, linear = medium.values(), medium.light == "linear"
-    kernels = kernels_for(backend, values)
-    if kernels and amount == 1:
-        return kernels.open_water(values, viewmat, K, width, height, degree, linear)
-    x = (torch.arange(width).to(values) + 0.5 - K[0, 2]) / K[0, 0]
-    y = (torch.arange(height).to(values) + 0.5 - K[1, 2]) / K[1, 1]
-    rays = torch.stack([x.expand(height, -1), y[:, None].expand(-1, width), torch.ones_like(x).expand(height, -1)], -1)
-    directions = torch.nn.functional.normalize(rays @ viewmat[:3, :3], dim=-1)
-    veil = amount * _veil(directions.reshape(-1, 3), values, degree).reshape(height, width, 3)
-    return to_display(veil) if linear else veil
-
-
-def _veil(directions: Tensor, values: Tensor, degree: int) -> Tensor:
-    """B (N, 3) in the medium's light, for unit directions (N, 3)."""
-    return (sh_basis(directions, degree) @ values[6:].reshape(-1, 3)[: (degree + 1) ** 2]).sigmoid()
+    coefficients = medium.coefficients()
+    kernels = kernels_for(backend, coefficients)
+    return kernels.open_water(coefficients, viewmat, K, width, height, degree, medium.light == "linear", amount)

@@ -1,1 +1,1 @@
-"""Files of pretrained networks."""
+"""Pretrained networks: where their files are, and how ONNX files are run."""

@@ -11,29 +11,36 @@ import onnxruntime  # type: ignore[import-untyped]
 from ..base.errors import InputError
 from ..base.threads import available_cores
 
-FLOAT32 = "tensor(float)"  # in onnxruntime's words
+FLOAT32 = "tensor(float)"
+"""onnxruntime's name of float32 tensors."""
 NUMBERS = {FLOAT32: np.float32, "tensor(int64)": np.int64, "tensor(int32)": np.int32}
+"""onnxruntime's names of the types of tensors that can be inputs -> dtype."""
 Shape = tuple[int | None, ...]
-"""None stands for any size; () for one number, of whatever rank the file gives it."""
+"""Shape of a tensor. None stands for any size; () for one number, of whatever rank the file gives it."""
 
 
 class Network:
-    """A network of float32 tensors in an ONNX file. ONNX files hold no code to run, unlike pickled weights."""
+    """A network of float32 tensors in an ONNX file. ONNX files hold no code that would be run, unlike pickled weights.
+
+    Args:
+        path: The file.
+        kind: What it is, for messages ("an inverse depth network").
+        inputs: Shapes that its inputs must have, in order.
+        output: Shapes, one of which its first output must have.
+
+    Raises:
+        InputError: If the file is absent, not an ONNX file, or another network.
+    """
 
     def __init__(self, path: Path, kind: str, inputs: Sequence[Shape], output: Sequence[Shape]) -> None:
-        """Open the file at `path`, whose inputs must have the shapes `inputs`, in order, and whose first output one of
-        the shapes `output`. `kind` names it in messages ("an inverse depth network").
-
-        Raises InputError when the file is absent, no ONNX file, or a network of another kind.
-        """
         self.path, self.kind, self.output = path, kind, output
         self.session = _session(path, kind)
         found, made = self.session.get_inputs(), self.session.get_outputs()[0]
         self.inputs = [_shape(tensor) for tensor in found]
         fits = len(inputs) == len(found) and all(map(_fits, self.inputs, inputs))
-        # onnxruntime gives an output of unknown rank the shape of a number; such a one is judged when the network runs.
+        # onnxruntime gives an output of unknown rank the shape of a number; its shape is checked when the network runs.
         fits = fits and (not made.shape or any(_fits(_shape(made), shape) for shape in output))
-        needed = f"{' or '.join(map(_words, output))} from {', '.join(map(_words, inputs))}"
+        needed = f"{' or '.join(map(_shape_text, output))} from {', '.join(map(_shape_text, inputs))}"
         if not fits or any(tensor.type != FLOAT32 for tensor in [*found, made]):
             raise InputError(
                 f"{path} is not {kind}: it makes {_describe([made])} from {_describe(found)}, "
@@ -41,8 +48,17 @@ class Network:
             )
 
     def __call__(self, *arrays: np.ndarray) -> np.ndarray:
-        """The first output for float32 inputs, in the order of the file. Raises InputError when the network fails, or
-        its output has none of the expected shapes or is not finite."""
+        """Run the network.
+
+        Args:
+            *arrays: Inputs, float32, in the order of the file.
+
+        Returns:
+            The first output, float32.
+
+        Raises:
+            InputError: If the network fails, or its output has another shape or is not finite.
+        """
         tensors = self.session.get_inputs()
         feed = {
             tensor.name: array.reshape(len(tensor.shape) * [1]) if array.size == 1 else array
@@ -52,7 +68,7 @@ class Network:
         if not any(_fits(made.shape, shape) for shape in self.output):
             raise InputError(
                 f"{self.path} is not {self.kind}: its output is {made.shape}, and "
-                f"{' or '.join(map(_words, self.output))} is needed."
+                f"{' or '.join(map(_shape_text, self.output))} is needed."
             )
         if not np.isfinite(made).all():
             raise InputError(f"{self.path} makes numbers that are not finite: get it again or choose another file.")
@@ -60,9 +76,20 @@ class Network:
 
 
 class Graph:
-    """A network with inputs and outputs of several names and number types in an ONNX file.
+    """A network with named inputs and outputs of several types in an ONNX file.
 
-    Exporters name them differently: what has another name is taken in the order of the file, where the count agrees.
+    Exporters name tensors differently: inputs or outputs with other names are matched in the order of the file, where
+    their number agrees.
+
+    Args:
+        path: The file.
+        kind: What it is, for messages.
+        inputs: Name -> shape of the inputs, None for any shape.
+        outputs: Names of the outputs.
+        optional: Names of inputs that the file may have as well.
+
+    Raises:
+        InputError: If the file is absent, not an ONNX file, or another network.
     """
 
     def __init__(
@@ -73,11 +100,6 @@ class Graph:
         outputs: Sequence[str],
         optional: Sequence[str] = (),
     ) -> None:
-        """Open the file at `path`, which has the `inputs` of these shapes (None: of any rank), may have those named in
-        `optional`, and makes the `outputs`. `kind` names it in messages.
-
-        Raises InputError when the file is absent, no ONNX file, or a network of another kind.
-        """
         self.path, self.kind = path, kind
         self.session = _session(path, kind)
         found, made = self.session.get_inputs(), self.session.get_outputs()
@@ -91,16 +113,25 @@ class Graph:
         )
         known = all(tensor.type in NUMBERS for tensor in found)
         if not fits or not known or len(self._outputs) != len(outputs):
-            wanted = ", ".join(name if shape is None else f"{name} {_words(shape)}" for name, shape in inputs.items())
+            wanted = ", ".join(
+                name if shape is None else f"{name} {_shape_text(shape)}" for name, shape in inputs.items()
+            )
             raise InputError(
                 f"{path} is not {kind}: it makes {_describe(made)} from {_describe(found)}, where {', '.join(outputs)} "
                 f"from {wanted} is needed."
             )
 
     def __call__(self, **arrays: np.ndarray) -> dict[str, np.ndarray]:
-        """The outputs by name, for the inputs by name; those that the file does not have are left out.
+        """Run the network.
 
-        Raises InputError when the network fails or makes what is not a number (infinities mask things out).
+        Args:
+            **arrays: Inputs by name; inputs that the file does not have are ignored.
+
+        Returns:
+            Outputs by name; they may hold infinities, which some networks use as masks.
+
+        Raises:
+            InputError: If the network fails or an output has a NaN.
         """
         feed = {
             tensor.name: arrays[name].astype(NUMBERS[tensor.type], copy=False) for name, tensor in self._inputs.items()
@@ -112,17 +143,17 @@ class Graph:
 
 
 def _session(path: Path, kind: str) -> Any:
-    """It runs on as many threads as there are cores, which sleep while they wait: other work shares the cores."""
+    """Open a file; it runs on all available cores, with threads that sleep while they wait, so that others can work."""
     if not path.is_file():
-        raise InputError(f"There is no file {path}: put {kind} there as an ONNX file, or choose another file.")
+        raise InputError(f"There is no file {path}: save {kind} there as an ONNX file, or choose another file.")
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 4  # what goes wrong is raised; warnings are not for users
+    options.log_severity_level = 4  # errors are raised, and warnings are not for users
     options.intra_op_num_threads = available_cores()
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         for tensor in [*session.get_inputs(), *session.get_outputs()]:
-            _ = tensor.name, tensor.shape, tensor.type  # words that need not be UTF-8
+            _ = tensor.name, tensor.shape, tensor.type  # raises where these are not UTF-8
         return session
     except Exception as error:  # onnxruntime's errors have no base class of their own
         raise InputError(
@@ -131,6 +162,7 @@ def _session(path: Path, kind: str) -> Any:
 
 
 def _run(session: Any, path: Path, outputs: Sequence[str], feed: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """Run a session; raises InputError where that fails."""
     try:
         return list(session.run(list(outputs), dict(feed)))
     except Exception as error:  # onnxruntime's errors have no base class of their own
@@ -139,7 +171,7 @@ def _run(session: Any, path: Path, outputs: Sequence[str], feed: Mapping[str, np
 
 
 def _matched(names: Sequence[str], tensors: Sequence[Any]) -> dict[str, Any]:
-    """Tensors by the names wanted: of those names, else in their order where as many are there."""
+    """Return tensors by the names wanted: those with these names, else all in their order where the number agrees."""
     by_name = {tensor.name: tensor for tensor in tensors}
     if all(name in by_name for name in names):
         return {name: by_name[name] for name in names}
@@ -151,7 +183,7 @@ def _shape(tensor: Any) -> Shape:
 
 
 def _fits(shape: Shape, wanted: Shape) -> bool:
-    """Whether sizes that both know agree."""
+    """Return whether the sizes agree where both are known."""
     if not wanted:
         return all(size == 1 for size in shape)
     return len(shape) == len(wanted) and all(
@@ -159,18 +191,18 @@ def _fits(shape: Shape, wanted: Shape) -> bool:
     )
 
 
-def _words(shape: Shape) -> str:
+def _shape_text(shape: Shape) -> str:
     return f"({', '.join('any' if size is None else str(size) for size in shape)})" if shape else "one number"
 
 
 def _describe(tensors: Sequence[Any]) -> str:
     return ", ".join(
-        f"{tensor.name} {_words(_shape(tensor))} {'float32' if tensor.type == FLOAT32 else tensor.type}"
+        f"{tensor.name} {_shape_text(_shape(tensor))} {'float32' if tensor.type == FLOAT32 else tensor.type}"
         for tensor in tensors
     )
 
 
 def _cause(error: Exception) -> str:
-    """The part of onnxruntime's message that is meant for people, on one line."""
+    """Return the part of onnxruntime's message that is meant for people, on one line."""
     words = str(error).split(" : ", 3)[-1].split("failed:", 1)[-1]
     return textwrap.shorten(words, 300, placeholder=" ...").rstrip(".")

@@ -1,4 +1,4 @@
-"""The pretrained networks that the engine knows, and where their files are."""
+"""Pretrained networks that the engine can use, and where their files are."""
 
 import hashlib
 import os
@@ -16,10 +16,17 @@ from ..base.errors import InputError
 
 @dataclass(frozen=True)
 class Weights:
-    """A network's file: what it is called, under which licence, and the page where users get it.
+    """A network's file.
 
-    size in bytes and sha256 (hex) are None where users make or choose the file themselves; `note` then says what it
-    has to be. `url` is where `fetch` gets the file, "" where users have to; a file with a url has a sha256.
+    Attributes:
+        version: Version of the network.
+        licence: Licence of the file.
+        file: Its name.
+        size: Bytes, None where that is not known.
+        sha256: Checksum in hexadecimal, None where users make or choose the file themselves.
+        page: Web page where users get it.
+        note: What the file has to be, where users make or choose it.
+        url: Where `fetch` downloads the file, "" where users have to get it; a file with a url has a checksum.
     """
 
     version: str
@@ -33,7 +40,7 @@ class Weights:
 
 
 def _hosted(folder: str, file: str, version: str, licence: str, size: int | None, sha256: str) -> Weights:
-    """A file that is fetched from a folder of a model hub or a repository; its page is the folder's."""
+    """Return a file that can be downloaded from a folder of a model hub or a repository, whose page it is on."""
     page = folder.partition("/resolve/")[0].partition("/raw/")[0]
     return Weights(version, licence, file, size, sha256, page, url=f"{folder}/{file}")
 
@@ -82,7 +89,7 @@ NETWORKS: dict[str, Weights] = {
         "924691ac288e54409236115652ad4aa250f48203de50a9e4722a6ecd48d6804a",
     ),
     "grounding-dino": _hosted(
-        # The export that scores several words in one pass; the one of onnx-community is right for a single word only.
+        # This export scores several words in one pass; the one of onnx-community is right only for a single word.
         "https://huggingface.co/mtbui2010/grounding-dino-tiny-fixedmask-ONNX/resolve/main",
         "model-fixedmask.onnx",
         "tiny",
@@ -133,16 +140,24 @@ NETWORKS: dict[str, Weights] = {
         note="its text_decoder, exported to ONNX with input_ids (1, L) and encoder_hidden_states to logits",
     ),
 }
+"""Name -> file."""
 
 
 def find(name: str, weights_dir: Path | None) -> Path:
-    """The file of the network `name`: the user's in `weights_dir`, else the one in the cache folder.
+    """Find the file of a network.
 
-    Raises InputError when there is none, saying where to get it and where to put it, when its size or SHA-256 is not
-    the registered one, and for a name that is not registered.
+    Args:
+        name: A key of NETWORKS.
+        weights_dir: Folder that is searched before the cache folder.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: If the file is missing, its size or checksum is another, or there is no network of this name.
     """
     weights = _registered(name)
-    path = _place(weights, weights_dir)
+    path = _locate(weights, weights_dir)
     if path is None:
         note = f" ({weights.note})" if weights.note else ""
         raise InputError(
@@ -153,27 +168,57 @@ def find(name: str, weights_dir: Path | None) -> Path:
     return path
 
 
-def is_here(name: str, weights_dir: Path | None) -> bool:
-    """Whether the network `name` has a file, whole or not."""
-    return _place(_registered(name), weights_dir) is not None
+def is_available(name: str, weights_dir: Path | None) -> bool:
+    """Return whether the file of a network exists; it may be damaged.
+
+    Args:
+        name: A key of NETWORKS.
+        weights_dir: Folder that is searched before the cache folder.
+
+    Raises:
+        InputError: If there is no network of this name.
+    """
+    return _locate(_registered(name), weights_dir) is not None
 
 
 def find_or_fetch(
     name: str, weights_dir: Path | None, consent: bool, progress: Callable[[float], None] = lambda fraction: None
 ) -> Path:
-    """`find`, and `fetch` first where the file is missing and may be fetched. Raises InputError as both do."""
-    if consent and not is_here(name, weights_dir) and NETWORKS[name].url:
+    """Find the file of a network, and download it first where it is missing.
+
+    Args:
+        name: A key of NETWORKS.
+        weights_dir: Folder that is searched before the cache folder.
+        consent: Whether the user has agreed to the download.
+        progress: Called with the fraction of the download that is done.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: As `find` and `fetch`.
+    """
+    if consent and not is_available(name, weights_dir) and NETWORKS[name].url:
         return fetch(name, progress)
     return find(name, weights_dir)
 
 
 def fetch(name: str, progress: Callable[[float], None] = lambda fraction: None) -> Path:
-    """Download the network `name` to the cache folder, going on where an earlier attempt stopped; returns the file.
+    """Download a network to the cache folder, continuing where an earlier attempt stopped.
 
-    Call it only where the user has agreed to this network, its licence and its size. The file is taken when its SHA-256
-    is the registered one, and removed otherwise. progress gets the fraction 0..1, where the size is known. Raises
-    InputError when the network has no address, the download fails (what has come stays for the next attempt), or the
-    file is another.
+    Call it only where the user has agreed to this network, its licence and its size. A file with another checksum than
+    the registered one is removed.
+
+    Args:
+        name: A key of NETWORKS.
+        progress: Called with the fraction of the download that is done, where the size is known.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: If the network cannot be downloaded, the download fails (the part that has arrived is kept for the
+            next attempt), or the checksum is another.
     """
     weights = _registered(name)
     if not weights.url:
@@ -184,12 +229,14 @@ def fetch(name: str, progress: Callable[[float], None] = lambda fraction: None) 
         path.parent.mkdir(parents=True, exist_ok=True)
         _download(weights, part, progress)
     except urllib.error.HTTPError as error:
-        raise InputError(f"{weights.url} cannot be fetched: the server answers {error.code} {error.reason}.") from error
+        raise InputError(
+            f"{weights.url} cannot be downloaded: the server answers {error.code} {error.reason}."
+        ) from error
     except OSError as error:  # URLError and time-outs among them
         reason = getattr(error, "reason", None) or error.strerror or error
         raise InputError(
-            f"{weights.url} cannot be fetched ({reason}): try again, which goes on where it stopped, or save the file "
-            f"as {path}."
+            f"{weights.url} cannot be downloaded ({reason}): try again, which continues where it stopped, or save the "
+            f"file as {path}."
         ) from error
     try:
         _check(name, part)
@@ -204,11 +251,11 @@ def fetch(name: str, progress: Callable[[float], None] = lambda fraction: None) 
 
 
 def _download(weights: Weights, part: Path, progress: Callable[[float], None]) -> None:
-    """Complete the file `part`; whole when this returns, as far as the server says."""
-    begun = part.stat().st_size if part.exists() else 0
-    if begun and begun == weights.size:
+    """Complete the file `part`; it is whole when this returns, as far as the server says."""
+    existing = part.stat().st_size if part.exists() else 0
+    if existing and existing == weights.size:
         return
-    headers = {"User-Agent": "swag-splatting"} | ({"Range": f"bytes={begun}-"} if begun else {})
+    headers = {"User-Agent": "swag-splatting"} | ({"Range": f"bytes={existing}-"} if existing else {})
     try:
         answer = urllib.request.urlopen(urllib.request.Request(weights.url, headers=headers), timeout=30)
     except urllib.error.HTTPError as error:
@@ -217,33 +264,38 @@ def _download(weights: Weights, part: Path, progress: Callable[[float], None]) -
         part.unlink()
         return _download(weights, part, progress)
     with answer, open(part, "ab" if answer.status == 206 else "wb") as file:
-        done = begun if answer.status == 206 else 0
+        done = existing if answer.status == 206 else 0
         announced = int(answer.headers.get("Content-Length") or 0)
         total = weights.size or (done + announced if announced else 0)
         if announced and shutil.disk_usage(part.parent).free < announced:
-            raise InputError(f"There is no room for {weights.file}, {announced / 1e6:.0f} MB, in {part.parent}.")
+            raise InputError(
+                f"The disk of {part.parent} has no space for {weights.file}, {announced / 1e6:.0f} MB: free some and "
+                "try again."
+            )
         while block := answer.read(1 << 20):
             file.write(block)
             done += len(block)
             if total:
                 progress(min(1.0, done / total))
-    if announced and done < (begun if answer.status == 206 else 0) + announced:
+    if announced and done < (existing if answer.status == 206 else 0) + announced:
         raise OSError("the connection ended early")
 
 
 def _registered(name: str) -> Weights:
+    """Return the file of a network; raises InputError for an unknown name."""
     if name not in NETWORKS:
         raise InputError(f"There is no network {name!r}: choose one of {', '.join(sorted(NETWORKS))}.")
     return NETWORKS[name]
 
 
-def _place(weights: Weights, weights_dir: Path | None) -> Path | None:
+def _locate(weights: Weights, weights_dir: Path | None) -> Path | None:
+    """Return where a file is, None where it is missing."""
     folders = [folder for folder in (weights_dir, cache_folder()) if folder]
     return next((folder / weights.file for folder in folders if (folder / weights.file).is_file()), None)
 
 
 def _check(name: str, path: Path) -> None:
-    """Raises InputError when a file is not the registered one."""
+    """Raise InputError where a file is not the registered one."""
     weights = NETWORKS[name]
     try:
         whole = weights.size in (None, path.stat().st_size) and weights.sha256 in (None, _sha256(path))
@@ -256,7 +308,7 @@ def _check(name: str, path: Path) -> None:
 
 
 def cache_folder() -> Path:
-    """The folder of the user's cache (or of SWAG_CACHE_DIR) for networks."""
+    """Return the folder for networks in the user's cache, or in SWAG_CACHE_DIR."""
     root = os.environ.get("SWAG_CACHE_DIR") or platformdirs.user_cache_dir("swag_splatting", appauthor=False)
     return Path(root) / "weights"
 

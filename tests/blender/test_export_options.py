@@ -128,8 +128,8 @@ def test_each_option_selects_or_converts_the_splats(blender, tmp_path):
     np.testing.assert_allclose(read["metres"].scales, 3 * made.scales, rtol=1e-4)
     np.testing.assert_allclose(read["y_up"].positions.T, [x, -y, -z], atol=1e-6)
     size = (tmp_path / "plain.ply").stat().st_size
-    assert found["forecasts"][0] == f"{len(read['plain'])} splats, {size / 1e6:.1f} MB"
-    assert found["forecasts"][1].startswith("No splat is left")
+    assert found["expected sizes"][0] == f"{len(read['plain'])} splats, {size / 1e6:.1f} MB"
+    assert found["expected sizes"][1].startswith("No splat is left")
     for words, message in found["messages"].items():
         assert words in message and message.endswith("."), (words, message)
     assert not list(tmp_path.glob("refused*"))
@@ -154,7 +154,7 @@ def test_water_and_cameras_of_an_imported_scene_are_exported(blender, tmp_path, 
     (tmp_path / "cameras.json").write_text(json.dumps(given))
     blender.run("export_options.water_and_cameras", tmp_path, suffix)
     back = read_ply(tmp_path / "out.ply") if suffix == "ply" else read_glb(tmp_path / "out.glb", up=(0, 1, 0))
-    truth = water.baked(made, fitted, cameras, 0.7)
+    truth = water.bake_water(made, fitted, cameras, 0.7)
     model = pycolmap.Reconstruction(str(tmp_path / "out_cameras" / "sparse" / "0"))
     assert len(model.images) == 2
     for image, camera in zip(sorted(model.images.values(), key=lambda image: image.name), cameras, strict=True):

@@ -10,7 +10,7 @@ from swag_engine.settings.settings import TrainSettings
 def test_the_plan_is_a_list_of_effects_that_the_user_can_overrule(blender, fake_engine, tmp_path):
     found = blender.run("panels.plan_and_overrule", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
     assert found == {
-        "message": "The photographs call for: attenuation.",
+        "message": "Effects to model: attenuation.",
         "lines": [
             ["attenuation", "Attenuation", "on", "Red loses 75% over the scene.", 1.25],
             ["lamp", "Lamp", "off", "Light falls off by 0%.", 0.5],

@@ -19,10 +19,10 @@ def test_a_training_reports_progress_and_puts_its_result_into_the_scene(blender,
         "psnr": 25.5,
         "interrupted": False,
         "continue": False,
-        "message": "Trained 1000 Gaussians in 1:01, 25.5 dB on held-out photographs.",
+        "message": "Trained 1000 Gaussians in 1:01, 25.5 dB on held-out photos.",
     }
     assert found["second"] == {"objects": 2, "run": run + "-2"}, "a second run gets a folder of its own"
-    assert "Training: Photograph 1 of 3" in blender.printed
+    assert "Training: Photo 1 of 3" in blender.printed
     line = "Training: Iteration 10 of 10, PSNR 30.00 dB, 1000 Gaussians, 7.5 iterations/s, 1:05 left"
     assert line in blender.printed
 
@@ -49,7 +49,7 @@ def test_a_failed_training_is_reported_in_one_sentence(blender, fake_engine, tmp
 
 
 def test_a_missing_scene_and_a_missing_engine_are_reported_in_one_sentence(blender, tmp_path):
-    assert "Choose the folder with the photographs" in blender.run("train.train", "")
+    assert "Choose the folder with the photos" in blender.run("train.train", "")
     message = blender.run("train.train", tmp_path, SWAG_ENGINE_PYTHON="/no/such/python")
     assert "The engine's Python /no/such/python cannot be run" in message
     assert "Traceback" not in blender.printed
@@ -90,4 +90,4 @@ def test_the_engine_trains_an_imported_scene(blender, tiny_scene, tmp_path):
 
 def test_inspecting_a_scene_shows_its_images_and_points(blender, fake_engine, tmp_path):
     found = blender.run("train.inspect", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
-    assert found.splitlines() == ["11 of 12 photographs have a camera, 345 points", "The disk lacks one.png."]
+    assert found.splitlines() == ["11 of 12 photos have a camera, 345 points", "The disk lacks one.png."]

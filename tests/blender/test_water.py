@@ -67,7 +67,7 @@ def test_objects_are_rendered_through_the_same_water(blender, medium, tmp_path):
     blender.run("water_objects.render_walls", tmp_path)
     import torch
 
-    from swag_engine.water.medium import to_display, to_light
+    from swag_engine.kernels.reference.transfer import to_display, to_light
 
     images = np.load(tmp_path / "images.npz")
     steps = (np.arange(32) + 0.5 - 16) / 16 * np.tan(images["angle"] / 2)

@@ -2,6 +2,7 @@
 
 import ctypes
 import hashlib
+import os
 import re
 import subprocess
 import sys
@@ -16,6 +17,10 @@ import torch
 from swag_engine.kernels import build, cuda_driver
 from swag_engine.kernels.cuda_driver import Argument, converted
 
+ON_CARD = bool(os.environ.get("SWAG_TEST_CUDA"))
+"""Whether the tests of the kernels run on the card that is there instead of fibres."""
+DEVICE = "cuda" if ON_CARD else "cpu"
+"""Where the tensors of those tests are."""
 SHIPPED = tuple(build.FOLDER / name for name in build.CUDA_SOURCES)
 HEADER = Path(__file__).with_name("cuda_fibres.h")
 FLAGS = (
@@ -59,9 +64,9 @@ class Fibres:
 
 
 class Libcuda:
-    """What cuda_driver.Driver calls of the driver's library, with fibres for a card.
+    """What cuda_driver.Driver calls of the driver's library, with fibres in place of a card.
 
-    too_large: of a kernel's name and number of blocks, whether the launch is refused for want of memory.
+    too_large: whether a launch of this kernel with this number of blocks fails with too little memory.
     """
 
     def __init__(self, fibres: Fibres, too_large: Callable[[str, int], bool]) -> None:
@@ -92,7 +97,7 @@ class Libcuda:
 
 
 def pretend_card(monkeypatch: pytest.MonkeyPatch, library: Any) -> None:
-    """A machine with a card, as far as Driver can see; its tensors are the CPU's. library: its libcuda."""
+    """Let Driver find a card, whose tensors are the CPU's, and `library` as its libcuda."""
     monkeypatch.setattr(cuda_driver, "_load_library", lambda: library)
     monkeypatch.setattr(cuda_driver.Driver, "device_type", "cpu")
     monkeypatch.setattr(torch.version, "cuda", "12.8")

@@ -1,28 +1,21 @@
-"""The table of methods: whole, resumable, honest about what it could not know."""
+"""Ablation: its rows, its figures, and how an interrupted one is continued."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
+from runs import training_times
 
+from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
-from swag_engine.experiments import ablate as module
-from swag_engine.experiments.ablate import Row, ablate, rows, table
+from swag_engine.experiments.ablate import Row, ablate, compare_rows, rows, table
 from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.recipes import RECIPES, SWITCHES, recipe_of
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=12, width=48, max_gaussians=320, sh_degree=0)
-
-
-@pytest.fixture
-def two_rows(monkeypatch):
-    monkeypatch.setattr(
-        module, "rows", lambda plan: [Row("3dgs", "3dgs"), Row("swag without water", "swag", "water=off")]
-    )
+TWO_ROWS = [Row("3dgs", "3dgs"), Row("swag without water", "swag", "water=off")]
 
 
 def test_every_recipe_and_every_switch_has_a_row():
@@ -35,9 +28,11 @@ def test_every_recipe_and_every_switch_has_a_row():
         assert not row.effects or recipe_of(row.recipe, row.effects) != RECIPES[row.recipe], row
 
 
-def test_the_table_has_mean_and_spread_over_the_seeds(two_rows, tiny_scene, tmp_path):
+def test_the_table_has_mean_and_standard_deviation_over_the_seeds(tiny_scene, tmp_path):
     done = []
-    document = ablate(tiny_scene, tmp_path / "a", 2, SETTINGS, on_run=lambda name, seed, f: done.append((name, seed)))
+    document = compare_rows(
+        TWO_ROWS, tiny_scene, tmp_path / "a", 2, SETTINGS, on_run=lambda name, seed, f: done.append((name, seed))
+    )
     assert done == [("3dgs", 0), ("3dgs", 1), ("swag without water", 0), ("swag without water", 1)]
     row = document["rows"][0]
     values = [run["test_psnr"] for run in row["runs"]]
@@ -52,29 +47,29 @@ def test_the_table_has_mean_and_spread_over_the_seeds(two_rows, tiny_scene, tmp_
     assert document["rows"][1]["runs"][0]["test_psnr"] == again["metrics"]["test_psnr"]
 
 
-def test_an_interrupted_table_goes_on(two_rows, tiny_scene, tmp_path, monkeypatch):
+def test_an_interrupted_table_is_continued(tiny_scene, tmp_path):
     asked = iter(range(10**9))
-    stopped = ablate(tiny_scene, tmp_path / "a", 1, SETTINGS, should_stop=lambda: next(asked) > 16)
+    stopped = compare_rows(TWO_ROWS, tiny_scene, tmp_path / "a", 1, SETTINGS, should_stop=lambda: next(asked) > 16)
     assert stopped["interrupted"] and len(stopped["rows"]) == 1
-    whole = ablate(tiny_scene, tmp_path / "b", 1, SETTINGS)
-    trained = []
-    train = module.train
-    monkeypatch.setattr(module, "train", lambda *a, **k: trained.append(a[1].parent.name) or train(*a, **k))
-    resumed = ablate(tiny_scene, tmp_path / "a", 1, SETTINGS)
-    assert trained == ["swag-without-water"] and not resumed["interrupted"]
+    whole = compare_rows(TWO_ROWS, tiny_scene, tmp_path / "b", 1, SETTINGS)
+    before = training_times(tmp_path / "a")
+    resumed = compare_rows(TWO_ROWS, tiny_scene, tmp_path / "a", 1, SETTINGS)
+    after = training_times(tmp_path / "a")
+    assert [name for name in after if after[name] != before.get(name)] == ["swag-without-water/seed-0"]
+    assert not resumed["interrupted"]
     for expected, got in zip(whole["rows"], resumed["rows"], strict=True):
         assert expected["mean"]["test_psnr"] == got["mean"]["test_psnr"]
 
 
-def test_runs_of_other_settings_are_not_mixed_in(two_rows, tiny_scene, tmp_path):
-    ablate(tiny_scene, tmp_path / "a", 1, SETTINGS)
+def test_runs_of_other_settings_are_refused(tiny_scene, tmp_path):
+    compare_rows(TWO_ROWS[:1], tiny_scene, tmp_path / "a", 1, SETTINGS)
     with pytest.raises(InputError, match="another scene or other settings"):
-        ablate(tiny_scene, tmp_path / "a", 1, replace(SETTINGS, width=32))
+        compare_rows(TWO_ROWS[:1], tiny_scene, tmp_path / "a", 1, replace(SETTINGS, width=32))
     with pytest.raises(InputError, match="seeds must be 1 or more"):
         ablate(tiny_scene, tmp_path / "b", 0, SETTINGS)
 
 
-def test_the_command_says_what_is_wrong(tmp_path):
-    command = [sys.executable, "-m", "swag_engine", "ablate", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 2 and "nowhere" in done.stderr and "Traceback" not in done.stderr
+def test_a_scene_that_is_not_there_is_refused(tmp_path, capsys):
+    assert main(["ablate", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
+    printed = capsys.readouterr().err
+    assert "nowhere" in printed and "Traceback" not in printed

@@ -1,6 +1,7 @@
 """One command over a folder of scenes: all are tried, each says what became of it."""
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import time
 import pytest
 
 from swag_engine.app.batch import batch, describe
+from swag_engine.app.interrupts import Interrupts
 from swag_engine.base.errors import InputError
 
 TRAIN = ("--iterations", "40", "--width", "64", "--max-gaussians", "400", "--sh-degree", "0")
@@ -48,19 +50,20 @@ def test_a_failing_scene_stops_no_other(trained, scenes):
 
 def test_runs_are_exported_each_to_a_file_of_its_name(trained, scenes, tmp_path):
     (scenes / "runs" / "not a run").mkdir(exist_ok=True)
-    document = batch("export", scenes / "runs", tmp_path, ("--format", "glb"))
+    document = batch("export", scenes / "runs", tmp_path, ("--format", "glb"), Interrupts())
     assert document["exit_code"] == 0 and not document["interrupted"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a reef.glb", "c wreck.glb"]
 
 
 def test_nothing_to_do_is_one_sentence(tmp_path):
-    with pytest.raises(InputError, match="is no folder"):
-        batch("train", tmp_path / "nowhere", None, ())
-    with pytest.raises(InputError, match="holds no runs"):
-        batch("label", tmp_path, None, ())
+    with pytest.raises(InputError, match="is not a folder"):
+        batch("train", tmp_path / "nowhere", None, (), Interrupts())
+    with pytest.raises(InputError, match="holds no folders of runs"):
+        batch("label", tmp_path, None, (), Interrupts())
 
 
-def test_an_interrupt_ends_the_scene_at_hand_and_begins_no_other(scenes, tmp_path):
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_ends_the_scene_at_hand_and_begins_no_other(scenes, tmp_path, number, code):
     command = [sys.executable, "-m", "swag_engine", "batch", "train", str(scenes), "--out", str(tmp_path / "runs")]
     process = subprocess.Popen(
         [*command, "--iterations", "100000", "--width", "64", "--json"],
@@ -70,11 +73,13 @@ def test_an_interrupt_ends_the_scene_at_hand_and_begins_no_other(scenes, tmp_pat
         if "iterations/s" in line:
             break
     time.sleep(0.5)
-    # As the terminal does it: to all processes.
-    import os
-
-    os.killpg(process.pid, signal.SIGINT)
+    if number == signal.SIGINT:  # as the terminal does it: to all processes
+        os.killpg(process.pid, number)
+    else:
+        process.send_signal(number)
     output, _ = process.communicate(timeout=300)
     document = json.loads(output)
-    assert process.returncode == 130 and document["interrupted"] and len(document["rows"]) == 1
+    assert process.returncode == document["exit_code"] == code and document["interrupted"]
+    (row,) = document["rows"]
+    assert row["exit_code"] == code and row["state"] == "interrupted" and row["result"]["interrupted"]
     assert (tmp_path / "runs" / "a reef" / "result.ply").exists()

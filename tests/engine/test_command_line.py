@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from swag_engine.app import progress
+from swag_engine.app.interrupts import Interrupts
 from swag_engine.kernels.machine import PACKAGES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -71,20 +73,62 @@ def test_export(run, tmp_path, format):
     assert out.read_bytes()[:4] in (b"ply\n", b"glTF")
 
 
-def test_interrupt_keeps_what_exists(tiny_scene, tmp_path):
-    command = [sys.executable, "-m", "swag_engine", "train", tiny_scene, "--out", tmp_path / "run", "--width", "64"]
-    process = subprocess.Popen(
-        [*map(str, command), "--iterations", "100000"], cwd=ROOT, stderr=subprocess.PIPE, text=True
-    )
-    while not (tmp_path / "run" / "config.json").exists():
-        assert process.poll() is None
-        time.sleep(0.1)
-    time.sleep(2)
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert (tmp_path / "run" / "result.ply").exists()
-    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["interrupted"]
+def begin(*arguments, until):
+    """Start a command and wait for a line with `until` on its stderr."""
+    command = [sys.executable, "-m", "swag_engine", *map(str, arguments)]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    for line in process.stderr:
+        if until in line:
+            return process
+    raise AssertionError(f"the command ended before {until!r}: exit code {process.wait()}")
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_keeps_what_exists(tiny_scene, tmp_path, number, code):
+    sizes = "--width", "64", "--iterations", "100000"
+    process = begin("train", tiny_scene, "--out", tmp_path / "run", "--json", *sizes, until="iterations/s")
+    time.sleep(0.5)
+    process.send_signal(number)
+    printed, errors = process.communicate(timeout=60)
+    assert process.returncode == code and "Stopping after this iteration" in errors
+    assert "Aborted" not in errors and "@" not in errors, errors  # a native stack trace has an address in each line
+    assert json.loads(printed)["interrupted"]
+    assert {"result.ply", "result.glb", "report.html"} <= set(os.listdir(tmp_path / "run"))
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["interrupted"] and (tmp_path / "run" / f"checkpoint-{metrics['iteration']:07d}.safetensors").exists()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_ends_other_commands_with_a_document(tiny_scene, number, code):
+    process = begin("forecast", tiny_scene, "--json", until="First looks")
+    process.send_signal(number)
+    printed, errors = process.communicate(timeout=60)
+    assert process.returncode == code
+    assert json.loads(printed) == {"error": "Interrupted.", "interrupted": True}
+    assert errors.strip().splitlines()[-1] == "Interrupted." and "Traceback" not in errors and "@" not in errors
+
+
+def test_ctrl_c_again_ends_at_once_and_sigterm_again_does_not(monkeypatch):
+    interrupts = Interrupts()
+    with interrupts.deferred():
+        interrupts._handle(signal.SIGTERM, None)
+        interrupts._handle(signal.SIGTERM, None)
+        assert interrupts.should_stop() and interrupts.exit_code == 143
+        with pytest.raises(KeyboardInterrupt):
+            interrupts._handle(signal.SIGINT, None)
+    assert interrupts.exit_code == 143
+
+
+def test_colmap_leaves_signals_alone():
+    code = """
+import signal
+from swag_engine.scene.colmap_library import pycolmap
+status = open("/proc/self/status").read()
+caught = int(status.split("SigCgt:")[1].split()[0], 16)
+print(caught >> (signal.SIGTERM - 1) & 1)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == "0", done.stderr
 
 
 def test_a_full_disk_ends_in_one_sentence(tiny_scene, tmp_path):
@@ -115,6 +159,7 @@ def test_bad_input_is_one_sentence(arguments):
 def test_usage_errors_exit_with_two():
     assert swag("paint").returncode == 2
     assert swag("train").returncode == 2
+    assert "error" in json.loads(swag("train", "--json").stdout)
 
 
 def test_torch_trains_where_no_kernel_runs(tiny_scene, tmp_path):
@@ -146,11 +191,38 @@ def test_asking_for_a_card_that_is_not_there_is_one_sentence_and_leaves_nothing(
     assert done.stderr.startswith("The cuda backend cannot run here: ") and not (tmp_path / "run").exists()
 
 
-def test_a_missing_package_is_named(tmp_path):
-    (tmp_path / "torch.py").write_text("raise ModuleNotFoundError(\"No module named 'torch'\", name='torch')")
+@pytest.mark.parametrize("package", ["torch", "tyro"])
+def test_a_missing_package_is_named(tmp_path, package):
+    """torch is imported by the command, tyro before there is one."""
+    text = f"raise ModuleNotFoundError(\"No module named '{package}'\", name='{package}')"
+    (tmp_path / f"{package}.py").write_text(text)
     done = swag("doctor", env={"PYTHONPATH": str(tmp_path)})
     assert_one_sentence(done)
-    assert "lacks the package torch" in done.stderr
+    assert f"lacks the package {package}" in done.stderr and not done.stdout
+    with_json = swag("doctor", "--json", env={"PYTHONPATH": str(tmp_path)})
+    assert_one_sentence(with_json)
+    assert json.loads(with_json.stdout) == {"error": with_json.stderr.strip()}
+
+
+def test_continuing_a_run_that_does_not_exist_says_what_to_do(tiny_scene, tmp_path):
+    done = swag("train", tiny_scene, "--out", tmp_path / "run", "--resume")
+    assert_one_sentence(done)
+    assert f"There is no run in {tmp_path / 'run'} to continue: start one without --resume." in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_log_has_the_first_line_of_each_stage_and_then_one_each_ten_seconds(monkeypatch, capsys):
+    clock = iter(range(0, 1000))
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock) / 5)
+    event = {"event": "progress", "loss": 0.1, "psnr": None, "curve": [], "next_minute_db": None, "gaussians": 7}
+    event |= {"iterations_per_second": 9.0, "seconds_left": 60.0}
+    with progress.training_progress() as update:
+        for number in range(1, 11):
+            update(event | {"stage": "load", "iteration": number, "iterations": 10})
+        for number in range(1, 151):  # 30 seconds; a time budget expects the end at each of them
+            update(event | {"stage": "train", "iteration": number, "iterations": number})
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split()[2] for line in lines] == ["Photo", *["loss"] * 3], lines
 
 
 @pytest.mark.parametrize("module", ["swag_engine.app.cli", "swag_engine.app.worker"])

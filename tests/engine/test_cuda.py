@@ -2,7 +2,6 @@
 
 import ctypes
 import math
-import os
 import subprocess
 import sys
 
@@ -14,21 +13,19 @@ from swag_engine.base.errors import InputError
 from swag_engine.evaluation.ssim import ssim
 from swag_engine.gaussians.sh import evaluate_sh
 from swag_engine.kernels import build, cuda, cuda_driver
+from swag_engine.kernels.backends import KERNELS, device_for
+from swag_engine.kernels.cuda import CudaKernels
+from swag_engine.kernels.protocol import Projection
+from swag_engine.kernels.reference.projection import project
 from swag_engine.rasterize.api import contributions, rasterize
-from swag_engine.rasterize.projection import project
 from swag_engine.training.losses import photometric
 from swag_engine.training.optimizer import adam_step
 from swag_engine.water.medium import Medium, open_water, through_water
-from tests.engine.cuda_fibres import Fibres, pretend_card
-from tests.engine.test_rasterize import GRADIENTS, HARD, changed, clear_scenes, make_scene, relative_error
-from tests.engine.test_rasterize import run as run_truth
-from tests.engine.test_water import CAMERA as WATER_CAMERA
-from tests.engine.test_water import make as make_water
-from tests.engine.test_water import relit_and_gradients
+from tests.engine.cuda_fibres import DEVICE, ON_CARD, Fibres, pretend_card
+from tests.engine.raster_scenes import GRADIENTS, HARD, changed, clear_scenes, make_scene, relative_error
+from tests.engine.raster_scenes import run as run_with
+from tests.engine.water_scenes import CAMERA, gain_and_gradients, make_water
 
-ON_CARD = bool(os.environ.get("SWAG_TEST_CUDA"))
-DEVICE = "cuda" if ON_CARD else "cpu"
-uncached_driver = cuda.driver.__wrapped__
 on_fibres = pytest.mark.skipif(ON_CARD, reason="about the fibres themselves")
 
 
@@ -40,11 +37,13 @@ def fibres(request):
 
 
 @pytest.fixture(autouse=True)
-def launcher(request, monkeypatch):
+def kernels(request, monkeypatch):
+    """The CUDA backend, registered as such."""
     if not ON_CARD:
-        launcher = request.getfixturevalue("fibres")
-        monkeypatch.setattr(cuda, "driver", lambda: launcher)
-    assert cuda.reason() is None
+        fibres = request.getfixturevalue("fibres")
+        monkeypatch.setitem(KERNELS, "cuda", CudaKernels(lambda: fibres))
+    assert KERNELS["cuda"].unavailable_reason() is None
+    return KERNELS["cuda"]
 
 
 def on_device(values):
@@ -52,31 +51,19 @@ def on_device(values):
 
 
 def run(scene):
-    """As test_rasterize.run, by the CUDA kernels."""
-    tensors = on_device(scene)
-    for name in GRADIENTS:
-        tensors[name].requires_grad_()
-    rendering = rasterize(**tensors, backend="cuda")
-    generator = torch.Generator().manual_seed(99)
-    loss = 0
-    for output in (rendering.channels, rendering.alpha):
-        weights = 1 + torch.randn(output.shape, generator=generator, dtype=torch.float64)
-        loss = loss + (output * weights.to(output)).sum()
-    loss.backward()
-    results = {"channels_out": rendering.channels, "alpha": rendering.alpha, "means2d": rendering.means2d.grad}
-    results |= {name: tensors[name].grad for name in GRADIENTS}
-    return {key: value.detach().double().cpu() for key, value in results.items()}, rendering
+    """As raster_scenes.run, by the CUDA kernels."""
+    return run_with(scene, "cuda", device=DEVICE)
 
 
-def check(scene, picture=1e-5):
-    truth, _ = run_truth(scene, "torch", torch.float64)
+def check(scene, image=1e-5):
+    truth, _ = run_with(scene, "torch", torch.float64)
     result, _ = run(scene)
     errors = {key: relative_error(result[key], truth[key]) for key in truth}
-    assert max(errors["channels_out"], errors["alpha"]) < picture, errors
+    assert max(errors["channels_out"], errors["alpha"]) < image, errors
     assert max(errors.values()) < 1e-4, errors
 
 
-# -- pictures and gradients --------------------------------------------------------------------------------------------
+# -- images and gradients ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 5, 8, 11, 35])
@@ -91,7 +78,7 @@ def test_agrees_on_many_small_scenes():
         check(make_scene(8, channels=2, width=19, height=18, seed=number, size=0.4))
 
 
-def test_agrees_on_pictures_one_pixel_wide():
+def test_agrees_on_images_one_pixel_wide():
     for scene in clear_scenes(2, n=200, width=1, height=31, size=0.05):
         check(scene)
 
@@ -128,25 +115,26 @@ def test_agrees_for_needles_a_hundred_thousand_times_longer_than_wide():
     for seed in range(4):
         generator = torch.Generator().manual_seed(seed)
         quats = torch.randn(5, 4, generator=generator).double()
-        check(changed(quats=quats, scales=lambda s: s * 0 + torch.tensor([100, 1e-3, 1e-3])), picture=1e-4)
+        check(changed(quats=quats, scales=lambda s: s * 0 + torch.tensor([100, 1e-3, 1e-3])), image=1e-4)
 
 
-def test_the_determinant_of_a_needles_conic_keeps_its_digits():
+def test_the_determinant_of_a_needles_conic_keeps_its_digits(kernels):
     generator = torch.Generator().manual_seed(0)
     along = torch.nn.functional.normalize(torch.randn(100, 2, generator=generator), dim=1)
     across = torch.stack([-along[:, 1], along[:, 0]], 1)
     xx, xy, yy = (
         along[:, i] * along[:, j] / 60**2 + across[:, i] * across[:, j] / 0.6**2 for i, j in ((0, 0), (0, 1), (1, 1))
     )
-    geometry = torch.full([100, 2], 20.0), torch.stack([xx, xy, yy], 1), torch.full([100], 0.3)
-    rest = torch.ones(100), torch.full([100], 300.0)
-    pairs = cuda._pairs(*(tensor.to(DEVICE) for tensor in (*geometry, *rest)), 40, 30)
-    a, b, c = geometry[1].double().unbind(1)
+    conics = torch.stack([xx, xy, yy], 1)
+    geometry = torch.full([100, 2], 20.0), conics, torch.ones(100), torch.full([100], 300.0)
+    projected = Projection(*(tensor.to(DEVICE) for tensor in geometry))
+    pairs = kernels.tile_pairs(projected, torch.full([100], 0.3, device=DEVICE), 40, 30)
+    a, b, c = conics.double().unbind(1)
     torch.testing.assert_close(pairs.splats[:, 4].double().cpu(), (a - b * b / c) / 2, atol=0, rtol=3e-7)
 
 
 @pytest.mark.parametrize("case", HARD)
-def test_hard_cases_give_finite_pictures_and_gradients(case):
+def test_hard_cases_give_finite_images_and_gradients(case):
     results, rendering = run(HARD[case])
     for key, value in results.items():
         assert value.isfinite().all(), key
@@ -164,7 +152,7 @@ def test_hard_cases_give_finite_pictures_and_gradients(case):
     "case", ["huge scales", "vanishing scales", "pancakes", "opacity 1", "thousands of equals", "huge quaternions"]
 )
 def test_hard_cases_match_the_reference(case):
-    truth, _ = run_truth(HARD[case], "torch", torch.float64)
+    truth, _ = run_with(HARD[case], "torch", torch.float64)
     result, _ = run(HARD[case])
     for key in ("channels_out", "alpha"):
         assert relative_error(result[key], truth[key]) < 1e-4, key
@@ -195,19 +183,23 @@ def test_no_result_depends_on_the_order_of_threads_between_barriers(fibres, monk
         assert all(torch.equal(x, y) for x, y in zip(fair, everything(), strict=True))
 
 
-def test_large_pictures_have_more_tiles_than_16_bits():
+def test_large_images_have_more_tiles_than_16_bits(kernels):
     size = 16 * 182
     scene = changed(n=3, width=size, height=size)
     tensors = [v for v in on_device(scene).values() if isinstance(v, torch.Tensor)]
     means, quats, scales, opacities, channels, viewmat, K, background = tensors
-    projection = cuda.project(means, quats, scales, opacities, channels, viewmat, K, size, size)
-    geometry = projection.means2d, projection.conics, opacities, projection.depths, projection.radii
-    pairs = cuda._pairs(*geometry, size, size)
+    projection = kernels.project(means, quats, scales, opacities, channels, viewmat, K, size, size)
+    pairs = kernels.tile_pairs(projection, opacities, size, size)
     tile_of = torch.searchsorted(pairs.tile_starts, torch.arange(len(pairs.ids), device=DEVICE), right=True) - 1
     assert pairs.tile_starts.shape == (182 * 182 + 1,) and pairs.tile_starts[-1] == len(pairs.ids) > 0
     places = (tile_of % 182 * 16 + 8, tile_of // 182 * 16 + 8)
     for axis, place in enumerate(places):
         assert ((place - projection.means2d[pairs.ids.long(), axis]).abs() < projection.radii.max() + 17).all()
+
+
+@on_fibres
+def test_a_run_keeps_its_tensors_where_the_kernels_take_them():
+    assert device_for("cuda") == device_for("auto") == torch.device(DEVICE)
 
 
 def test_too_many_pairs_are_refused():
@@ -220,12 +212,12 @@ def test_too_many_pairs_are_refused():
 
 
 def contributions_of(scene, images):
-    pictures = random_pictures(scene, images)
-    found = contributions(**on_device(scene | pictures), backend="cuda")
+    given = random_images(scene, images)
+    found = contributions(**on_device(scene | given), backend="cuda")
     return [value.double().cpu() for value in (found.weighted, found.importance, found.error)]
 
 
-def random_pictures(scene, images):
+def random_images(scene, images):
     generator = torch.Generator().manual_seed(5)
     size = scene["height"], scene["width"]
     return {
@@ -234,10 +226,10 @@ def random_pictures(scene, images):
     }
 
 
-def contributions_by_the_book(scene, images):
-    """One Gaussian after the other, pixel by pixel."""
+def contributions_by_definition(scene, images):
+    """Sums of contributions: one Gaussian after the other, pixel by pixel."""
     names = ("means", "quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")
-    seen, pictures = project(*(scene[name] for name in names)), random_pictures(scene, images)
+    seen, given = project(*(scene[name] for name in names)), random_images(scene, images)
     n = len(scene["means"])
     sums = torch.zeros(n, images).double(), torch.zeros(n).double(), torch.zeros(n).double()
     order = [i for i in torch.argsort(seen.depths, stable=True).tolist() if seen.radii[i] > 0]
@@ -259,9 +251,9 @@ def contributions_by_the_book(scene, images):
             for i, alpha, before, varies in reversed(drawn):
                 color = scene["channels"][i]
                 change = scene["opacities"][i] * before * (color - behind) * varies
-                sums[0][i] += before * alpha * pictures["weights"][y, x]
+                sums[0][i] += before * alpha * given["weights"][y, x]
                 sums[1][i] += change.square().sum()
-                sums[2][i] += (pictures["image_gradient"][y, x] * change).sum() ** 2
+                sums[2][i] += (given["image_gradient"][y, x] * change).sum() ** 2
                 behind = alpha * color + (1 - alpha) * behind
     return sums
 
@@ -271,8 +263,8 @@ def test_contributions_agree_with_their_definition(channels, images):
     scene = next(clear_scenes(1, n=25, channels=channels, width=19, height=17, size=0.5))
     turn, shift = scene["viewmat"][:3, :3], scene["viewmat"][:3, 3]
     scene["means"][0] = turn.T @ (torch.tensor([0.0, 0.0, 1.2]).double() - shift)
-    scene["opacities"][0], scene["scales"][0] = 1.0, 0.5  # clamped at its centre, in the picture
-    truth, result = contributions_by_the_book(scene, images), contributions_of(scene, images)
+    scene["opacities"][0], scene["scales"][0] = 1.0, 0.5  # clamped at its centre, in the image
+    truth, result = contributions_by_definition(scene, images), contributions_of(scene, images)
     for value, expected in zip(result, truth, strict=True):
         assert value.shape == expected.shape
         assert not expected.numel() or relative_error(value, expected) < 1e-5
@@ -327,7 +319,7 @@ def test_water_agrees_with_torch(degree, light):
         colors, offsets, medium = make_water(400, light, dtype=dtype)
         medium, leaves = medium.to(device), [t.to(device).requires_grad_() for t in (colors, offsets)]
         parameters = [t.requires_grad_() for t in medium.parameters().values()]
-        camera = (t.to(device, dtype) for t in WATER_CAMERA)
+        camera = (t.to(device, dtype) for t in CAMERA)
         seen = through_water(*leaves, medium, degree, backend=backend)
         behind = open_water(medium, *camera, 22, 16, degree, backend=backend)
         weights = (torch.randn(t.shape, generator=torch.Generator().manual_seed(3)).to(t) for t in (seen, behind))
@@ -341,9 +333,9 @@ def test_water_agrees_with_torch(degree, light):
 
 
 @pytest.mark.parametrize("shape", [(1,), (3,), (45, 17, 1)])
-def test_light_changes_as_with_torch(shape):
-    truth = relit_and_gradients(shape, "torch", torch.float64)
-    for value, expected in zip(relit_and_gradients(shape, "cuda", torch.float32, DEVICE), truth, strict=True):
+def test_gains_agree_with_torch(shape):
+    truth = gain_and_gradients(shape, "torch", torch.float64)
+    for value, expected in zip(gain_and_gradients(shape, "cuda", torch.float32, DEVICE), truth, strict=True):
         torch.testing.assert_close(value, expected, atol=1e-5, rtol=1e-5)
 
 
@@ -512,7 +504,7 @@ def test_no_blocks_no_launch(fake):
     cuda_driver.Driver().launch("no such kernel", 0, 256, [torch.zeros(2)])
 
 
-def test_errors_of_the_driver_are_put_in_words(fake):
+def test_errors_of_the_driver_have_its_message(fake):
     with pytest.raises(cuda_driver.CudaError, match="cuModuleGetFunction failed with error 500, not found"):
         cuda_driver.Driver().launch("no such kernel", 1, 256, [torch.zeros(2)])
 
@@ -533,9 +525,9 @@ def without_library():
         ("library", "load_error", 222, "error 222, too bad\nline 1 is wrong"),
     ],
 )
-def test_users_are_told_why_there_is_no_cuda(where, name, value, reason, fake, monkeypatch):
+def test_the_reason_why_cuda_is_unavailable(where, name, value, reason, fake, monkeypatch):
     if where == "library":
         ctypes.c_int.in_dll(fake, name).value = value
     else:
         monkeypatch.setattr(where, name, value)
-    assert reason in uncached_driver()
+    assert reason in CudaKernels().unavailable_reason()

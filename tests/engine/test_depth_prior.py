@@ -11,7 +11,15 @@ from scipy.ndimage import gaussian_filter
 
 from swag_engine.base.errors import InputError
 from swag_engine.effects.depth_prior import depth_loss
-from swag_engine.priors.depth import Alignment, InverseDepth, align, depth_priors, gate, prior, sparse_points
+from swag_engine.priors.depth import (
+    Alignment,
+    InverseDepth,
+    align,
+    aligned_inverse_range,
+    depth_priors,
+    reject_outlying_slopes,
+    sparse_points,
+)
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import TrainingImage
@@ -107,7 +115,7 @@ def test_distorted_depth_of_real_scenes_is_brought_back(frame: str, outliers: fl
     found = align(prediction, points_uv, with_outliers(inverse_range, outliers, random))
     assert found.accepted and found.reason == "" and found.count == 600
     assert found.a == pytest.approx(0.14, rel=0.05) and found.spearman > 0.9
-    q, seen = prior(prediction, found), depth > 0
+    q, seen = aligned_inverse_range(prediction, found), depth > 0
     assert q.dtype == np.float32 and q.min() >= 0
     spread = inverse_range.std()
     assert np.median(np.abs(q - 1 / np.maximum(depth, 1e-3))[seen]) < 0.1 * spread
@@ -156,11 +164,11 @@ def test_an_image_whose_scale_is_unlike_the_others_is_refused() -> None:
 
     found = {"a": alignment(1.0), "b": alignment(1.2), "c": alignment(0.19), "d": alignment(0.9), "e": alignment(6.0)}
     found |= {f"refused {i}": alignment(100.0, accepted=False) for i in range(9)}  # these do not shift the median
-    gated = gate(found)
+    gated = reject_outlying_slopes(found)
     assert [name for name in gated if gated[name].accepted] == ["a", "b", "d"]
-    assert "0.19 times the usual one" in gated["c"].reason and "6 times the usual one" in gated["e"].reason
+    assert "0.19 times the median" in gated["c"].reason and "6 times the median" in gated["e"].reason
     assert all(gated[name] == found[name] for name in found if name not in "ce")
-    assert gate({}) == {}
+    assert reject_outlying_slopes({}) == {}
 
 
 def test_ranges_are_euclidean_and_points_behind_the_camera_do_not_count() -> None:
@@ -196,7 +204,7 @@ def test_a_scene_gets_priors_for_the_images_that_the_network_understands(tiny_sc
     accepted = [image for i, image in enumerate(images) if i not in (3, 5)]
     assert set(priors) == {image.camera.name for image in accepted} and len(alignments) == len(images)
     assert "exchanged" in alignments[images[3].camera.name].reason
-    assert "times the usual one" in alignments[images[5].camera.name].reason
+    assert "times the median" in alignments[images[5].camera.name].reason
     for image in accepted:
         q = priors[image.camera.name]
         assert q.dtype == np.float32 and np.array_equal(np.isfinite(q), image.valid)

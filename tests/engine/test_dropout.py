@@ -1,4 +1,4 @@
-"""Where a run learns its photographs by heart, Gaussians are left out at random; elsewhere none are."""
+"""Dropout: Gaussians are dropped at random where a run overfits its images, and nowhere else."""
 
 import json
 from dataclasses import replace
@@ -24,7 +24,7 @@ SETTINGS = TrainSettings(iterations=600, width=64, max_gaussians=3000)
 
 @pytest.fixture(scope="module")
 def contradictory(tmp_path_factory):
-    """Each photograph has blotches of its own, which can be learned and teach nothing of the place."""
+    """A scene whose images each have random blotches, which can be overfitted and show nothing of the place."""
     scene = make_tiny_scene(tmp_path_factory.mktemp("contradictory") / "scene")
     random = np.random.default_rng(0)
     for path in sorted((scene / "images").iterdir()):
@@ -34,7 +34,7 @@ def contradictory(tmp_path_factory):
     return scene
 
 
-def test_what_is_learned_by_heart_is_found_and_held_back(contradictory, tmp_path):
+def test_overfitting_is_found_and_reduced(contradictory, tmp_path):
     trained = {
         effects: train(contradictory, tmp_path / effects, TrainSettings(**vars(SETTINGS) | {"effects": effects}))
         for effects in ("dropout=on", "dropout=off")
@@ -62,7 +62,7 @@ def test_nothing_is_dropped_in_a_scene_that_does_not_overfit(tiny_scene, tmp_pat
 def test_a_run_with_dropout_resumes_bit_equal(tiny_scene, tmp_path):
     def drop(trainer):
         trainer.state.dropout = 0.1
-        trainer.inputs = replace(trainer.inputs, validation=[])  # which would set the rate anew
+        trainer.inputs = replace(trainer.inputs, validation=[])  # they would set the rate
 
     short = TrainSettings(iterations=60, width=64, max_gaussians=500, effects="lamp=off,exposure=off,caustics=off")
     train_with(tiny_scene, tmp_path / "whole", short, drop)
@@ -75,15 +75,15 @@ def test_a_run_with_dropout_resumes_bit_equal(tiny_scene, tmp_path):
     assert all(torch.equal(tensor, got[name]) for name, tensor in expected.items())
 
 
-def test_the_rate_follows_the_gap():
+def test_the_rate_rises_with_the_gap():
     assert dropout_rate(30.0, 30.0 - GAP_DB, 0.2) == 0
     assert dropout_rate(30.0, 30.0 - (GAP_DB + FULL_GAP_DB) / 2, 0.2) == pytest.approx(0.1)
     assert dropout_rate(40.0, 20.0, 0.2) == pytest.approx(0.2)
     assert dropout_rate(float("nan"), 20.0, 0.2) == dropout_rate(30.0, float("nan"), 0.2) == 0
 
 
-def test_a_picture_is_the_same_on_average():
-    """Of faint Gaussians one behind the other: what is left shows as much more as others are left out."""
+def test_the_image_is_the_same_on_average():
+    """For faint Gaussians behind one another: the remaining ones are as much more visible as others are dropped."""
     cloud = make_cloud(300, dtype=torch.float32)
     cloud.opacity_logits[:] = -3.0
     camera = Camera("front", 32, 32, 30.0, 30.0, 16.0, 16.0, np.eye(4))

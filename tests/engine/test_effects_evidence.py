@@ -1,4 +1,4 @@
-"""Which effects are found in sightings whose truth is known, and in the demo scene."""
+"""Decisions about effects from observations whose truth is known, from the demo scene, and from real scenes."""
 
 import json
 from dataclasses import replace
@@ -17,8 +17,7 @@ from swag_engine.evidence.observations import FIT_WIDTH, Observations, observe
 from swag_engine.evidence.scene_evidence import SceneEvidence
 from swag_engine.evidence.water_terms import find_water_terms
 from swag_engine.planning.plan import decide_all
-from swag_engine.priors.depth import Alignment
-from swag_engine.priors.interpolate import Admission
+from swag_engine.priors.depth import sparse_points
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
@@ -29,7 +28,7 @@ VIEWS = 20
 BLUE = {"beta_D": (0.17, 0.06, 0.04), "beta_B": (0.14, 0.08, 0.06), "B": (0.03, 0.17, 0.25)}
 
 
-def sightings(
+def observations_of(
     beta_D=(0, 0, 0),
     beta_B=(0, 0, 0),
     B=(0, 0, 0),
@@ -57,12 +56,12 @@ def sightings(
     direct = np.exp(-np.array(beta_D) * ranges[:, None])
     if tau is not None:
         direct = direct * ((tau + 9) / (tau + ranges**2))[:, None]
-    veil = np.array(B) * (1 - np.exp(-np.array(beta_B) * ranges[:, None]))
+    veiling = np.array(B) * (1 - np.exp(-np.array(beta_B) * ranges[:, None]))
     error = (
         1 + noise * r.standard_normal((len(track), 1)) + 0.3 * noise * r.standard_normal((len(track), 3)) * (not grey)
     )
-    light = gains[:, None] * (J[track] * direct * error + veil)
-    darkest = gains[:, None] * (r.uniform(0.02, 0.3, (len(track), 1)) * J[track] * direct + veil)
+    light = gains[:, None] * (J[track] * direct * error + veiling)
+    darkest = gains[:, None] * (r.uniform(0.02, 0.3, (len(track), 1)) * J[track] * direct + veiling)
     return Observations(track, ranges, light, image, place, darkest)
 
 
@@ -85,11 +84,8 @@ class Found:
             self.effects[name] = REGISTRY[name].decide(evidence, self.effects)
 
 
-water_findings = Found
-
-
 def states(observations):
-    return {name: finding.state for name, finding in water_findings(observations).effects.items()}
+    return {name: decision.state for name, decision in Found(observations).effects.items()}
 
 
 EXPECTED = {"attenuation": "off", "backscatter": "off", "lamp": "off", "exposure": "off"}
@@ -109,55 +105,55 @@ EXPECTED = {"attenuation": "off", "backscatter": "off", "lamp": "off", "exposure
         ({**BLUE, "tau": 1.0}, ("attenuation", "backscatter", "lamp")),
     ],
 )
-def test_what_is_there_is_found_and_nothing_else(scene, on):
-    found = states(sightings(**scene))
+def test_effects_that_are_there_are_found_and_no_others(scene, on):
+    found = states(observations_of(**scene))
     found.pop("separate_backscatter")
     assert found == EXPECTED | dict.fromkeys(on, "on")
 
 
-def test_figures_come_with_their_thresholds_and_words():
-    findings = water_findings(sightings(**BLUE)).effects
-    for finding in findings.values():
-        for name in finding.evidence:
-            pair = {f"{name}_least", f"{name}_most"} & set(finding.evidence)
+def test_figures_come_with_thresholds_and_a_sentence():
+    decisions = Found(observations_of(**BLUE)).effects
+    for decision in decisions.values():
+        for name in decision.evidence:
+            pair = {f"{name}_least", f"{name}_most"} & set(decision.evidence)
             assert pair or name.endswith(("_least", "_most")) or name == "ratio", name
-        assert finding.reason.endswith(".")
-    assert "Red loses 4" in findings["attenuation"].reason and "threshold 10%" in findings["attenuation"].reason
+        assert decision.reason.endswith(".")
+    assert "Red loses 4" in decisions["attenuation"].reason and "threshold 10%" in decisions["attenuation"].reason
 
 
 def test_values_and_intervals_hold_the_truth():
-    found = water_findings(sightings(**BLUE, count=2000))
+    found = Found(observations_of(**BLUE, count=2000))
     np.testing.assert_allclose(found.fit.beta_D, BLUE["beta_D"], rtol=0.15)
-    veil, truth = (
+    veiling, truth = (
         B * -np.expm1(-5 * np.array(b))
         for B, b in ((found.fit.B, found.fit.beta_B), (np.array(BLUE["B"]), BLUE["beta_B"]))
     )
-    np.testing.assert_allclose(veil, truth, rtol=0.15)
+    np.testing.assert_allclose(veiling, truth, rtol=0.15)
     low, high = found.intervals["beta_D"]
     assert (low < high).all() and (low[0] < 0.17 * 1.05) and (high[0] > 0.17 * 0.95)
     assert (high - low)[0] < 0.06
 
 
-def test_exact_sightings_give_the_water_exactly():
-    fit = water_findings(sightings(**BLUE, noise=1e-4)).fit
+def test_exact_observations_give_the_water_exactly():
+    fit = Found(observations_of(**BLUE, noise=1e-4)).fit
     for name, truth in BLUE.items():
         np.testing.assert_allclose(getattr(fit, name), truth, rtol=0.01)
 
 
 def test_wrong_matches_do_not_bend_the_water():
-    seen = sightings(**BLUE, noise=0.02, count=1500)
+    seen = observations_of(**BLUE, noise=0.02, count=1500)
     wrong = np.random.default_rng(1).choice(len(seen), len(seen) // 50, replace=False)
     seen.light[wrong] = np.random.default_rng(2).uniform(0, 0.8, (len(wrong), 3))
-    np.testing.assert_allclose(water_findings(seen).fit.beta_D, BLUE["beta_D"], rtol=0.15)
+    np.testing.assert_allclose(Found(seen).fit.beta_D, BLUE["beta_D"], rtol=0.15)
 
 
-def test_gains_are_those_of_the_photographs():
-    observations = sightings(gain_sd=0.15)
-    found = water_findings(observations)
-    # What the gains explain is gone from the residuals of a second look.
+def test_exposures_are_those_of_the_images():
+    observations = observations_of(gain_sd=0.15)
+    found = Found(observations)
+    # Divided by the fitted gains, the observations have none left.
     index = {image: k for k, image in enumerate(found.images)}
     gains = np.exp(found.fit.log_gains[[index[k] for k in observations.image]])
-    again = water_findings(replace(observations, light=observations.light / gains[:, None]))
+    again = Found(replace(observations, light=observations.light / gains[:, None]))
     assert found.effects["exposure"].evidence["gain_sd"] == pytest.approx(0.15, abs=0.06)
     assert again.effects["exposure"].evidence["gain_sd"] < 0.01
 
@@ -169,23 +165,23 @@ def test_gains_are_those_of_the_photographs():
         ({**BLUE, "count": 20}, "only 100 observations"),
     ],
 )
-def test_it_says_when_it_cannot_tell(scene, words):
-    for name, finding in water_findings(sightings(**scene)).effects.items():
+def test_effects_that_cannot_be_determined_are_unknown(scene, words):
+    for name, decision in Found(observations_of(**scene)).effects.items():
         if name in ("attenuation", "backscatter", "lamp"):
-            assert finding.state == "unknown" and words in finding.reason
+            assert decision.state == "unknown" and words in decision.reason
 
 
-def test_fall_off_to_the_corners_in_a_survey_cannot_be_told_from_water():
-    observations = sightings(lens=0.4, noise=0.03)
+def test_vignetting_in_a_survey_leaves_water_undetermined():
+    observations = observations_of(lens=0.4, noise=0.03)
     straight_down = replace(observations, ranges=4 / np.cos(0.65 * observations.radius))
     light = observations.light * np.exp(-0.17 * straight_down.ranges[:, None])
-    found = water_findings(replace(straight_down, light=light)).effects
+    found = Found(replace(straight_down, light=light)).effects
     assert found["attenuation"].state == found["lamp"].state == "unknown"
     assert "vary together" in found["attenuation"].reason
 
 
-def test_gains_are_told_in_a_straight_survey_through_a_lens_that_falls_off():
-    """There gains that rise from photograph to photograph look like a lens that is brighter on one side."""
+def test_exposure_is_determined_in_a_straight_survey_with_vignetting():
+    """There, exposures that rise from image to image resemble a lens that is brighter on one side."""
     r = np.random.default_rng(0)
     X, Y, J = r.uniform(-1, 9, 1600), r.uniform(-0.6, 0.6, 1600), r.uniform(0.05, 0.7, (1600, 3))
     parts = []
@@ -196,69 +192,70 @@ def test_gains_are_told_in_a_straight_survey_through_a_lens_that_falls_off():
         light = light * (1 + 0.06 * r.standard_normal((len(light), 1)))
         ranges = 4 * np.exp(0.1 * r.uniform(-1, 1, len(light)))
         parts.append((np.flatnonzero(seen), ranges, light, np.full(len(light), k), place, light / 3))
-    finding = water_findings(Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True))))
-    exposure = finding.effects["exposure"]
+    found = Found(Observations(*(np.concatenate(columns) for columns in zip(*parts, strict=True))))
+    exposure = found.effects["exposure"]
     assert exposure.state == "on" and exposure.evidence["gain_sd"] == pytest.approx(0.1, abs=0.03)
 
 
-def test_a_veil_that_the_darkest_light_does_not_show_is_no_backscatter():
-    observations = sightings(**BLUE)
+def test_veiling_light_that_the_darkest_pixels_lack_is_no_backscatter():
+    observations = observations_of(**BLUE)
     assert states(observations)["backscatter"] == "on"
     assert states(replace(observations, darkest=0 * observations.darkest))["backscatter"] == "off"
 
 
-def test_what_one_surface_loses_is_not_water():
-    """Shine makes one surface redder the nearer it is; water takes from all surfaces alike."""
-    observations = sightings(count=800)
+def test_light_lost_on_one_surface_only_is_not_water():
+    """A highlight makes one surface redder the nearer it is; water acts on all surfaces alike."""
+    observations = observations_of(count=800)
     _, first, track = np.unique(observations.track, return_index=True, return_inverse=True)
     shining = (observations.place[first, 0] > 0)[track]
     red = np.where(shining, np.exp(-0.1 * (observations.ranges - 2)), 1.0)
     light = observations.light * np.column_stack([red, np.ones((len(red), 2))])
-    finding = water_findings(replace(observations, light=light)).effects["attenuation"]
-    assert finding.evidence["change"][0] > finding.evidence["change_least"]
-    assert finding.state == "unknown" and "shine" in finding.reason
+    decision = Found(replace(observations, light=light)).effects["attenuation"]
+    assert decision.evidence["change"][0] > decision.evidence["change_least"]
+    assert decision.state == "unknown" and "shine" in decision.reason
 
 
-def test_grey_loss_is_a_lamp():
-    """Water has a colour: what all channels lose alike is the lamp's light, and water's share of it cannot be told."""
-    found = water_findings(sightings(grey=True, tau=0.5, beta_D=(0.2, 0.2, 0.2)))
+def test_grey_attenuation_without_veiling_light_is_a_lamp():
+    """Light that all channels lose alike is ascribed to the lamp; the fraction that water takes is undetermined."""
+    found = Found(observations_of(grey=True, tau=0.5, beta_D=(0.2, 0.2, 0.2)))
     assert found.effects["lamp"].state == "on" and "no color" in found.effects["lamp"].reason
     assert found.effects["attenuation"].state != "on" and found.fit.tau < np.inf
 
 
-def test_water_that_takes_from_all_colours_alike_is_told_by_its_veil():
+def test_grey_attenuation_is_determined_by_the_veiling_light():
     turbid = {"beta_D": (0.16, 0.16, 0.16), "beta_B": (0.12, 0.12, 0.12)}
-    veiled = sightings(**turbid, B=(0.2, 0.2, 0.2), count=1500)
-    assert states(veiled)["attenuation"] == states(veiled)["backscatter"] == "on"
+    veiled = observations_of(**turbid, B=(0.2, 0.2, 0.2), count=1500)
+    found = states(veiled)
+    assert found["attenuation"] == found["backscatter"] == "on"
     assert states(replace(veiled, darkest=np.zeros_like(veiled.darkest)))["attenuation"] != "on"
 
 
-def test_light_that_falls_off_less_than_a_lamps_has_to_be_surer():
-    """In a room, what is far off can be darker, too; a lamp's light falls off with the square of range."""
-    near, partly = (water_findings(sightings(tau=tau, noise=0.6, count=300)).effects["lamp"] for tau in (1.0, 60.0))
+def test_a_weak_fall_off_needs_more_evidence_for_a_lamp():
+    """In a room, distant surfaces can be darker, too; the light of a lamp falls off with the square of range."""
+    near, partly = (Found(observations_of(tau=tau, noise=0.6, count=300)).effects["lamp"] for tau in (1.0, 60.0))
     assert near.state == "on"
     assert partly.state == "unknown" and 30 < partly.evidence["bic_gain"] < partly.evidence["bic_gain_least"]
 
 
-def test_exposure_by_a_lamp_has_to_be_surer():
-    observations = sightings(tau=1.0, gain_sd=0.06, noise=0.12, count=300)
-    finding = water_findings(observations).effects["exposure"]
-    assert 100 < finding.evidence["bic_gain"] < 700
-    assert finding.state == "unknown" and "lamp" in finding.reason
+def test_exposure_under_a_lamp_needs_more_evidence():
+    observations = observations_of(tau=1.0, gain_sd=0.06, noise=0.12, count=300)
+    decision = Found(observations).effects["exposure"]
+    assert 100 < decision.evidence["bic_gain"] < 700
+    assert decision.state == "unknown" and "lamp" in decision.reason
 
 
-def test_a_loss_that_could_not_be_seen_is_not_denied():
-    assert states(sightings())["attenuation"] == "off"
-    finding = water_findings(sightings(count=60, noise=0.5, spread=1.5)).effects["attenuation"]
-    assert finding.state == "unknown" and "would be known to" in finding.reason
-    assert finding.evidence["resolution"] > finding.evidence["resolution_most"]
+def test_attenuation_below_the_resolution_is_undetermined():
+    assert states(observations_of())["attenuation"] == "off"
+    decision = Found(observations_of(count=60, noise=0.5, spread=1.5)).effects["attenuation"]
+    assert decision.state == "unknown" and "would be known to" in decision.reason
+    assert decision.evidence["resolution"] > decision.evidence["resolution_most"]
 
 
 @pytest.mark.parametrize("separate", [True, False])
 @pytest.mark.parametrize("B", [(0.05, 0.1, 0.2), (0.6, 0.6, 0.6)])
 def test_derivatives_by_finite_differences(separate, B):
-    """Where the veil would be brighter than what is photographed, too: there a point is black, and not less."""
-    ready = Sightings(sightings(**BLUE, tau=2.0, gain_sd=0.1, lens=0.2, count=60))
+    """Also where the veiling light is brighter than the image: the color of a point is then 0, not negative."""
+    ready = Sightings(observations_of(**BLUE, tau=2.0, gain_sd=0.1, lens=0.2, count=60))
     family = Family(True, True, separate, lamp=True, lens=True, gains=True)
     values = ready._start(family)
     values[6:9], values[LENS], values[GAINS:] = B, 0.1, 0.05 * np.arange(VIEWS)
@@ -298,29 +295,29 @@ def flickering(strength, together=True, seed=0, shine=False):
 
 
 @pytest.mark.parametrize("strength, together, state", [(0.0, True, "off"), (0.3, True, "on"), (0.3, False, "off")])
-def test_caustics_are_light_that_flickers_on_whole_patches(strength, together, state):
-    finding = decide_by_flicker(*flickering(strength, together))
-    assert finding.state == state
+def test_caustics_are_flicker_of_whole_patches(strength, together, state):
+    decision = decide_by_flicker(*flickering(strength, together))
+    assert decision.state == state
     if state == "on":
-        assert finding.evidence["flicker"] == pytest.approx(0.3, rel=0.5)
+        assert decision.evidence["flicker"] == pytest.approx(0.3, rel=0.5)
 
 
-def test_shine_is_no_caustics():
-    """It changes too, and for whole patches, but the less the nearer the views."""
-    finding = decide_by_flicker(*flickering(0.3, shine=True))
-    assert finding.state == "off" and finding.evidence["flicker"] > finding.evidence["flicker_least"]
-    assert finding.evidence["steadiness"] < finding.evidence["steadiness_least"]
+def test_specular_highlights_are_no_caustics():
+    """They change for whole patches, too, but less the nearer the views are."""
+    decision = decide_by_flicker(*flickering(0.3, shine=True))
+    assert decision.state == "off" and decision.evidence["flicker"] > decision.evidence["flicker_least"]
+    assert decision.evidence["steadiness"] < decision.evidence["steadiness_least"]
 
 
-def test_light_that_is_uneven_over_a_photograph_is_no_caustics():
+def test_light_that_is_uneven_over_an_image_is_no_caustics():
     observations, centres, positions = flickering(0.0)
     beam = 0.3 * (-1.0) ** observations.image * observations.place[:, 0]
     lit = replace(observations, light=observations.light * np.exp(beam)[:, None])
     assert decide_by_flicker(lit, centres, positions).state == "off"
 
 
-def test_contrast_that_a_telephone_evens_out_is_no_caustics():
-    """It changes with each photograph, too, but over quarters of it."""
+def test_local_tone_mapping_is_no_caustics():
+    """It changes with each image, too, but over quarters of it."""
     observations, centres, positions = flickering(0.0)
     phase = 2.0 * observations.image[:, None] + observations.place * 8
     evened = replace(observations, light=observations.light * np.exp(0.2 * np.sin(phase).sum(1))[:, None])
@@ -328,18 +325,18 @@ def test_contrast_that_a_telephone_evens_out_is_no_caustics():
 
 
 @pytest.mark.filterwarnings("error")
-def test_one_colour_does_not_flicker():
+def test_a_constant_color_does_not_flicker():
     observations, centres, positions = flickering(0.0)
-    finding = decide_by_flicker(replace(observations, light=np.full_like(observations.light, 0.3)), centres, positions)
-    assert finding.state == "off" and finding.evidence["flicker"] == 0
+    decision = decide_by_flicker(replace(observations, light=np.full_like(observations.light, 0.3)), centres, positions)
+    assert decision.state == "off" and decision.evidence["flicker"] == 0
 
 
-def test_caustics_cannot_be_told_without_near_views():
+def test_caustics_are_undetermined_without_near_views():
     observations, centres, positions = flickering(0.3)
     assert decide_by_flicker(observations.take(observations.image == 0), centres, positions).state == "unknown"
 
 
-# -- whole photographs -------------------------------------------------------------------------------------------------
+# -- whole images ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -361,16 +358,16 @@ def test_the_demo_scene_has_water_and_nothing_else(reef):
 def test_the_demo_scene_gives_its_true_water(reef):
     scene, images = reef
     observations = observe(images, [view.point_indices for view in scene.views], scene.points)
-    found = water_findings(observations, open_water_light(images, scene))
+    found = Found(observations, open_water_light(images, scene))
     truth = json.loads((REEF / "truth.json").read_text())["water"]
     np.testing.assert_allclose(found.fit.beta_D, truth["beta_D"], rtol=0.2)
     np.testing.assert_allclose(found.fit.B, truth["B_inf"], rtol=0.1)
-    median = 5.5  # range: how fast red's little veil comes nobody can see
-    veil, expected = (
+    median = 5.5  # range; beta_B of red, whose veiling light is weak, is not determined
+    veiling, expected = (
         B * -np.expm1(-np.array(beta_B) * median)
         for B, beta_B in ((found.fit.B, found.fit.beta_B), (truth["B_inf"], truth["beta_B"]))
     )
-    np.testing.assert_allclose(veil, expected, atol=0.01)
+    np.testing.assert_allclose(veiling, expected, atol=0.01)
 
 
 def decided(effect, scene, images, backscatter="off", **given):
@@ -387,31 +384,46 @@ def test_open_water_calls_for_labels(reef):
     assert decided(semantics, scene, images, labels_wanted=True).state == "on"
 
 
-def test_depth_is_only_asked_for_where_points_are_few(reef, monkeypatch):
+def test_depth_is_predicted_only_where_points_are_few(reef):
     scene, images = reef
     assert decided(depth_prior, scene, images, depth=lambda image: pytest.fail("the network was asked")).state == "off"
     few = replace(scene, views=tuple(replace(view, point_indices=view.point_indices[::4]) for view in scene.views))
-    assert decided(depth_prior, few, images).state == "unknown"
-    for accepted, state in ((9, "on"), (5, "off")):
-        judged = {k: Alignment(1.0, 0.0, 100, 0.9, k < accepted, "") for k in range(10)}
-        monkeypatch.setattr(depth_prior, "depth_priors", lambda *arguments, judged=judged: ({}, judged))
-        assert decided(depth_prior, few, images, depth=lambda image: None).state == state
+    seen = {view.name: view.point_indices for view in few.views}
+    ten = images[:10]
+    assert decided(depth_prior, few, ten).state == "unknown"
+    for wrong, state in ((1, "on"), (5, "off")):
+
+        def depth(image, failing=ten[:wrong]):
+            """Inverse range around the sparse points; the same everywhere in the images that fail."""
+            prediction = np.zeros(image.valid.shape)
+            if not any(image is other for other in failing):
+                uv, inverse_range = sparse_points(image.camera, scene.points.positions[seen[image.camera.name]])
+                for (column, row), value in zip(uv.astype(int).clip(2), inverse_range, strict=True):
+                    prediction[row - 2 : row + 3, column - 2 : column + 3] = value
+            return prediction
+
+        decision = decided(depth_prior, few, ten, depth=depth)
+        assert decision.state == state and decision.evidence["accepted"] == 1 - wrong / 10
 
 
-def test_interpolated_frames_are_for_few_images_far_apart(reef, monkeypatch):
-    scene, images = reef
-    far = replace(scene, views=scene.views[::3])
-    judged = Admission(3, 27.0, 2.0, 0.9, True, "")
-    monkeypatch.setattr(interpolation, "admission", lambda *arguments: judged)
-    near = decided(interpolation, scene, images)
-    assert near.evidence["shared_points"] > decided(interpolation, far, images).evidence["shared_points"] > 0
-    monkeypatch.setattr(interpolation, "MOST_SHARED", 0.9)
+def test_frames_are_interpolated_for_few_images_far_apart(reef):
+    scene, _ = reef
+    images = load_images(scene, scene.views, 160)  # small, so that the optical flow between them is found
+    apart = [replace(v, point_indices=v.point_indices[v.point_indices % 2 == k % 2]) for k, v in enumerate(scene.views)]
+    far = replace(scene, views=tuple(apart))  # neighbours share no points
+
+    def true_frame(a, b, t):
+        first, second = (next(k for k, image in enumerate(images) if image.pixels is frame) for frame in (a, b))
+        return images[(first + second) // 2].pixels
+
+    near = decided(interpolation, scene, images, interpolator=true_frame)
+    assert near.state == "off" and near.evidence["shared_points"] > near.evidence["shared_points_most"]
     assert decided(interpolation, far, images).state == "unknown"
-    assert decided(interpolation, far, images, interpolator=lambda *frames: None).state == "on"
-    judged = Admission(3, 20.0, 2.0, 0.9, False, "Interpolated frames miss the images.")
-    assert decided(interpolation, far, images, interpolator=lambda *frames: None).reason == judged.reason
-    monkeypatch.setattr(interpolation, "neighbour_pairs", lambda *names: [])
-    assert decided(interpolation, far, images).state == "off"
+    accepted = decided(interpolation, far, images, interpolator=true_frame)
+    assert accepted.state == "on" and accepted.evidence["shared_points"] == 0
+    black = decided(interpolation, far, images, interpolator=lambda a, b, t: np.zeros_like(a))
+    assert black.state == "off" and "frames differ from the images" in black.reason
+    assert decided(interpolation, replace(far, views=far.views[:1]), images).state == "off"
 
 
 def test_every_effect_is_decided_in_words(reef):
@@ -442,7 +454,7 @@ def test_real_scenes(name, expected):
     views = [view for view in scene.views if view.name not in test]
     images = load_images(scene, views, FIT_WIDTH)
     observations = observe(images, [view.point_indices for view in views], scene.points)
-    found = water_findings(observations, open_water_light(images, scene)).effects
+    found = Found(observations, open_water_light(images, scene)).effects
     assert {effect: found[effect].state for effect in expected} == expected
     centres = np.stack([image.camera.centre for image in images])
     assert decide_by_flicker(observations, centres, scene.points.positions).state == "off"

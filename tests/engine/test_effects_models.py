@@ -1,4 +1,4 @@
-"""The effects that training can simulate: what they do, and their gradients by finite differences."""
+"""Models of effects: what they do, and their gradients by finite differences."""
 
 import cv2
 import numpy as np
@@ -10,8 +10,8 @@ from swag_engine.effects.exposure import Exposure
 from swag_engine.effects.image_gain import apply_log_gains
 from swag_engine.effects.lamp import Lamp, lit
 from swag_engine.effects.moving_objects import fraction_with_objects, moving_mask, residual, residuals_elsewhere
+from swag_engine.kernels.reference.transfer import to_display, to_light
 from swag_engine.scene.cameras import Camera
-from swag_engine.water.light import to_display, to_light
 from tests.scenes.clouds import make_cloud
 
 
@@ -27,7 +27,7 @@ def shown(picture, model, name):
     return apply_log_gains(picture, [model.log_gain(name, *picture.shape[:2])])
 
 
-def test_a_lamp_leaves_the_median_range_as_it_is_and_falls_off_with_its_square():
+def test_a_lamp_is_1_at_the_median_range_and_falls_off_with_the_square():
     lamp = Lamp.starting(unit_range=5.0, tau=1e-4)
     ranges = torch.tensor([2.5, 5.0, 10.0])
     torch.testing.assert_close(lamp.light(ranges), torch.tensor([4.0, 1.0, 0.25]), rtol=1e-3, atol=0)
@@ -49,7 +49,7 @@ def test_gradients_of_the_lamp():
 
 @pytest.mark.parametrize("log_tau", [-1e4, 0.0, 1e4])
 @pytest.mark.parametrize("range_", [0.0, 1e-20, 1e6])
-def test_a_lamp_at_extremes_stays_finite(log_tau, range_):
+def test_the_lamp_is_finite_at_extreme_values(log_tau, range_):
     colors, ranges = torch.tensor([[0.0, 0.5, 1.3]]), torch.tensor([range_])
     raw = torch.tensor(log_tau)
     inputs = [value.requires_grad_() for value in (colors, ranges, raw)]
@@ -61,7 +61,7 @@ def test_a_lamp_at_extremes_stays_finite(log_tau, range_):
 # -- exposure ----------------------------------------------------------------------------------------------------------
 
 
-def test_gains_have_no_common_part():
+def test_log_gains_have_mean_0():
     exposure = Exposure.starting({"a": 0.1, "b": 0.3, "c": 0.5}, channels=3)
     assert exposure.raw.shape == (3, 3)
     torch.testing.assert_close(exposure.log_gains.mean(0), torch.zeros(3))
@@ -98,12 +98,12 @@ def test_gains_are_learned():
 # -- caustics ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_field_of_light_is_even_at_first_and_keeps_the_brightness():
+def test_caustics_start_even_and_keep_the_mean_brightness():
     illumination = Illumination.starting(["a", "b"], 64, 36)
     assert illumination.log_light.shape == (2, 18, 32)
     picture = random(36, 64, 3).float() + 0.1
     torch.testing.assert_close(shown(picture, illumination, "a"), picture)
-    illumination.log_light[1] += 0.5  # the exposure's, not the field's
+    illumination.log_light[1] += 0.5  # a gain of the whole image is exposure
     torch.testing.assert_close(shown(picture, illumination, "b"), picture)
     illumination.log_light[0, :, :16] += 1.0
     ratio = to_light(shown(picture, illumination, "a")) / to_light(picture)
@@ -111,7 +111,7 @@ def test_a_field_of_light_is_even_at_first_and_keeps_the_brightness():
     torch.testing.assert_close(ratio[:, -1].log(), torch.full((36, 3), -0.5))
 
 
-def test_gradients_of_the_field():
+def test_gradients_of_the_caustics():
     def function(picture, log_light):
         return shown(picture, Illumination(log_light, ["a", "b"]), "b")
 
@@ -119,8 +119,8 @@ def test_gradients_of_the_field():
     assert torch.autograd.gradcheck(function, [value.requires_grad_() for value in inputs])
 
 
-def test_flicker_stays_out_of_the_colours_that_are_learned():
-    """The same wall under sixteen light patterns: with a field for each, what is learned is nearer to the wall."""
+def test_modelled_caustics_leave_truer_colors():
+    """The same wall under sixteen light patterns: with caustics modelled, the learned colors are nearer to the wall."""
     r, (rows, columns) = np.random.default_rng(0), (36, 64)
     wall = torch.from_numpy(cv2.GaussianBlur(r.uniform(0, 1, (rows, columns, 3)), (0, 0), 1.2)).float().clamp(0.2, 0.8)
     waves = [cv2.GaussianBlur(r.standard_normal((rows, columns)), (0, 0), 4) for _ in range(16)]
@@ -150,7 +150,7 @@ def test_flicker_stays_out_of_the_colours_that_are_learned():
 # -- moving objects ----------------------------------------------------------------------------------------------------
 
 
-def a_photograph(noise=0.02):
+def noisy_image(noise=0.02):
     r = np.random.default_rng(0)
     picture = cv2.GaussianBlur(r.uniform(0, 1, (90, 160, 3)), (0, 0), 3)
     return picture, picture + noise * r.standard_normal(picture.shape)
@@ -160,8 +160,8 @@ def mask_of(photograph, picture, valid, elsewhere=0.0):
     return moving_mask(residual(photograph, picture, valid), np.full(valid.shape, elsewhere), valid)
 
 
-def test_a_fish_is_found_whole_and_noise_is_not():
-    picture, photograph = a_photograph()
+def test_a_fish_is_masked_whole_and_noise_is_not():
+    picture, photograph = noisy_image()
     valid = np.ones((90, 160), bool)
     assert not mask_of(photograph, picture, valid).any()
     fish = np.zeros((90, 160), np.uint8)
@@ -173,8 +173,8 @@ def test_a_fish_is_found_whole_and_noise_is_not():
     assert fraction_with_objects([mask, np.zeros_like(mask)]) == 0.5
 
 
-def test_what_other_photographs_do_not_explain_either_is_no_object():
-    picture, photograph = a_photograph()
+def test_residuals_that_other_images_share_are_no_object():
+    picture, photograph = noisy_image()
     valid = np.ones((90, 160), bool)
     swum = photograph.copy()
     swum[30:60, 40:90] = 0.9
@@ -183,7 +183,7 @@ def test_what_other_photographs_do_not_explain_either_is_no_object():
 
 
 def test_residuals_elsewhere_are_those_of_the_same_place():
-    """A wall before three cameras in a row: what all leave unexplained at one place, and what only the first does."""
+    """A wall before three cameras in a row, with residuals at one place in all and at another in the first."""
     steps = torch.linspace(-2, 2, 41)
     places = torch.stack(torch.meshgrid(steps, steps, indexing="xy"), -1).reshape(-1, 2)
     wall = make_cloud(len(places), dtype=torch.float32)
@@ -205,7 +205,7 @@ def test_residuals_elsewhere_are_those_of_the_same_place():
 
 
 def test_brightness_edges_and_invalid_pixels_are_no_objects():
-    picture, photograph = a_photograph()
+    picture, photograph = noisy_image()
     valid = np.ones((90, 160), bool)
     assert not mask_of(photograph + 0.3, picture, valid).any()
     shifted = np.where((np.arange(160) // 20 % 2)[None, :, None], 0.8, 0.2) * np.ones((90, 1, 3))

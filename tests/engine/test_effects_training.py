@@ -1,7 +1,9 @@
-"""Effects in a training: what is off does not run, what is on is learned, what is doubtful is tried, all resumes."""
+"""Effects in a run: off, on and learned, tried, and resumed."""
 
 import json
 import shutil
+import sys
+from contextlib import contextmanager
 from dataclasses import replace
 
 import cv2
@@ -11,61 +13,69 @@ import torch
 from runs import train_with
 from tiny import make_tiny_scene
 
-from swag_engine.effects import caustics, exposure, image_gain, lamp
+from swag_engine.effects.caustics import Illumination
 from swag_engine.effects.exposure import Exposure
-from swag_engine.experiments.evaluate_run import render_run
-from swag_engine.planning import plan as planning
-from swag_engine.rendering import render as rendering
+from swag_engine.effects.lamp import lit
+from swag_engine.effects.moving_objects import moving_mask
+from swag_engine.effects.scene_effects import SceneEffects
+from swag_engine.effects.vignetting import Vignetting
+from swag_engine.evaluation.metrics import picture
+from swag_engine.experiments.evaluate_run import newest, render_run
+from swag_engine.kernels.reference.transfer import to_display, to_light
+from swag_engine.planning.plan import plan_scene
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.split import split_views
 from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training import motion, trials
+from swag_engine.training import trials
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
-from swag_engine.water.light import relit, to_display, to_light
-from swag_engine.water.medium import Medium, through_water
+from swag_engine.water.light import apply_gain
+from swag_engine.water.medium import Medium, open_water, through_water
 
 SETTINGS = TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1)
-OFF = "water=off,lamp=off,exposure=off,caustics=off,moving_objects=off"
+OFF = "water=off,lamp=off,exposure=off,vignetting=off,caustics=off,moving_objects=off"
 CODE = {
-    "attenuation": (rendering, "through_water"),
-    "backscatter": (rendering, "open_water"),
-    "lamp": (rendering, "lit"),
-    "exposure": (exposure.Exposure, "log_gain"),
-    "caustics": (caustics.Illumination, "log_gain"),
-    "moving_objects": (motion, "moving_mask"),
+    "attenuation": through_water,
+    "backscatter": open_water,
+    "lamp": lit,
+    "exposure": Exposure.log_gain,
+    "vignetting": Vignetting.log_gain,
+    "caustics": Illumination.log_gain,
+    "moving_objects": moving_mask,
 }
+"""A function of each effect that runs in every image, or search, that the effect acts on."""
 
 
-@pytest.fixture
-def calls(monkeypatch):
-    """How often the code of each effect runs, the plan's measuring of its cost aside."""
-    monkeypatch.setattr(planning, "measured_costs", lambda *arguments: dict.fromkeys(EFFECTS, 0.0))
-    counted = dict.fromkeys(CODE, 0)
+@contextmanager
+def counted_calls():
+    """Count the calls of each effect's function in this thread."""
+    counts, effects = dict.fromkeys(CODE, 0), {function.__code__: effect for effect, function in CODE.items()}
 
-    def counting(effect, run):
-        def counted_run(*arguments, **named):
-            counted[effect] += 1
-            return run(*arguments, **named)
+    def count(frame, event, argument):
+        if event == "call" and frame.f_code in effects:
+            counts[effects[frame.f_code]] += 1
 
-        return counted_run
-
-    for effect, (owner, name) in CODE.items():
-        monkeypatch.setattr(owner, name, counting(effect, getattr(owner, name)))
-    return counted
+    sys.setprofile(count)
+    try:
+        yield counts
+    finally:
+        sys.setprofile(None)
 
 
-def test_the_code_of_what_is_off_does_not_run(tiny_scene, tmp_path, calls):
-    result = train(tiny_scene, tmp_path / "off", replace(SETTINGS, effects=OFF))
+def test_the_code_of_an_effect_that_is_off_does_not_run(tiny_scene, tmp_path):
+    scene = shutil.copytree(tiny_scene, tmp_path / "scene", copy_function=shutil.copy2)
+    plan_scene(scene, scene)  # its measuring of costs calls every effect
+    with counted_calls() as calls:
+        result = train(scene, tmp_path / "off", replace(SETTINGS, effects=OFF))
     assert not any(calls.values()), calls
     assert not set(result["metrics"]["effects"]) & set(EFFECTS)
     for effect in CODE:
-        calls.update(dict.fromkeys(CODE, 0))
         chosen = replace(SETTINGS, iterations=10, effects=f"{OFF},{effect}=on".replace("water=off,", ""))
         if effect not in ("attenuation", "backscatter"):
             chosen = replace(chosen, effects=f"{OFF},{effect}=on")
-        train(tiny_scene, tmp_path / effect, chosen)
+        with counted_calls() as calls:
+            train(scene, tmp_path / effect, chosen)
         assert calls[effect] > 0, effect
         others = set(CODE) - {effect, "attenuation", "backscatter"}
         assert not any(calls[other] for other in others), (effect, calls)
@@ -81,38 +91,49 @@ def test_everything_on_is_learned_and_resumes_bit_equal(tiny_scene, tmp_path):
     train(tiny_scene, tmp_path / "parts", chosen, resume=True)
     expected, got = (load_checkpoint(tmp_path / name)[0] for name in ("whole", "parts"))
     assert expected.keys() == got.keys() and all(torch.equal(expected[name], got[name]) for name in expected)
-    assert {"lamp.log_tau", "exposure.raw", "caustics.log_light", "medium.veil"} <= expected.keys()
+    learned = {"lamp.log_tau", "exposure.raw", "vignetting.coefficients", "caustics.log_light", "medium.veil"}
+    assert learned <= expected.keys() and expected["vignetting.coefficients"].abs().min() > 0
     assert expected["exposure.raw"].std() > 0 and expected["caustics.log_light"].std() > 0
     assert float(expected["lamp.log_tau"]) != 0
 
 
-def test_what_is_restored_has_none_of_it(tiny_scene, tmp_path, monkeypatch):
-    train(tiny_scene, tmp_path / "run", replace(SETTINGS, iterations=10, effects="lamp=on,exposure=on,caustics=on"))
-    used = []
-    monkeypatch.setattr(image_gain, "relit", lambda *a: used.append("picture") or relit(*a))
-    monkeypatch.setattr(lamp, "relit", lambda colors, factor: used.append(float(factor.abs().max())) or colors)
-    render_run(tmp_path / "run", tmp_path / "with", "view_02.png", 1.0)
-    assert "picture" in used and max(value for value in used if value != "picture") > 0
-    used.clear()
-    render_run(tmp_path / "run", tmp_path / "without", "view_02.png", 0.0)
-    assert "picture" not in used and all(value == 0 for value in used)
+def test_restored_images_have_no_effects(tiny_scene, tmp_path):
+    run, name = tmp_path / "run", "view_02.png"
+    effects = "water=off,moving_objects=off,lamp=on,exposure=on,caustics=on"
+    train(tiny_scene, run, replace(SETTINGS, iterations=10, effects=effects))
+    cloud, effects, _ = newest(run)
+    (camera,) = [view.camera for view in load_scene(tiny_scene).views if view.name == name]
+    (restored,) = render_run(run, tmp_path / "restored", name, 0.0)
+    plain = picture(cloud, camera, SETTINGS.sh_degree)
+    one_step = 1.01 / 255  # of 8 bits
+    pixels = torch.from_numpy(cv2.imread(str(restored))[..., ::-1] / np.float32(255))
+    torch.testing.assert_close(pixels, plain, atol=one_step, rtol=0)
+    for key in ("lamp", "exposure", "caustics"):
+        (values,) = effects.models[key].parameters().values()
+        values -= 4 * torch.rand(values.shape, generator=torch.Generator().manual_seed(0))
+        alone = SceneEffects({key: effects.models[key]})
+        with_effect = picture(cloud, camera, SETTINGS.sh_degree, simulated=alone)
+        assert (with_effect - plain).abs().max() > 5 * one_step, key
+        without = picture(cloud, camera, SETTINGS.sh_degree, simulated=alone, amount=0)
+        torch.testing.assert_close(without, plain, atol=one_step, rtol=0)
 
 
-# Exposure that differs ------------------------------------------------------------------------------------------------
+# Exposure that varies -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def unevenly_exposed(tmp_path_factory):
-    """The wall of discs with gains of sd .25 in light."""
+    """The wall of discs with log gains that drift from image to image, with a standard deviation of 0.35; and these."""
     scene = make_tiny_scene(tmp_path_factory.mktemp("uneven") / "scene", views=16)
-    gains = np.random.default_rng(3).normal(0, 0.25, 16)
-    for path, gain in zip(sorted((scene / "images").iterdir()), gains, strict=True):
+    paths = sorted((scene / "images").iterdir())
+    gains = 0.5 * np.sin(np.linspace(0, 2 * np.pi, len(paths)))
+    for path, gain in zip(paths, gains, strict=True):
         light = to_light(torch.from_numpy(cv2.imread(str(path)) / 255)) * np.exp(gain)
         cv2.imwrite(str(path), (to_display(light).clamp(0, 1) * 255).round().byte().numpy())
-    return scene, {path.name: gain for path, gain in zip(sorted((scene / "images").iterdir()), gains, strict=True)}
+    return scene, {path.name: gain for path, gain in zip(paths, gains, strict=True)}
 
 
-def test_gains_come_out(unevenly_exposed, tmp_path):
+def test_exposures_are_learned(unevenly_exposed, tmp_path):
     scene, truth = unevenly_exposed
     settings = replace(SETTINGS, iterations=200, effects=f"{OFF},exposure=on")
     train(scene, tmp_path / "run", settings)
@@ -123,61 +144,62 @@ def test_gains_come_out(unevenly_exposed, tmp_path):
     assert "view_00.png" not in state["exposure"] and "view_08.png" not in state["exposure"]  # held out
 
 
-def test_a_held_out_gain_is_what_neighbours_let_expect():
+def test_a_held_out_gain_is_predicted_from_neighbours():
     film = Exposure.starting({f"{k:02d}": 0.1 * k for k in range(10) if k != 5})
     known = film.log_gains[:, 0]
     assert float(film.log_gain("05")) == pytest.approx(float(known[4] + known[5]) / 2, rel=0.1)
     chance = Exposure.starting({f"{k:02d}": 0.3 * (-1) ** k for k in range(10)})
-    assert float(chance.log_gain("045")) == 0  # neighbours say nothing
+    assert float(chance.log_gain("045")) == 0  # neighbours do not predict one another
     assert float(Exposure.starting({"a": 0.1, "c": 0.3}).log_gain("b")) == 0
 
 
 # Trials ---------------------------------------------------------------------------------------------------------------
 
 
-def try_effect(name):
-    """Leave an effect to a trial, whatever the plan says."""
+def try_effect(name, **start):
+    """Return a change of a trainer that leaves an effect to a trial from these values, whatever the plan decides."""
 
     def change(trainer):
+        effects = trainer.selection.plan.effects
+        effects[name] = replace(effects[name], start=start)
         trainer.selection.to_try = [name]
         trainer.selection.switch(trainer.state, {name: False})
 
     return change
 
 
-def test_what_is_doubtful_is_tried_and_kept_where_it_gains(unevenly_exposed, tmp_path, monkeypatch):
-    scene, _ = unevenly_exposed
-    gains = iter([(0.1, 0.3), (0.9, 0.3)])
-    monkeypatch.setattr(trials, "gain_of_effect", lambda without, having: next(gains))
-    for kept in (False, True):
-        metrics = train_with(scene, tmp_path / str(kept), SETTINGS, try_effect("exposure"))["metrics"]
-        (trial,) = metrics["trials"]
-        assert trial["effect"] == "exposure" and trial["kept"] is kept and trial["seconds"] > 0
-        assert trial["sentence"].startswith("Tried exposure at iteration 4: +0.")
-        assert ("exposure" in metrics["effects"]) is kept
-        assert ("exposure.raw" in load_checkpoint(tmp_path / str(kept))[0]) is kept
+def test_an_effect_that_gains_is_kept_after_its_trial(unevenly_exposed, tmp_path):
+    scene, gains = unevenly_exposed
+    settings = replace(SETTINGS, iterations=200, effects=OFF.replace("exposure=off,", ""))
+    metrics = train_with(scene, tmp_path / "run", settings, try_effect("exposure", log_gains=gains))["metrics"]
+    (trial,) = metrics["trials"]
+    assert trial["effect"] == "exposure" and trial["kept"] and trial["seconds"] > 0
+    assert trial["gain"] > trial["needed"] and trial["sentence"].startswith("Tried exposure at iteration 20: +")
+    assert "exposure" in metrics["effects"]
+    assert "exposure.raw" in load_checkpoint(tmp_path / "run")[0]
 
 
-def test_a_run_whose_trial_gains_nothing_is_the_run_without(unevenly_exposed, tmp_path, monkeypatch):
+def test_a_run_whose_trial_gains_nothing_is_the_run_without(unevenly_exposed, tmp_path):
     scene, _ = unevenly_exposed
     train(scene, tmp_path / "plain", replace(SETTINGS, effects=OFF))
-    monkeypatch.setattr(trials, "gain_of_effect", lambda without, having: (0.0, 0.3))
     settings = replace(SETTINGS, effects=OFF.replace("caustics=off,", ""))
-    train_with(scene, tmp_path / "tried", settings, try_effect("caustics"))
+    metrics = train_with(scene, tmp_path / "tried", settings, try_effect("caustics"))["metrics"]
+    (trial,) = metrics["trials"]
+    assert not trial["kept"] and trial["gain"] <= trial["needed"] and "caustics" not in metrics["effects"]
     plain, tried = (load_checkpoint(tmp_path / name)[0] for name in ("plain", "tried"))
     assert plain.keys() == tried.keys() and all(torch.equal(plain[name], tried[name]) for name in plain)
 
 
-def test_margins_say_what_is_near_a_threshold():
+def test_margin_is_the_least_ratio_of_a_figure_to_its_threshold():
     assert trials.margin({"gain": 12, "gain_least": 10, "spread": 0.1, "spread_most": 0.3}) == pytest.approx(1.2)
     assert trials.margin({"change": [0.05, 0.2, 0.1], "change_least": 0.1}) == pytest.approx(2)
     assert trials.margin({"range_ratio": 1.2, "range_ratio_least": 1.15, "none": None, "none_least": 1}) == np.inf
 
 
-def test_what_moves_is_found_without_being_asked_for_and_nothing_else(tiny_scene, tmp_path):
+def test_moving_objects_are_found_and_nothing_else_is_masked(tiny_scene, tmp_path):
     plain = replace(SETTINGS, iterations=300, max_gaussians=1500)
     for name, effects in (("planned", ""), ("off", "moving_objects=off")):
-        metrics = train(tiny_scene, tmp_path / name, replace(plain, effects=effects))["metrics"]
+        metrics = train(tiny_scene, tmp_path / name, replace(plain, iterations=150, effects=effects))["metrics"]
         assert "moving_objects" not in metrics["effects"]
     expected, got = (load_checkpoint(tmp_path / name)[0] for name in ("off", "planned"))
     assert expected.keys() == got.keys() and all(torch.equal(expected[name], got[name]) for name in expected)
@@ -199,9 +221,9 @@ def test_what_moves_is_found_without_being_asked_for_and_nothing_else(tiny_scene
 def test_light_is_scaled_exactly_and_differentiably():
     display = torch.linspace(0, 1.2, 400, dtype=torch.float64)[:, None]
     factor = torch.linspace(-3, 3, 31, dtype=torch.float64)
-    torch.testing.assert_close(relit(display, factor), to_display(to_light(display) * factor.exp()))
+    torch.testing.assert_close(apply_gain(display, factor), to_display(to_light(display) * factor.exp()))
     inputs = (torch.tensor([[0.01, 0.05, 0.5], [0.9, 0.02, 0.3]]).double(), torch.tensor([[0.7], [-1.5]]).double())
-    assert torch.autograd.gradcheck(relit, [value.requires_grad_() for value in inputs])
+    assert torch.autograd.gradcheck(apply_gain, [value.requires_grad_() for value in inputs])
 
 
 def test_water_that_only_attenuates_has_no_veil():

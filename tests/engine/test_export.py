@@ -1,7 +1,9 @@
-"""A run leaves as the user asked: which splats, how much water, which axes, how large, and the cameras that fit."""
+"""Exports of a run: selected splats, formats, water, axes, sizes, and cameras."""
 
 import json
+import re
 import shutil
+from typing import get_args
 
 import numpy as np
 import pycolmap
@@ -9,14 +11,17 @@ import pytest
 import torch
 
 from swag_engine.app.cli import main
+from swag_engine.app.protocol import parse_request
 from swag_engine.base.errors import InputError
 from swag_engine.formats import water
-from swag_engine.formats.cameras import Photograph, moved, write_cameras
+from swag_engine.formats.cameras import PosedImage, transform_camera, write_cameras
 from swag_engine.formats.export import ExportOptions, export_run
+from swag_engine.formats.export_format import Option
 from swag_engine.formats.gltf import glb_size, read_glb, write_glb
 from swag_engine.formats.ply import ply_size, read_ply, write_ply
+from swag_engine.formats.registry import FORMATS, find_format
 from swag_engine.formats.run_folder import RunFolder, write_json
-from swag_engine.formats.select import Choice, box_between, label_ids
+from swag_engine.formats.select import SplatSelection, box_between, label_ids
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
@@ -131,7 +136,7 @@ def test_a_turned_box(tmp_path):
     turn = rotation_matrices(np.array([0.9, 0.1, 0.3, np.sqrt(1 - 0.91)]))
     box = np.eye(4)
     box[:3, :3] = np.diag([1, 2, 0.5]) @ turn.T
-    kept = Choice(box=box).of(splats)
+    kept = SplatSelection(box=box).apply(splats)
     inside = (np.abs(splats.positions @ turn * (1, 2, 0.5)) <= 1).all(axis=1)
     np.testing.assert_array_equal(kept.positions, splats.positions[inside])
 
@@ -152,7 +157,8 @@ def test_what_cannot_be_chosen_is_said(run, tmp_path):
         with pytest.raises(InputError, match=sentence):
             export_run(run, "ply", out, ExportOptions(**options))
     with pytest.raises(InputError, match="label them first"):
-        Choice(labels=frozenset([1])).of(Splats(*[getattr(some_splats(), n) for n in Splats.__annotations__][:5]))
+        unlabelled = Splats(*[getattr(some_splats(), n) for n in Splats.__annotations__][:5])
+        SplatSelection(labels=frozenset([1])).apply(unlabelled)
     for damaged in ("{}", "[1]", '{"labels": 7}', '{"labels": [{"id": "x", "name": "y"}]}', "nothing"):
         (tmp_path / "labels.json").write_text(damaged)
         with pytest.raises(InputError, match="labels.json"):
@@ -176,6 +182,45 @@ def test_the_command_line(run, tmp_path, capsys):
     assert len(capsys.readouterr().err.strip().splitlines()) == 2
 
 
+# ------------------------------------------------------------------------------------------------ formats
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_registered_format_is_read_back_as_it_was_written(tmp_path, name):
+    format, splats = FORMATS[name], some_splats(50)
+    path = tmp_path / f"cloud{format.suffix}"
+    size = format.size(path, splats, UP, ())
+    assert find_format(path) is find_format(path.with_suffix(format.suffix.upper())) is format
+    assert format.name == name and format.title and format.description and format.options <= set(get_args(Option))
+    format.write(path, splats, UP, ())
+    assert path.stat().st_size == size
+    read = format.read(path, UP)
+    for field in ("positions", "rotations", "scales", "opacities", "sh"):
+        np.testing.assert_allclose(getattr(read, field), getattr(splats, field), atol=1e-5, err_msg=field)
+    np.testing.assert_array_equal(read.extras["label"], splats.extras["label"])
+
+
+def test_a_run_has_its_result_in_every_format(tmp_path):
+    run = RunFolder(tmp_path)
+    run.write_result(some_splats(50), UP)
+    assert {path.name for path in tmp_path.iterdir()} == {f"result{format.suffix}" for format in FORMATS.values()}
+    for name, path in run.results.items():
+        np.testing.assert_allclose(FORMATS[name].read(path, UP).positions, some_splats(50).positions, atol=1e-5)
+
+
+def test_the_command_line_and_the_worker_offer_the_registered_formats(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["export", "--help"])
+    assert re.search(r"--format \{(.*?)\}", capsys.readouterr().out).group(1).split(",") == list(FORMATS)
+    request = {"request": "export", "run": "run", "out": "file"}
+    for name in FORMATS:
+        assert parse_request(json.dumps(request | {"format": name})).format == name
+    with pytest.raises(InputError, match=f"one of {', '.join(FORMATS)}"):
+        parse_request(json.dumps(request | {"format": "obj"}))
+    with pytest.raises(InputError, match=r"reef.obj is not a splat file: choose a name that ends in .ply or .glb"):
+        find_format(tmp_path / "reef.obj")
+
+
 # ------------------------------------------------------------------------------------------------ water
 
 
@@ -185,7 +230,7 @@ def test_baked_water_is_the_engines_from_where_it_was_photographed(light, amount
     splats, medium = some_splats(), some_medium(light)
     camera = Camera("only", 64, 48, 58.0, 58.0, 32.0, 24.0, np.eye(4))
     camera.world_to_camera[:3, 3] = 0.3, -0.2, 5
-    baked = water.baked(splats, medium.to_json(), [camera], amount)
+    baked = water.bake_water(splats, medium.to_json(), [camera], amount)
     offsets = torch.from_numpy((splats.positions - camera.centre).astype(np.float32))
     directions = (offsets / offsets.norm(dim=1, keepdim=True)).numpy()
     own, seen = (np.einsum("nk,nkc->nc", sh_basis(directions, 3), s.sh) + 0.5 for s in (splats, baked))
@@ -210,7 +255,7 @@ def test_baked_water_of_a_network():
     splats.positions[:] = 0
     splats.positions[:, 2] = np.linspace(1, 11.9, 40)
     for metres, amount in ((0.0, 1.0), (2.0, 0.5)):
-        baked = water.baked(splats, network.to_json(metres), [camera], amount, metres)
+        baked = water.bake_water(splats, network.to_json(metres), [camera], amount, metres)
         own, seen = (0.5 + 0.28209479177387814 * each.sh[:, 0] for each in (splats, baked))
         offsets = torch.from_numpy(splats.positions)
         directions = torch.nn.functional.normalize(
@@ -229,7 +274,7 @@ def test_a_table_of_the_water_is_read_between_its_ranges():
     splats = some_splats(2, degree=0)
     splats.positions[:] = [[0, 0, 2], [0, 0, 4]]
     splats.sh[:] = 0
-    seen = 0.5 + 0.28209479177387814 * water.baked(splats, table, [camera], 0.5).sh[:, 0]
+    seen = 0.5 + 0.28209479177387814 * water.bake_water(splats, table, [camera], 0.5).sh[:, 0]
     middle = 0.5 * np.sqrt([0.34, 0.18, 0.08]) + [0.15, 0.2, 0.25]
     np.testing.assert_allclose(seen, [[0.45, 0.4, 0.35], middle], atol=1e-6)
 
@@ -238,11 +283,11 @@ def test_water_per_metre_is_the_same_water():
     splats, medium = some_splats(50), some_medium()
     camera = Camera("only", 64, 48, 58.0, 58.0, 32.0, 24.0, np.eye(4))
     camera.world_to_camera[:3, 3] = 0.3, -0.2, 5
-    per_unit = water.baked(splats, medium.to_json(), [camera])
-    per_metre = water.baked(splats, medium.to_json(0.5), [camera], 1.0, 0.5)
+    per_unit = water.bake_water(splats, medium.to_json(), [camera])
+    per_metre = water.bake_water(splats, medium.to_json(0.5), [camera], 1.0, 0.5)
     np.testing.assert_allclose(per_metre.sh, per_unit.sh, atol=1e-4)
     with pytest.raises(InputError, match="per metre"):
-        water.baked(splats, medium.to_json(0.5), [camera])
+        water.bake_water(splats, medium.to_json(0.5), [camera])
 
 
 def test_the_camera_of_the_median_range_counts():
@@ -255,7 +300,7 @@ def test_the_camera_of_the_median_range_counts():
 
     cameras = [camera(-9), camera(-2), camera(-4), camera(-1, -1.0)]
     places = np.array([[0, 0, 0], [0, 90.0, 0]])
-    np.testing.assert_allclose(water._seen_from(places, cameras), [[0, 0, -4], [0, 0, -1]])
+    np.testing.assert_allclose(water._viewpoints(places, cameras), [[0, 0, -4], [0, 0, -1]])
 
 
 def test_no_water_is_the_file_as_it_is(run, tmp_path):
@@ -268,7 +313,7 @@ def test_a_run_that_took_no_water_away(run, tmp_path):
     (tmp_path / "run" / "water.json").unlink()
     export_run(tmp_path / "run", "ply", tmp_path / "out.ply", ExportOptions(water=1))
     assert (tmp_path / "out.ply").read_bytes() == (run / "result.ply").read_bytes()
-    with pytest.raises(InputError, match="took no water away"):
+    with pytest.raises(InputError, match="modelled no water"):
         export_run(tmp_path / "run", "ply", tmp_path / "out.ply", ExportOptions(water=0.5))
     (tmp_path / "run" / "water.json").write_text('{"beta_D": "blue"}')
     for options in ({"water": 0.5}, {"cameras": True}):
@@ -356,7 +401,7 @@ def test_lenses_and_names_come_back(tmp_path):
         "FULL_OPENCV": (51.25, 52.5, 45.1, 35.2, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8),
     }
     photographs = [
-        Photograph(Camera(f"{i}", 90, 70, 50.0, 50.0, 45.0, 35.0, np.eye(4)), model, 100, 80, params, "x.jpg")
+        PosedImage(Camera(f"{i}", 90, 70, 50.0, 50.0, 45.0, 35.0, np.eye(4)), model, 100, 80, params, "x.jpg")
         for i, (model, params) in enumerate(lenses.items())
     ]
     none = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
@@ -370,13 +415,13 @@ def test_lenses_and_names_come_back(tmp_path):
     assert [frame["camera_model"] for frame in frames] == ["OPENCV", "OPENCV", "OPENCV_FISHEYE"]
     assert (frames[0]["fl_x"], frames[0]["fl_y"], frames[0]["k1"], frames[0]["p2"]) == (51.5, 51.5, -0.1, 0.0)
     assert (frames[2]["k4"], frames[2]["w"]) == (0.4, 100)
-    write_cameras(tmp_path / "named", [Photograph.through_pinhole(camera)], *none)
+    write_cameras(tmp_path / "named", [PosedImage.from_camera(camera)], *none)
     images = pycolmap.Reconstruction(str(tmp_path / "named" / "sparse" / "0")).images
     assert [image.name for image in images.values()] == [camera.name]
-    spaced = Photograph.through_pinhole(Camera("dive 2.jpg", 90, 70, 50.0, 50.0, 45.0, 35.0, np.eye(4)))
+    spaced = PosedImage.from_camera(Camera("dive 2.jpg", 90, 70, 50.0, 50.0, 45.0, 35.0, np.eye(4)))
     assert "dive 2.jpg" in write_cameras(tmp_path / "spaced", [spaced], *none)[1][0]
     for name in ("", "two\nlines"):
-        odd = Photograph.through_pinhole(Camera(name, 9, 7, 5.0, 5.0, 4.0, 3.0, np.eye(4)))
+        odd = PosedImage.from_camera(Camera(name, 9, 7, 5.0, 5.0, 4.0, 3.0, np.eye(4)))
         with pytest.raises(InputError, match="rename"):
             write_cameras(tmp_path / "odd", [odd], *none)
 
@@ -393,7 +438,7 @@ def test_water_json_fits_the_file(run, tmp_path):
     veils = [sh_basis(step, 2) @ np.array(w["veil_sh"]) for step, w in zip(steps, (before, ours), strict=True)]
     np.testing.assert_allclose(veils[1], veils[0], atol=1e-4)
     network = WaterNetwork.starting(4.0, seed=1)
-    table = water.placed(network.to_json(0.5), np.eye(3), 2.0, 0.5, False)
+    table = water.transform_water(network.to_json(0.5), np.eye(3), 2.0, 0.5, False)
     np.testing.assert_allclose(table["ranges"], 2 * np.array(network.to_json()["ranges"]), atol=1e-5)
     np.testing.assert_allclose(np.array(table["beta_D"]) * 2, network.to_json()["beta_D"], atol=1e-5)
     assert table["per"] == "unit" and table["transmission"] == network.to_json()["transmission"]
@@ -405,7 +450,8 @@ def test_moved_cameras_keep_their_pixels():
     turn[:3, 3] = 1, 2, 3
     camera = Camera("c", 40, 30, 35.0, 36.0, 19.0, 16.0, np.linalg.inv(turn @ np.diag([1 / 3, 1 / 3, 1 / 3, 1])))
     point = np.array([0.2, 0.4, 9.0, 1.0])
-    pixels = [c.K @ (c.world_to_camera @ p)[:3] for c, p in ((camera, point), (moved(camera, turn), turn @ point))]
+    after = transform_camera(camera, turn)
+    pixels = [c.K @ (c.world_to_camera @ p)[:3] for c, p in ((camera, point), (after, turn @ point))]
     np.testing.assert_allclose(pixels[0][:2] / pixels[0][2], pixels[1][:2] / pixels[1][2])
 
 

@@ -1,12 +1,21 @@
-"""What a run is said to take and reach before it begins, and what becomes of it afterwards."""
+"""Forecasts of time, memory and quality, and how outcomes of runs correct them."""
 
 import json
+import shutil
 from dataclasses import fields, replace
 
 import pytest
 
 from swag_engine.experiments import forecast as forecasts
-from swag_engine.experiments.forecast import describe, expectation, forecast_scene, history, record, time_text
+from swag_engine.experiments.forecast import (
+    corrected_speed,
+    describe,
+    expectation,
+    forecast_scene,
+    history,
+    record,
+    time_text,
+)
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import cache_root
 from swag_engine.settings.presets import PRESETS
@@ -17,10 +26,21 @@ from swag_engine.training.trainer import train
 SETTINGS = TrainSettings(iterations=40, width=48, max_gaussians=320, sh_degree=1)
 
 
+@pytest.fixture(scope="module")
+def kept_forecast(tiny_scene, tmp_path_factory):
+    """A forecast, and the cache folder in which it is kept."""
+    cache = tmp_path_factory.mktemp("forecast")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SWAG_CACHE_DIR", str(cache))
+        return forecast_scene(tiny_scene, TrainSettings(sh_degree=1)), cache
+
+
 @pytest.fixture
-def forecast(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setenv("SWAG_CACHE_DIR", str(tmp_path / "cache"))
-    return forecast_scene(tiny_scene, TrainSettings(sh_degree=1))
+def forecast(kept_forecast, tmp_path, monkeypatch):
+    """A forecast, kept in a cache folder of the test's own."""
+    document, cache = kept_forecast
+    monkeypatch.setenv("SWAG_CACHE_DIR", str(shutil.copytree(cache, tmp_path / "cache")))
+    return document
 
 
 def test_every_preset_has_time_quality_and_memory_with_ranges(forecast):
@@ -40,9 +60,9 @@ def test_every_preset_has_time_quality_and_memory_with_ranges(forecast):
 def test_outcomes_narrow_the_next_forecast(forecast, tiny_scene, tmp_path):
     expected = expectation(tiny_scene, SETTINGS)
     assert expected["iterations"] == 40
-    for number in range(3):
-        run = tmp_path / f"run{number}"
-        metrics = train(tiny_scene, run, SETTINGS)["metrics"]
+    run = tmp_path / "run"
+    metrics = train(tiny_scene, run, SETTINGS)["metrics"]
+    for _ in range(forecasts.ENOUGH):
         record(run, expected, 3 * expected["first_guess"])
     kept = json.loads((run / "forecast.json").read_text())
     assert kept["expected"] == expected
@@ -56,15 +76,17 @@ def test_outcomes_narrow_the_next_forecast(forecast, tiny_scene, tmp_path):
     assert learned["psnr"][2] - learned["psnr"][0] < expected["psnr"][2] - expected["psnr"][0] + 2 * forecasts.SPREAD_DB
 
 
-def test_nothing_is_promised_that_was_not_looked_at(forecast, tiny_scene, tmp_path, monkeypatch):
+def test_there_is_no_expectation_for_what_was_not_measured(forecast, tiny_scene, tmp_path):
+    assert expectation(tiny_scene, SETTINGS) is not None
     assert expectation(tiny_scene, TrainSettings(time_budget="1m")) is None
     assert expectation(tiny_scene, TrainSettings(recipe="3dgs")) is None
     assert expectation(tmp_path, SETTINGS) is None
-    monkeypatch.setattr(forecasts.platform, "node", lambda: "another computer")
+    kept = next(cache_root().rglob("forecast.json"))
+    kept.write_text(json.dumps(json.loads(kept.read_text()) | {"machine": "another computer"}))
     assert expectation(tiny_scene, SETTINGS) is None
 
 
-def test_what_every_run_takes_is_counted(forecast, tiny_scene):
+def test_time_beside_training_is_added_to_every_run(forecast, tiny_scene):
     kept = next(cache_root().rglob("forecast.json"))
     document = json.loads(kept.read_text())
     before = expectation(tiny_scene, SETTINGS)["first_guess"]
@@ -75,7 +97,7 @@ def test_what_every_run_takes_is_counted(forecast, tiny_scene):
         assert expectation(tiny_scene, SETTINGS) is None
 
 
-def test_a_scene_of_as_many_points_as_a_colour_has_channels(tiny_scene, tmp_path, monkeypatch):
+def test_speed_is_measured_on_a_scene_of_three_points(tiny_scene, tmp_path, monkeypatch):
     monkeypatch.setenv("SWAG_CACHE_DIR", str(tmp_path))
     scene = load_scene(tiny_scene)
     points = scene.points
@@ -84,19 +106,11 @@ def test_a_scene_of_as_many_points_as_a_colour_has_channels(tiny_scene, tmp_path
     assert 0 < speed.milliseconds(1000, 64 * 48) < 10_000
 
 
-def test_a_speed_measured_beside_other_work_is_held_against_a_look(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setenv("SWAG_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setattr(forecasts, "measure_speed", lambda scene, settings: Speed(1000.0, 0.0, 0.0, 0.0))
-    taken, look = [], forecasts._look
-
-    def looked(scene_folder, settings):
-        found = look(scene_folder, settings)
-        taken.append(found[1])
-        return found
-
-    monkeypatch.setattr(forecasts, "_look", looked)
-    iteration = forecast_scene(tiny_scene, TrainSettings(sh_degree=1))["speed"]["fixed"] / 1000
-    assert 0 < iteration * forecasts.SECOND_LOOK.iterations < taken[1] < 100
+def test_a_speed_measured_beside_other_work_is_corrected_by_a_run():
+    measured = Speed(1000.0, 2.0, 3.0, 4.0)
+    assert corrected_speed(measured, 170.0, training=17.0, whole=20.0) == (measured.times(0.1), pytest.approx(3.0))
+    assert measured.times(0.1).fixed == pytest.approx(100.0)
+    assert corrected_speed(measured, 170.0, training=200.0, whole=205.0) == (measured, pytest.approx(35.0))
 
 
 def test_a_damaged_history_is_read_as_far_as_it_goes(forecast, tiny_scene, tmp_path):
@@ -110,5 +124,5 @@ def test_a_damaged_history_is_read_as_far_as_it_goes(forecast, tiny_scene, tmp_p
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(45.2, "45 s"), (720, "12 min"), (12600, "3.5 h")])
-def test_durations_as_people_say_them(seconds, text):
+def test_durations_are_written_in_fitting_units(seconds, text):
     assert time_text(seconds) == text

@@ -352,8 +352,8 @@ def test_plys_that_are_no_splats_say_so(tmp_path):
         ({name: columns[name] for name in "xyz"} | {"red": np.zeros(4)}, "plain point cloud"),
         ({"packed_position": columns["x"], "x": columns["x"]}, "plain point cloud"),
         ({name: values for name, values in columns.items() if name != "scale_2"}, "lacks the property scale_2"),
-        ({name: values for name, values in columns.items() if name != "f_rest_8"}, "no whole degree"),
-        ({("f_rest_70" if name == "f_rest_3" else name): v for name, v in columns.items()}, "no whole degree"),
+        ({name: values for name, values in columns.items() if name != "f_rest_8"}, "not those of a degree"),
+        ({("f_rest_70" if name == "f_rest_3" else name): v for name, v in columns.items()}, "not those of a degree"),
         ({name: values[:0] for name, values in columns.items()}, "holds no splats"),
     ]
     for given, sentence in cases:

@@ -1,4 +1,4 @@
-"""Where Gaussians start, what follows them through growth, and what range they are seen at."""
+"""Initial Gaussians, their moments through densification, and the range at which they are rendered."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def points_at(positions, colors=None):
     return Points(np.asarray(positions, float), colors, np.zeros(n, np.float32), np.full(n, 3, np.int32))
 
 
-def test_gaussians_start_as_wide_as_their_neighbours_are_near():
+def test_initial_width_is_the_distance_of_the_neighbours():
     grid = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0), np.arange(5.0)), -1).reshape(-1, 3)
     cloud = gaussians_from_points(points_at(grid), 1000, 3, 0, np.array([0.1, 0.2, 0.3]))
     torch.testing.assert_close(cloud.scales, torch.ones(125, 3))
@@ -27,7 +27,7 @@ def test_gaussians_start_as_wide_as_their_neighbours_are_near():
     assert cloud.shN.shape == (125, 15, 3)
 
 
-def test_gaussians_start_in_the_colour_of_their_points():
+def test_initial_colors_are_those_of_the_points():
     colors = np.array([[0, 128, 255], [10, 20, 30]], np.uint8)
     cloud = gaussians_from_points(points_at([[0, 0, 1], [1, 0, 1]], colors), 10, 0, 0, np.full(3, 0.5))
     seen = cloud.colors(torch.zeros(3), 0) * 255
@@ -39,25 +39,25 @@ def test_gaussians_start_in_the_colour_of_their_points():
     [[[0, 0, 1]], [[0, 0, 1], [0, 0, 1]], [[0, 0, 1]] * 50, [[0, 0, 1], [1, 0, 1], [np.nan, 0, 0], [1e9, 0, 1]]],
     ids=["one point", "two equal points", "many equal points", "not a number, and far away"],
 )
-def test_odd_points_still_give_finite_gaussians(positions):
+def test_degenerate_points_give_finite_gaussians(positions):
     cloud = gaussians_from_points(points_at(positions), 1000, 1, 0, np.zeros(3))
     assert len(cloud) == np.isfinite(positions).all(axis=1).sum()
     for name, tensor in cloud.parameters().items():
         assert torch.isfinite(tensor).all(), name
 
 
-def test_the_cap_holds_for_the_start_too_and_is_seeded():
+def test_the_largest_number_holds_at_the_start_and_the_subset_is_seeded():
     points = points_at(np.random.default_rng(0).normal(size=(500, 3)))
     first, again = (gaussians_from_points(points, 100, 0, 3, np.zeros(3)) for _ in range(2))
     assert len(first) == 100 and torch.equal(first.means, again.means)
 
 
-def test_moments_follow_their_gaussians_and_start_at_zero_for_new_ones():
+def test_moments_follow_their_gaussians_and_are_zero_for_new_ones():
     optimizer = Optimizer(make_cloud(6, dtype=torch.float32), SceneEffects())
     optimizer.cloud.means.sum().backward()
     optimizer.step({"means": 1e-3})
     moments = optimizer.state_tensors()["adam.means.exp_avg"]
-    moments += torch.arange(6)[:, None]  # tell them apart
+    moments += torch.arange(6)[:, None]  # different for each
     source = torch.tensor([4, 0, -1])
     optimizer.replace(make_cloud(3, dtype=torch.float32), source)
     after = optimizer.state_tensors()["adam.means.exp_avg"]
@@ -78,7 +78,7 @@ def test_range_is_euclidean_and_normalised_by_alpha():
     assert picture.range[0, 0] == 0 and picture.alpha[0, 0] == 0
 
 
-def test_range_has_finite_gradients_where_nothing_is():
+def test_range_has_finite_gradients_where_there_is_no_gaussian():
     cloud = make_cloud(3)
     cloud.means.requires_grad_()
     camera = Camera("a", 32, 16, 24.0, 24.0, 16.0, 8.0, np.eye(4))

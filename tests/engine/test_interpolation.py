@@ -20,7 +20,13 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from swag_engine.base.errors import InputError
-from swag_engine.priors.interpolate import Interpolator, admission, consistent_flow, interpolated_pose, neighbour_pairs
+from swag_engine.priors.interpolate import (
+    Interpolator,
+    consistent_flow,
+    interpolated_pose,
+    interpolation_test,
+    neighbour_pairs,
+)
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import TrainingImage, load_images, read_picture
@@ -57,7 +63,7 @@ def test_images_of_any_size_go_through_and_come_back_at_time_t(tmp_path: Path, s
         made = interpolator(a, b, t)
         assert made.shape == a.shape and made.dtype == np.uint8
         assert np.abs(made - ((1 - t) * a.astype(float) + t * b)).max() <= 0.51
-    with pytest.raises(InputError, match="No frame can be made between photographs of"):
+    with pytest.raises(InputError, match="No frame can be made between images of"):
         interpolator(a, np.zeros((50, 50, 3), np.uint8), 0.5)
 
 
@@ -95,7 +101,7 @@ def test_a_pose_between_turns_and_moves_evenly() -> None:
         assert np.allclose(between.centre, expected.centre) and np.array_equal(between.K, a.K)
         assert between.name not in (a.name, b.name)
     for other in (replace(b, fx=50.1), replace(b, width=41)):
-        with pytest.raises(InputError, match="No camera can be put between a and b"):
+        with pytest.raises(InputError, match="No camera can be interpolated between a and b"):
             interpolated_pose(a, other, 0.5)
 
 
@@ -122,7 +128,7 @@ def test_neighbours_are_frames_of_one_camera() -> None:
     assert neighbour_pairs(["1", "2", "3"], ["1", "3"]) == []
 
 
-# Admission ------------------------------------------------------------------------------------------------------------
+# Test of an interpolator on a scene -----------------------------------------------------------------------------------
 
 STEP = 6
 
@@ -160,34 +166,34 @@ def test_an_interpolator_is_admitted_by_what_it_does_on_training_views() -> None
     split = split_views(frames)
     pairs = neighbour_pairs(frames, split.train)
     training = {name: frames[name] for name in split.train}  # a look at a held-out view would be a KeyError
-    good = admission(true_middle, training, pairs)
-    assert good.admitted and good.reason == "" and good.psnr > 60 and good.consistent > 0.8
+    good = interpolation_test(true_middle, training, pairs)
+    assert good.accepted and good.reason == "" and good.psnr > 60 and good.consistent > 0.8
     assert good.count == len([a for a, b in pairs if b in dict(pairs)])
-    assert admission(true_middle, frames, neighbour_pairs(frames, frames)).count == 8  # of ten
+    assert interpolation_test(true_middle, frames, neighbour_pairs(frames, frames)).count == 8  # of ten
     refusals: list[tuple[Callable[[np.ndarray, np.ndarray, float], np.ndarray], str]] = [
-        (lambda a, b, t: a, r"miss the photographs: \d\d\.\d dB, and 22 dB are needed"),
+        (lambda a, b, t: a, r"differ from the images: \d\d\.\d dB, and 22 dB are needed"),
         (partly_made_up, r"do not move with their neighbours: \d\d\.\d% of the pixels do, and 80% are needed"),
     ]
     for interpolate, reason in refusals:
-        refused = admission(interpolate, training, pairs)
-        assert not refused.admitted and re.search(reason, refused.reason), refused
+        refused = interpolation_test(interpolate, training, pairs)
+        assert not refused.accepted and re.search(reason, refused.reason), refused
 
 
 def test_a_blend_of_murky_pictures_is_refused_however_near_it_comes() -> None:
     frames = moving_frames()
     for frame in frames.values():
         frame.pixels = (frame.pixels // 8 + 100).astype(np.uint8)
-    refused = admission(blend, frames, neighbour_pairs(frames, frames))
-    assert refused.psnr > 30 and "hardly better than a blend" in refused.reason and not refused.admitted
+    refused = interpolation_test(blend, frames, neighbour_pairs(frames, frames))
+    assert refused.psnr > 30 and "hardly better than a blend" in refused.reason and not refused.accepted
 
 
 def test_without_three_neighbours_nothing_can_be_tested() -> None:
     frames = moving_frames(4)
     for pairs in ([], [("00.png", "01.png")], [("00.png", "01.png"), ("02.png", "03.png")]):
-        untested = admission(true_middle, frames, pairs)
-        assert untested.count == 0 and not untested.admitted and "cannot be tested" in untested.reason
+        untested = interpolation_test(true_middle, frames, pairs)
+        assert untested.count == 0 and not untested.accepted and "cannot be tested" in untested.reason
     tiny = moving_frames(4, height=8)
-    assert admission(true_middle, tiny, neighbour_pairs(tiny, tiny)).count == 0
+    assert interpolation_test(true_middle, tiny, neighbour_pairs(tiny, tiny)).count == 0
 
 
 def test_masked_pixels_do_not_count() -> None:
@@ -196,7 +202,7 @@ def test_masked_pixels_do_not_count() -> None:
         frame.valid[:30] = False
     frames["01.png"].pixels = frames["01.png"].pixels.copy()
     frames["01.png"].pixels[:30] = 0
-    assert admission(true_middle, frames, neighbour_pairs(frames, frames)).psnr > 60
+    assert interpolation_test(true_middle, frames, neighbour_pairs(frames, frames)).psnr > 60
 
 
 def test_flow_returns_where_pictures_show_the_same_and_not_elsewhere() -> None:
@@ -276,8 +282,8 @@ def test_rife_is_admitted_on_a_real_survey(rife: Interpolator) -> None:
     scene = load_scene(shared / "data" / "sparus_seabed")
     split = split_views(view.name for view in scene.views)
     images = {image.camera.name: image for image in load_images(scene, scene.views) if image.camera.name in split.train}
-    found = admission(rife, images, neighbour_pairs((view.name for view in scene.views), split.train))
-    assert found.admitted and found.consistent > 0.85 and found.gain > 1.5, found
+    found = interpolation_test(rife, images, neighbour_pairs((view.name for view in scene.views), split.train))
+    assert found.accepted and found.consistent > 0.85 and found.gain > 1.5, found
 
 
 @needs_data

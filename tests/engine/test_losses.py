@@ -1,4 +1,4 @@
-"""L1 and SSIM: the compiled path, the torch path, and a direct computation of the same thing."""
+"""Losses: the compiled path, the torch path, and a direct computation of the same."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import torch
 
 from swag_engine.base.timing import Ledger
 from swag_engine.evaluation.ssim import ssim
-from swag_engine.kernels import cpu
 from swag_engine.training.losses import attenuation_order, grey_world, photometric, smoothness
 
 SIZES = [(1, 1), (4, 7), (11, 11), (23, 41), (9, 330)]  # the last one is wider than a block of the kernel
@@ -54,7 +53,7 @@ def test_ssim_equals_the_direct_computation(size, dtype):
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_l1_ssim_weighs_both(dtype):
+def test_l1_and_ssim_are_weighted(dtype):
     image, target = images(20, 30)
 
     def expected_loss(x):
@@ -100,11 +99,10 @@ def test_same_bits_for_any_number_of_threads():
     assert all(r[0] == results[0][0] and torch.equal(r[1], results[0][1]) for r in results)
 
 
-def test_torch_path_agrees_when_there_are_no_kernels(monkeypatch):
+def test_torch_path_agrees_with_the_kernels():
     image, target = (x.float() for x in images(45, 70))
-    expected = value_and_gradient(lambda x: photometric(x, target, None), image)
-    monkeypatch.setattr(cpu, "library", lambda: None)
-    value, gradient = value_and_gradient(lambda x: photometric(x, target, None), image)
+    expected = value_and_gradient(lambda x: photometric(x, target, None, backend="cpu"), image)
+    value, gradient = value_and_gradient(lambda x: photometric(x, target, None, backend="torch"), image)
     assert value == pytest.approx(expected[0], rel=1e-5)
     np.testing.assert_allclose(gradient, expected[1], atol=1e-5 * expected[1].abs().max().item())
 
@@ -116,7 +114,7 @@ def test_other_shapes_are_refused():
         ssim(torch.zeros(4, 4, 1), torch.zeros(4, 4, 1))
 
 
-# Weights, and what is known about any place under water --------------------------------------------------------------
+# Weights and priors of underwater scenes -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("relative", [False, True])
@@ -147,7 +145,7 @@ def test_ssim_without_weight_is_not_computed():
         assert computed or value == pytest.approx(expected.item(), rel=1e-6)
 
 
-def test_grey_world_is_zero_for_grey_and_pulls_a_cast_back():
+def test_grey_world_is_zero_for_grey_and_reduces_a_color_cast():
     alpha = torch.ones(6, 5, dtype=torch.float64)
     grey = torch.rand(6, 5, 1, dtype=torch.float64).expand(-1, -1, 3)
     assert grey_world(grey, alpha).item() == pytest.approx(0, abs=1e-12)
@@ -160,7 +158,7 @@ def test_grey_world_is_zero_for_grey_and_pulls_a_cast_back():
     assert middle.item() == pytest.approx(((means - 0.5) ** 2).sum().item())
 
 
-def test_grey_world_sees_only_what_is_covered():
+def test_grey_world_counts_covered_pixels_only():
     picture = torch.rand(6, 5, 3, dtype=torch.float64)
     alpha = torch.zeros(6, 5, dtype=torch.float64)
     value, gradient = value_and_gradient(lambda x: grey_world(x, alpha), picture)
@@ -173,7 +171,7 @@ def test_grey_world_sees_only_what_is_covered():
     assert np.isfinite(value) and gradient.isfinite().all()
 
 
-def test_smoothness_forgives_steps_where_the_picture_has_an_edge():
+def test_smoothness_is_weighted_down_at_edges_of_the_image():
     alpha = torch.ones(4, 6, dtype=torch.float64)
     step = torch.ones(4, 6, dtype=torch.float64)
     step[:, 3:] = 3
@@ -191,7 +189,7 @@ def test_smoothness_forgives_steps_where_the_picture_has_an_edge():
     )
 
 
-def test_the_order_of_attenuation_is_asked_for_channel_by_channel():
+def test_attenuation_out_of_order_is_penalised_by_channel():
     beta = torch.tensor([0.3, 0.1, 0.05])
     assert attenuation_order(beta, (0, 1, 2)).item() == 0
     assert attenuation_order(beta, (2, 1, 0)).item() == pytest.approx(0.2 + 0.05 + 2e-3)

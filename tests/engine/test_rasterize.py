@@ -1,7 +1,6 @@
 """The rasteriser: projection and blending against their definitions, the kernels against the reference."""
 
 import ctypes
-import itertools
 import math
 import warnings
 
@@ -10,104 +9,22 @@ import torch
 
 from swag_engine.base.errors import InputError
 from swag_engine.kernels import build, cpu_library, protocol
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels.cpu import CpuKernels
+from swag_engine.kernels.cpu_library import CpuLibrary
+from swag_engine.kernels.reference.projection import project
 from swag_engine.rasterize.api import contributions, rasterize
-from swag_engine.rasterize.projection import project
-
-GRADIENTS = ("means", "quats", "scales", "opacities", "channels", "background")
-
-
-def make_scene(n, channels=3, width=40, height=29, seed=0, size=0.25):
-    """Arguments of rasterize() in float64, exact in float32: Gaussians in front of a turned camera."""
-    generator = torch.Generator().manual_seed(seed)
-
-    def normal(*shape):
-        return torch.randn(*shape, generator=generator, dtype=torch.float64)
-
-    turn = torch.linalg.qr(normal(3, 3)).Q
-    turn = turn * torch.linalg.det(turn)
-    viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[:3, :3], viewmat[:3, 3] = turn, normal(3)
-    seen = normal(n, 3) * torch.tensor([1.2, 0.9, 1.0]) + torch.tensor([0.0, 0.0, 3.5])
-    scene = {
-        "means": (seen - viewmat[:3, 3]) @ turn,
-        "quats": normal(n, 4),
-        "scales": size * torch.exp(0.7 * normal(n, 3)),
-        "opacities": torch.sigmoid(2 * normal(n) + 0.5),
-        "channels": normal(n, channels),
-        "viewmat": viewmat,
-        "K": torch.tensor([[0.8 * width, 0, 0.52 * width], [0, 0.85 * width, 0.47 * height], [0, 0, 1]]),
-        "background": normal(channels),
-    }
-    return {key: value.float().double() for key, value in scene.items()} | {"width": width, "height": height}
-
-
-def run(scene, backend, dtype=torch.float32):
-    """Image, alpha and the gradients of a fixed random functional of both; float64 on return."""
-    tensors = {k: v.to(dtype, copy=True) for k, v in scene.items() if isinstance(v, torch.Tensor)}
-    for name in GRADIENTS:
-        tensors[name].requires_grad_()
-    rendering = rasterize(**{**scene, **tensors}, backend=backend)
-    generator = torch.Generator().manual_seed(99)
-    loss = 0
-    for output in (rendering.channels, rendering.alpha):
-        weights = 1 + torch.randn(output.shape, generator=generator, dtype=torch.float64)
-        loss = loss + (output * weights.to(dtype)).sum()
-    loss.backward()
-    results = {"channels_out": rendering.channels, "alpha": rendering.alpha, "means2d": rendering.means2d.grad}
-    results |= {name: tensors[name].grad for name in GRADIENTS}
-    return {key: value.detach().double() for key, value in results.items()}, rendering
-
-
-def blend_by_the_book(scene):
-    """Image, alpha, and the distance of the nearest comparison to a tie: one Gaussian after the other on all pixels."""
-    arguments = [
-        scene[k] for k in ("means", "quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")
-    ]
-    projected = project(*arguments)
-    height, width = scene["height"], scene["width"]
-    rows, columns = (torch.arange(size, dtype=torch.float64) + 0.5 for size in (height, width))
-    y, x = torch.meshgrid(rows, columns, indexing="ij")
-    out = torch.zeros(height, width, scene["channels"].shape[1], dtype=torch.float64)
-    transmittance = torch.ones(height, width, dtype=torch.float64)
-    going = torch.ones(height, width, dtype=torch.bool)
-    order = torch.argsort(projected.depths, stable=True).tolist()
-    gaps = projected.depths[order].diff()
-    margin = gaps.min().item() if len(gaps) else 1.0
-    for i in order:
-        if projected.depths[i] <= 0 or projected.radii[i] == 0:
-            continue
-        a, b, c = projected.conics[i]
-        dx, dy = x - projected.means2d[i, 0], y - projected.means2d[i, 1]
-        unclamped = scene["opacities"][i] * torch.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
-        alpha = unclamped.clamp(max=0.99)
-        seen = (alpha >= 1 / 255) & going
-        after = transmittance * (1 - alpha)
-        ends = seen & (after <= 1e-4)
-        margin = min(margin, (unclamped * 255 - 1)[going].abs().min().item(), (unclamped / 0.99 - 1).abs().min().item())
-        if seen.any():
-            margin = min(margin, (after / 1e-4 - 1)[seen].abs().min().item())
-        going &= ~ends
-        seen &= ~ends
-        out += torch.where(seen, alpha * transmittance, 0)[..., None] * scene["channels"][i]
-        transmittance = torch.where(seen, after, transmittance)
-        if not going.any():
-            break
-    return out + transmittance[..., None] * scene["background"], 1 - transmittance, margin
-
-
-def clear_scenes(count, **options):
-    """Scenes in which rounding to float32 cannot turn a comparison (1/255, 1e-4, .99, depth order) the other way."""
-    seeds = itertools.count()
-    while count:
-        scene = make_scene(**options, seed=next(seeds))
-        if blend_by_the_book(scene)[2] > 1e-5:
-            count -= 1
-            yield scene
-
-
-def relative_error(value, truth):
-    return ((value - truth).abs().max() / truth.abs().max().clamp(min=1e-30)).item()
-
+from swag_engine.settings.settings import BACKENDS
+from tests.engine.raster_scenes import (
+    GRADIENTS,
+    HARD,
+    blend_by_definition,
+    changed,
+    clear_scenes,
+    make_scene,
+    relative_error,
+    run,
+)
 
 # -- projection --------------------------------------------------------------------------------------------------------
 
@@ -151,7 +68,7 @@ def test_projection_is_the_linearised_camera():
     assert checked > 15
 
 
-def test_beyond_the_guard_band_the_shape_stops_depending_on_the_place():
+def test_beyond_the_guard_band_the_shape_does_not_depend_on_the_place():
     scene = make_scene(1)
     scene["viewmat"] = torch.eye(4, dtype=torch.float64)
     arguments = [scene[k] for k in ("quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")]
@@ -174,12 +91,12 @@ def test_gaussians_behind_the_near_plane_are_not_drawn():
 
 
 @pytest.mark.parametrize("n", [0, 1, 40, 150])
-def test_reference_blends_by_the_book(n):
+def test_reference_blends_by_definition(n):
     scene = make_scene(n, channels=4, seed=n, size=0.5)
     if n > 2:
         scene["means"][1] = scene["means"][0]  # equal depths: the lower index is in front
     results, _ = run(scene, "torch", torch.float64)
-    image, alpha, _ = blend_by_the_book(scene)
+    image, alpha, _ = blend_by_definition(scene)
     torch.testing.assert_close(results["channels_out"], image, atol=1e-12, rtol=0)
     torch.testing.assert_close(results["alpha"], alpha, atol=1e-12, rtol=0)
     assert n < 150 or (alpha > 0.9998).any()  # pixels that end early are among them
@@ -254,8 +171,7 @@ def test_every_instruction_set_agrees(target, monkeypatch):
     supported = {"AVX512": 4, "AVX2": 3}.get(torch.backends.cpu.get_cpu_capability(), 2)
     if target.level > supported:
         pytest.skip(f"this processor has no x86-64-v{target.level}")
-    kernels = ctypes.CDLL(str(target.path))
-    monkeypatch.setattr(cpu_library, "library", lambda: kernels)
+    monkeypatch.setitem(KERNELS, "cpu", CpuKernels(lambda: CpuLibrary(target.path)))
     for scene in clear_scenes(3, n=40, channels=5):
         truth, _ = run(scene, "torch", torch.float64)
         result, _ = run(scene, "cpu")
@@ -278,7 +194,7 @@ def test_same_bits_for_any_number_of_threads():
             assert torch.equal(result[key], results[0][key]), key
 
 
-def test_torch_fallback_in_float32_is_close_and_auto_takes_the_kernels():
+def test_torch_in_float32_is_close_and_auto_takes_the_kernels():
     scene = next(clear_scenes(1, n=60))
     slow, fast, auto = (run(scene, backend)[0] for backend in ("torch", "cpu", "auto"))
     assert max(relative_error(slow[key], fast[key]) for key in fast) < 1e-4
@@ -291,23 +207,23 @@ def test_torch_fallback_in_float32_is_close_and_auto_takes_the_kernels():
 def contributions_of(scene, backend, dtype, images=3, seed=5):
     generator = torch.Generator().manual_seed(seed)
     size = scene["height"], scene["width"]
-    pictures = {
+    given = {
         "weights": torch.rand(*size, images, generator=generator, dtype=torch.float64),
         "image_gradient": torch.randn(*size, scene["channels"].shape[1], generator=generator, dtype=torch.float64),
     }
-    tensors = {k: v.to(dtype) for k, v in (scene | pictures).items() if isinstance(v, torch.Tensor)}
-    return contributions(**{**scene, **tensors}, backend=backend), pictures
+    tensors = {k: v.to(dtype) for k, v in (scene | given).items() if isinstance(v, torch.Tensor)}
+    return contributions(**{**scene, **tensors}, backend=backend), given
 
 
 def test_contributions_are_what_autograd_says():
     scene = make_scene(30, channels=2, width=20, height=13, size=0.5)
     scene["opacities"][0] = 1.0  # clamped at its centre
-    result, pictures = contributions_of(scene, "torch", torch.float64)
+    result, given = contributions_of(scene, "torch", torch.float64)
 
-    def picture(opacities):  # by the opacity: dC/dg = o dC/dalpha and dC/do = g dC/dalpha
+    def image_of(opacities):  # by the opacity: dC/dg = o dC/dalpha and dC/do = g dC/dalpha
         return rasterize(**{**scene, "opacities": opacities}, backend="torch").channels
 
-    jacobian = torch.autograd.functional.jacobian(picture, scene["opacities"])  # (H, W, C, N)
+    jacobian = torch.autograd.functional.jacobian(image_of, scene["opacities"])  # (H, W, C, N)
     arguments = [
         scene[k] for k in ("means", "quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")
     ]
@@ -320,14 +236,14 @@ def test_contributions_are_what_autograd_says():
     change = jacobian * (scene["opacities"] / value)[:, :, None]
     change = torch.where(jacobian == 0, 0, change)
     torch.testing.assert_close(result.importance, change.square().sum((0, 1, 2)))
-    along = (change * pictures["image_gradient"][..., None]).sum(2)
+    along = (change * given["image_gradient"][..., None]).sum(2)
     torch.testing.assert_close(result.error, along.square().sum((0, 1)))
 
     channels = scene["channels"].new_zeros(30, 3).requires_grad_()
     image = rasterize(
         **{**scene, "channels": channels, "background": torch.zeros(3).double()}, backend="torch"
     ).channels
-    (weighted,) = torch.autograd.grad((image * pictures["weights"]).sum(), channels)
+    (weighted,) = torch.autograd.grad((image * given["weights"]).sum(), channels)
     torch.testing.assert_close(result.weighted, weighted)
 
 
@@ -354,70 +270,9 @@ def test_contributions_without_images_and_of_too_many_channels():
 # -- hard cases --------------------------------------------------------------------------------------------------------
 
 
-def changed(n=5, width=40, height=29, **values):
-    scene = make_scene(n, width=width, height=height)
-    scene["viewmat"] = torch.eye(4, dtype=torch.float64)
-    scene["means"] = torch.randn(n, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64) * 0.3
-    scene["means"] += torch.tensor([0.0, 0.0, 3.0])
-    for key, value in values.items():
-        scene[key] = value(scene[key]) if callable(value) else value
-    return scene
-
-
-def one_row(value):
-    def change(tensor):
-        tensor = tensor.clone()
-        tensor[1] = value
-        return tensor
-
-    return change
-
-
-def first_row(tensor):
-    return tensor[:1].expand_as(tensor).clone()
-
-
-def focal(pixels):
-    return torch.tensor([[pixels, 0, 20], [0, pixels, 14.5], [0, 0, 1]], dtype=torch.float64)
-
-
-HARD = {
-    "no Gaussian": changed(n=0),
-    "one Gaussian": changed(n=1),
-    "two Gaussians": changed(n=2),
-    "one pixel": changed(width=1, height=1),
-    "all behind the camera": changed(means=lambda m: m * torch.tensor([1, 1, -1.0])),
-    "all on the near plane": changed(means=lambda m: m * torch.tensor([0, 0, 0.0]) + torch.tensor([0, 0, 0.01])),
-    "just beyond the near plane": changed(
-        means=lambda m: m * 1e-2 * torch.tensor([1, 1, 0]) + torch.tensor([0, 0, 0.0101])
-    ),
-    "all off screen": changed(means=lambda m: m + torch.tensor([100.0, 0, 0])),
-    "huge scales": changed(scales=lambda s: s * 0 + math.exp(10)),
-    "vanishing scales": changed(scales=lambda s: s * 0 + math.exp(-20)),
-    "zero scales": changed(scales=lambda s: s * 0),
-    "needles": changed(scales=lambda s: s * 0 + torch.tensor([1e3, 1e-3, 1e-3])),
-    "pancakes": changed(scales=lambda s: s * 0 + torch.tensor([1e2, 1e2, 1e-5])),
-    "zero quaternions": changed(quats=lambda q: q * 0),
-    "tiny quaternions": changed(quats=lambda q: q * 1e-9),
-    "huge quaternions": changed(quats=lambda q: q * 1e25),
-    "opacity 0": changed(opacities=lambda o: o * 0),
-    "opacity 1": changed(opacities=lambda o: o * 0 + 1),
-    "opacity 2": changed(opacities=lambda o: o * 0 + 2),
-    "field of view 2 degrees": changed(K=focal(20 / math.tan(math.radians(1)))),
-    "field of view 170 degrees": changed(K=focal(20 / math.tan(math.radians(85)))),
-    "coordinates of 1e6": changed(means=lambda m: m * 1e6, scales=lambda s: s * 1e6),
-    "far away": changed(means=lambda m: m + torch.tensor([0, 0, 1e6])),
-    "far aside": changed(means=lambda m: m * torch.tensor([1e30, 1e30, 1])),
-    "thousands of equals": changed(n=1500, means=first_row, quats=first_row, scales=first_row),
-}
-for bad_name, bad_value in (("nan", math.nan), ("inf", math.inf), ("-inf", -math.inf)):
-    for field in ("means", "quats", "scales", "opacities", "channels"):
-        HARD[f"{bad_name} in {field}"] = changed(**{field: one_row(bad_value)})
-
-
 @pytest.mark.parametrize("backend", ["cpu", "torch"])
 @pytest.mark.parametrize("case", HARD)
-def test_hard_cases_give_finite_pictures_and_gradients(case, backend):
+def test_hard_cases_give_finite_images_and_gradients(case, backend):
     results, rendering = run(HARD[case], backend)
     for key, value in results.items():
         assert value.isfinite().all(), key
@@ -466,7 +321,7 @@ def test_too_many_pairs_are_refused_before_memory_is_taken(monkeypatch):
         run(changed(n=600, scales=lambda s: s + 10), "cpu")
 
 
-# -- doors -------------------------------------------------------------------------------------------------------------
+# -- arguments----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -496,27 +351,37 @@ def test_non_contiguous_tensors_are_fine():
     assert all(torch.equal(expected[key], result[key]) for key in expected)
 
 
-def clear_library():
-    cpu_library.target.cache_clear()
-    cpu_library.library.cache_clear()
-
-
-def test_without_kernels_torch_takes_over_with_one_warning(monkeypatch):
+def test_without_kernels_torch_computes_after_one_warning(monkeypatch):
     scene = changed()
     expected, _ = run(scene, "torch")
     monkeypatch.setattr(cpu_library, "host_targets", lambda: [])
-    clear_library()
-    try:
-        with pytest.warns(UserWarning, match="CPU kernels not loaded") as caught:
-            result, _ = run(scene, "auto")
-        assert len(caught) == 1 and all(torch.equal(result[key], expected[key]) for key in expected)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            run(scene, "auto")
-        with pytest.raises(InputError, match="cpu backend"):
-            run(scene, "cpu")
-    finally:
-        clear_library()
+    monkeypatch.setitem(KERNELS, "cpu", CpuKernels())
+    with pytest.warns(UserWarning, match="CPU kernels not loaded") as caught:
+        result, _ = run(scene, "auto")
+    assert len(caught) == 1 and all(torch.equal(result[key], expected[key]) for key in expected)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run(scene, "auto")
+    with pytest.raises(InputError, match="cpu backend"):
+        run(scene, "cpu")
+
+
+def test_the_backends_are_those_of_the_settings():
+    assert {"auto", *KERNELS} == set(BACKENDS)
+
+
+def test_gradients_by_the_camera_are_those_of_the_reference():
+    scene = next(clear_scenes(1, n=40))
+
+    def gradients(backend, dtype):
+        tensors = {k: v.to(dtype, copy=True) for k, v in scene.items() if isinstance(v, torch.Tensor)}
+        camera = [tensors[name].requires_grad_() for name in ("viewmat", "K")]
+        image = rasterize(**{**scene, **tensors}, backend=backend).channels
+        return [gradient.double() for gradient in torch.autograd.grad(image.square().sum(), camera)]
+
+    truth = gradients("torch", torch.float64)
+    for value, expected in zip(gradients("cpu", torch.float32), truth, strict=True):
+        assert (expected != 0).any() and relative_error(value, expected) < 1e-3
 
 
 def test_build_compiles_once_and_clears_what_is_stale(monkeypatch, tmp_path):

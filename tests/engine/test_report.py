@@ -17,22 +17,14 @@ from swag_engine.experiments import report as module
 from swag_engine.experiments.evaluate_run import evaluate_run
 from swag_engine.experiments.report import command_line, evidence_text, write_report
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training.trainer import train
 
 SETTINGS = TrainSettings(iterations=20, width=64, max_gaussians=400, sh_degree=0)
 HOSTILE = '<script>alert(1)</script> $x^2$ & "'
 
 
-@pytest.fixture(scope="module")
-def finished(tiny_scene, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "a <b> & c"
-    train(tiny_scene, folder, SETTINGS)
-    return folder
-
-
 @pytest.fixture
-def run(finished, tmp_path):
-    return shutil.copytree(finished, tmp_path / finished.name)
+def run(finished_run, tmp_path):
+    return shutil.copytree(finished_run, tmp_path / finished_run.name)
 
 
 def change(path, **values):
@@ -154,15 +146,26 @@ def test_every_door_leaves_a_report_and_none_is_spoiled_by_it(tiny_scene, tmp_pa
     assert worker("b")["report"] == str(tmp_path / "b" / "report.html")
     capsys.readouterr()
 
-    monkeypatch.setattr(module, "new_plots", lambda *a: 1 / 0)
+    monkeypatch.setattr(module, "write_report", refuse)
     assert main(command("c")) == 0
     printed = capsys.readouterr()
     assert "Done" in printed.out and "Report" not in printed.out
-    assert "its report could not be written: division by zero" in printed.err and "Traceback" not in printed.err
+    assert "its report could not be written: Cannot write report.html: no space." in printed.err
+    assert "Traceback" not in printed.err
     assert not (tmp_path / "c" / "report.html").exists()
     result = worker("d")
     assert result["event"] == "result" and result["report"] is None
     assert "its report could not be written" in capsys.readouterr().err
+
+
+def refuse(folder):
+    raise InputError("Cannot write report.html: no space.")
+
+
+def test_a_bug_in_the_report_is_not_hidden(run, monkeypatch):
+    monkeypatch.setattr(module, "new_plots", lambda *a: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        module.try_write_report(run)
 
 
 def test_report_is_a_command(run, capsys):

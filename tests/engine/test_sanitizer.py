@@ -13,12 +13,14 @@ from swag_engine.kernels import build
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = ("test_rasterize.py", "test_losses.py", "test_optimizer.py", "test_sh.py", "test_water.py")
 RUN = """
-import ctypes, sys
+import sys
+from pathlib import Path
 import pytest
-from swag_engine.kernels import cpu, cpu_library
-kernels = ctypes.CDLL(sys.argv[1])
-cpu_library.library = cpu.library = lambda: kernels
-skipped = "instruction_set or fallback or without_kernels or build_compiles"
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels.cpu import CpuKernels
+from swag_engine.kernels.cpu_library import CpuLibrary
+KERNELS["cpu"] = CpuKernels(lambda: CpuLibrary(Path(sys.argv[1])))
+skipped = "instruction_set or in_float32 or without_kernels or build_compiles"
 sys.exit(pytest.main(["-x", "-v", "-p", "no:cacheprovider", "-k", f"not ({skipped})", *sys.argv[2:]]))
 """
 

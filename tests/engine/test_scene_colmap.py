@@ -251,3 +251,19 @@ def test_real_scenes(name: str, views: int, points: int, model: str) -> None:
         assert all(view.camera.world_to_camera[2, :3] @ scene.up < -0.9 for view in scene.views)
     if name == "japanese_gardens":  # looks ahead
         assert all(view.camera.world_to_camera[1, :3] @ scene.up < -0.9 for view in scene.views)
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_images_behind_a_symbolic_link_are_found(tiny_scene, tmp_path, nested):
+    scene = tmp_path / "scene"
+    shutil.copytree(tiny_scene / "sparse", scene / "sparse")
+    images = scene / "images"
+    if nested:  # a folder of each camera, and a link in a circle
+        images.mkdir()
+        (images / "left").symlink_to(tiny_scene / "images", target_is_directory=True)
+        (images / "again").symlink_to(scene, target_is_directory=True)
+    else:
+        images.symlink_to(tiny_scene / "images", target_is_directory=True)
+    found = load_scene(scene)
+    assert len(found.views) == found.image_count == 10
+    assert all(view.path.is_relative_to(images) for view in found.views)

@@ -12,11 +12,11 @@ from swag_engine.semantics.assign import (
     assign,
     label_weights,
     labels_in_view,
-    rendered_labels,
+    render_labels,
     semantic_loss,
     targets_in_view,
 )
-from swag_engine.semantics.regions import Found, SceneRegions, common_labels
+from swag_engine.semantics.regions import ImageRegions, SceneRegions, common_labels
 
 SIZE = 40
 BACKENDS = ["cpu", "torch"]
@@ -57,7 +57,9 @@ def scene(maps: dict[str, np.ndarray], names: tuple[str, ...] = ("one", "two")) 
         index = np.searchsorted(here, labels) + 1
         embeddings = np.eye(64)[here] + 0.02 * random.normal(size=(len(here), 64))
         titles = tuple(names[label - 1] for label in here)
-        found[name] = Found(np.where(labels > 0, index, 0).astype(np.uint16), titles, embeddings.astype(np.float32))
+        found[name] = ImageRegions(
+            np.where(labels > 0, index, 0).astype(np.uint16), titles, embeddings.astype(np.float32)
+        )
     return common_labels(found, names)
 
 
@@ -149,11 +151,11 @@ def test_the_loss_pulls_features_to_their_targets_and_moves_nothing_else() -> No
 def test_labels_are_rendered_where_their_gaussians_are_seen() -> None:
     cloud = cloud_of([(-0.5, 0, 2), (0.5, 0, 2), (0.5, 0, 3)], scale=0.25, opacity=0.99)
     labels = torch.tensor([40, 7, 3])
-    shown = rendered_labels(cloud, labels, 40, camera_at(0), behind=5)
+    shown = render_labels(cloud, labels, 40, camera_at(0), behind=5)
     assert shown.dtype == np.uint16 and shown.shape == (SIZE, SIZE)
     assert shown[20, 10] == 40 and shown[20, 30] == 7 and shown[0, 0] == 5
     assert 3 not in shown[18:22, 28:32]
-    assert rendered_labels(cloud, labels, 40, camera_at(0))[0, 0] == 0
+    assert render_labels(cloud, labels, 40, camera_at(0))[0, 0] == 0
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -163,7 +165,7 @@ def test_votes_cast_again_fit_the_photographs_better(backend: str, monkeypatch: 
     truth = (
         1 + (2 * cloud.means[:, 0]).floor().add((2 * cloud.means[:, 1]).floor()).long() % 2
     )  # fields of a chessboard
-    maps = {name: rendered_labels(cloud, truth, 2, camera_at(x), backend=backend)
+    maps = {name: render_labels(cloud, truth, 2, camera_at(x), backend=backend)
             for name, x in (("a", -0.3), ("b", 0.0), ("c", 0.3))}  # fmt: skip
     cameras = {name: camera_at(x, name) for name, x in (("a", -0.3), ("b", 0.0), ("c", 0.3))}
     right = []

@@ -17,8 +17,8 @@ from onnx import TensorProto, helper, numpy_helper
 from swag_engine.base.errors import InputError
 from swag_engine.scene.images import TrainingImage
 from swag_engine.semantics.captions import Blip, phrases
-from swag_engine.semantics.embed import CLIP_MEAN, CLIP_STD, Clip, Descriptor, Projection, colour_name, cropped
-from swag_engine.semantics.grounded_sam import Box, GroundedSam, GroundingDino, Sam, overlap
+from swag_engine.semantics.embed import CLIP_MEAN, CLIP_STD, Clip, Descriptor, Projection, color_name, crop_to_mask
+from swag_engine.semantics.grounded_sam import Box, GroundedSam, GroundingDino, Sam, intersection_over_union
 from swag_engine.semantics.tokenizer import BytePairTokenizer, WordPieceTokenizer
 
 TOKENS = ["[PAD]", "[UNK]", "[CLS]", "[SEP]", ".", "coral", "wreck", "anch", "##or", "the", "-", "a"]
@@ -145,7 +145,7 @@ def test_clip_sees_the_region_alone_and_reads_words(tmp_path: Path, merges: Path
     pixels[~mask] = (0, 255, 0)
     # Beside the region is CLIP's mean, 0 once normalised; so the embedding has the direction of normalised red.
     red = (np.array([1, 0, 0]) - CLIP_MEAN) / CLIP_STD
-    assert np.allclose(network.image(*cropped(pixels, mask)), red / np.linalg.norm(red), atol=0.02)
+    assert np.allclose(network.image(*crop_to_mask(pixels, mask)), red / np.linalg.norm(red), atol=0.02)
     made = network.words(["Red", "blue"])
     assert made.shape == (2, 3) and np.allclose(np.linalg.norm(made, axis=1), 1)
     assert made[0, 0] > 0.99 and made[1, 2] > 0.99
@@ -219,7 +219,7 @@ def test_boxes_are_of_the_words_whose_tokens_they_answer(tmp_path: Path, bert: P
     detector = dino(tmp_path, bert, fixed)
     pixels = np.full((60, 100, 3), 100, np.uint8)
     found = detector.boxes(pixels, ["wreck", "coral", "anchor"])
-    assert [box.name for box in found] == ["coral", "anchor"]  # the third box lies over the first
+    assert [box.label for box in found] == ["coral", "anchor"]  # the third box lies over the first
     assert np.allclose(found[0].corners, (0, 0, 50, 60)) and np.allclose(found[1].corners, (50, 0, 100, 30))
     assert found[0].score == pytest.approx(1 / (1 + np.exp(-3)), abs=1e-4)
     assert detector.boxes(pixels, ["wreck"]) == []
@@ -228,7 +228,7 @@ def test_boxes_are_of_the_words_whose_tokens_they_answer(tmp_path: Path, bert: P
 def test_words_that_fill_several_texts_are_all_looked_for(tmp_path: Path, bert: Path) -> None:
     detector = dino(tmp_path, bert, fixed=True)
     words = [f"wreck {number}" for number in range(300)] + ["coral"]
-    assert [box.name for box in detector.boxes(np.zeros((50, 50, 3), np.uint8), words)] == ["coral"]
+    assert [box.label for box in detector.boxes(np.zeros((50, 50, 3), np.uint8), words)] == ["coral"]
 
 
 @pytest.mark.parametrize("size", ["H,W,3", "1,3,1024,1024"])
@@ -244,7 +244,7 @@ def test_words_become_regions(tmp_path: Path, bert: Path) -> None:
     pixels = np.zeros((60, 100, 3), np.uint8)
     image = TrainingImage(None, pixels, np.ones((60, 100), bool))  # type: ignore[arg-type]
     regions = provider.regions(image, ["coral", "anchor"])
-    assert [region.name for region in regions] == ["coral", "anchor"]
+    assert [region.label for region in regions] == ["coral", "anchor"]
     assert regions[1].mask[:30, 50:].all() and regions[1].mask.sum() == 30 * 50
     assert provider.regions(image, ["wreck"]) == []
     with pytest.raises(InputError, match="looks for words, and there are none"):
@@ -253,8 +253,8 @@ def test_words_become_regions(tmp_path: Path, bert: Path) -> None:
 
 def test_overlap_is_intersection_over_union() -> None:
     a, b = Box("", 1, (0, 0, 2, 2)), Box("", 1, (1, 0, 3, 2))
-    assert overlap(a, b) == pytest.approx(1 / 3) and overlap(a, a) == pytest.approx(1)
-    assert overlap(a, Box("", 1, (5, 5, 6, 6))) == 0
+    assert intersection_over_union(a, b) == pytest.approx(1 / 3) and intersection_over_union(a, a) == pytest.approx(1)
+    assert intersection_over_union(a, Box("", 1, (5, 5, 6, 6))) == 0
 
 
 # BLIP -----------------------------------------------------------------------------------------------------------------
@@ -303,7 +303,7 @@ def test_descriptors_tell_colours_and_textures_apart() -> None:
     assert all(np.linalg.norm(embedding) == pytest.approx(1, abs=1e-5) for embedding in made)
     same = made[1] @ descriptor.image(np.rot90(rough)[:30].copy(), mask[:30])
     assert same > 0.95 > made[0] @ made[1] > made[0] @ made[2]
-    assert [colour_name(embedding) for embedding in made] == ["grey", "grey", "orange"]
+    assert [color_name(embedding) for embedding in made] == ["grey", "grey", "orange"]
     with pytest.raises(InputError, match="Without CLIP only labels can be searched by name, and none is called eel"):
         descriptor.words(["eel"])
 

@@ -22,7 +22,7 @@ import torch
 
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage, read_picture
-from swag_engine.semantics.embed import cropped
+from swag_engine.semantics.embed import crop_to_mask
 from swag_engine.semantics.grounded_sam import IMAGENET_MEAN, IMAGENET_STD
 from swag_engine.semantics.regions import Region, find_regions
 from swag_engine.weights.onnx import Graph
@@ -193,7 +193,7 @@ def test_efficientnet_names_regions_and_finds_those_of_one_kind_alike(imagenet: 
         ("n_l_12_", "WR"): "wreck", ("w_r_147_", "WR"): "wreck", ("n_l_100_", "FV"): "fish",
         ("n_l_100_", "RI"): "coral reef", ("f_r_329_", "RI"): "coral reef", ("f_r_1965_", "FV"): "fish",
     }  # fmt: skip
-    crops = [cropped(photograph(stem).pixels, truth(stem, kind)) for stem, kind in regions]
+    crops = [crop_to_mask(photograph(stem).pixels, truth(stem, kind)) for stem, kind in regions]
     named = [imagenet.captions(pixels)[0] for pixels, _ in crops]
     right = [name == expected for name, expected in zip(named, regions.values(), strict=True)]
     assert sum(right) >= 8  # of 9

@@ -12,8 +12,8 @@ from swag_engine.scene.colmap import Scene, load_scene
 from swag_engine.scene.images import TrainingImage, load_images
 from swag_engine.semantics.embed import Descriptor
 from swag_engine.semantics.masks import MaskFolder
-from swag_engine.semantics.regions import Region, find_regions, flattened
-from swag_engine.semantics.saliency import OPEN_WATER, Saliency
+from swag_engine.semantics.regions import Region, find_regions, flatten_regions
+from swag_engine.semantics.saliency import OPEN_WATER, Saliency, border_contrast
 
 ROOT = Path(__file__).resolve().parents[2]
 REEF = ROOT / "tests" / "scenes" / "reef_wreck"
@@ -54,12 +54,12 @@ def test_where_masks_overlap_the_first_counts() -> None:
     image = photograph()
     image.valid[:, :5] = False
     regions = [("coral", (0, 0, 30, 40)), ("wreck", (20, 0, 60, 20)), ("coral", (50, 0, 60, 40)), ("dot", (0, 0, 3, 3))]
-    index, names = flattened([Region(box(image, *corners), name) for name, corners in regions], image)
+    index, names = flatten_regions([Region(box(image, *corners), name) for name, corners in regions], image)
     assert names == ("coral", "wreck")  # the dot is hidden, and too small
     assert (index[:, :5] == 0).all() and (index[:, 5:30] == 1).all() and (index[:20, 30:] == 2).all()
     assert (index[20:, 50:] == 1).all() and (index[20:, 30:50] == 0).all()
     with pytest.raises(InputError, match="The mask of coral is 60 x 30 and not 60 x 40"):
-        flattened([Region(np.ones((30, 60), bool), "coral")], image)
+        flatten_regions([Region(np.ones((30, 60), bool), "coral")], image)
 
 
 def test_labels_come_in_the_order_of_the_words_then_by_size() -> None:
@@ -67,7 +67,7 @@ def test_labels_come_in_the_order_of_the_words_then_by_size() -> None:
     provider = Boxes(("wreck", (0, 0, 60, 20)), ("coral", (0, 20, 60, 30)), ("fish", (0, 30, 30, 40)))
     found = find_regions(images, provider, Descriptor())
     assert found.labels == ("wreck", "coral", "fish")
-    assert np.allclose(found.shares(), [0.125, 0.5, 0.25, 0.125])
+    assert np.allclose(found.pixel_fractions(), [0.125, 0.5, 0.25, 0.125])
     asked = find_regions(images, provider, Descriptor(), ["fish", "eel"])
     assert asked.labels == ("fish", "wreck", "coral") and provider.words[-1] == ("fish", "eel")
     assert asked.notes == ("Nothing was found for eel.",)
@@ -137,12 +137,12 @@ def test_what_cannot_be_used_is_said_in_one_sentence() -> None:
         def image(self, pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
             return np.full(40, np.nan, np.float32)
 
-    with pytest.raises(InputError, match="Boxes found no region of coral, eel in any of the 2 photographs"):
+    with pytest.raises(InputError, match="Boxes found no region of coral, eel in any of the 2 images"):
         find_regions(images, Boxes(), Descriptor(), ["coral", "eel"])
     for words in ([""], ["coral", "  "], ["..."]):
         with pytest.raises(InputError, match="One of the words to look for is empty"):
             find_regions(images, Boxes(), Descriptor(), words)
-    with pytest.raises(InputError, match=r"embedding broken made numbers that are not finite.*\(photograph a.jpg\)"):
+    with pytest.raises(InputError, match=r"embedding broken made numbers that are not finite.*\(image a.jpg\)"):
         find_regions(images, Boxes(("coral", (0, 0, 30, 30))), Nan())
 
 
@@ -150,7 +150,7 @@ def test_one_region_over_everything_is_used_and_remarked_on() -> None:
     images = [photograph(f"{k}.jpg", seed=k) for k in range(2)]
     found = find_regions(images, Boxes(("reef", (0, 0, 60, 40))), Descriptor())
     assert found.labels == ("reef",) and all((labels == 1).all() for labels in found.maps.values())
-    assert found.notes == ("One region covers every photograph whole: labels tell nothing apart.",)
+    assert found.notes == ("In every image one region covers all pixels, so the labels distinguish nothing.",)
 
 
 def test_three_hundred_labels_are_kept_apart() -> None:
@@ -188,10 +188,10 @@ def test_masks_in_a_folder_a_class(tmp_path: Path, reef: Scene, reef_image: Trai
         suffix = ".png" if name == "coral" else ".jpg.png"
         write_mask(tmp_path / name / f"reef_001{suffix}", drawn)
     regions = MaskFolder(tmp_path, reef).regions(reef_image, [])
-    assert [region.name for region in regions] == ["coral", "wreck"]
+    assert [region.label for region in regions] == ["coral", "wreck"]
     assert regions[0].mask[:45, 160:].all() and regions[0].mask.sum() == 45 * 160
     assert regions[1].mask[90:, 160:].all() and regions[1].mask.sum() == 90 * 160
-    assert [region.name for region in MaskFolder(tmp_path, reef).regions(reef_image, ["wreck"])] == ["wreck"]
+    assert [region.label for region in MaskFolder(tmp_path, reef).regions(reef_image, ["wreck"])] == ["wreck"]
 
 
 def test_masks_as_numbers_of_names(tmp_path: Path, reef: Scene, reef_image: TrainingImage) -> None:
@@ -200,13 +200,13 @@ def test_masks_as_numbers_of_names(tmp_path: Path, reef: Scene, reef_image: Trai
     (tmp_path / "labels.txt").write_text("\n".join(f"thing {k}" for k in range(1, 301)))
     write_mask(tmp_path / "reef_001.png", drawn)
     regions = MaskFolder(tmp_path, reef).regions(reef_image, [])
-    assert [region.name for region in regions] == ["thing 2", "thing 300"]
+    assert [region.label for region in regions] == ["thing 2", "thing 300"]
     assert regions[0].mask[:50].all() and regions[0].mask.sum() == 50 * 320
     (tmp_path / "labels.txt").write_text("one\ntwo\n")
-    with pytest.raises(InputError, match="reef_001.png has the value 300, and labels.txt names only 2"):
+    with pytest.raises(InputError, match="reef_001.png has the value 300, and labels.txt has only 2 labels"):
         MaskFolder(tmp_path, reef).regions(reef_image, [])
     (tmp_path / "labels.txt").write_text("one\none\n")
-    with pytest.raises(InputError, match="labels.txt must have one name a line, each once"):
+    with pytest.raises(InputError, match="labels.txt must have one label a line, each once"):
         MaskFolder(tmp_path, reef)
 
 
@@ -217,7 +217,7 @@ def test_masks_are_freed_of_the_lens_as_the_photograph_is() -> None:
     image = load_images(scene, scene.views[:1], 484)[0]
     pixels = cv2.imread(str(scene.views[0].path), cv2.IMREAD_GRAYSCALE)
     smooth = cv2.GaussianBlur(pixels, (0, 0), 6)
-    seen = MaskFolder._seen(scene.views[0], smooth, image)
+    seen = MaskFolder._undistorted(scene.views[0], smooth, image)
     shown = cv2.GaussianBlur(cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY), (0, 0), 3)
     assert seen.shape == shown.shape
     assert np.abs(seen.astype(float) - shown)[image.valid].mean() < 1.5
@@ -228,21 +228,21 @@ def test_masks_are_freed_of_the_lens_as_the_photograph_is() -> None:
 def test_masks_that_do_not_fit_are_named(tmp_path: Path, reef: Scene, reef_image: TrainingImage) -> None:
     with pytest.raises(InputError, match="There is no folder .*absent"):
         MaskFolder(tmp_path / "absent", reef)
-    with pytest.raises(InputError, match="holds no masks: put them in one folder a class"):
+    with pytest.raises(InputError, match="holds no masks: put them in one folder a label"):
         MaskFolder(tmp_path, reef)
     write_mask(tmp_path / "coral" / "another.png", np.zeros((10, 10), np.uint8))
-    with pytest.raises(InputError, match="No mask in .* belongs to a photograph of the scene.*reef_000.png"):
+    with pytest.raises(InputError, match="No mask in .* belongs to an image of the scene.*reef_000.png"):
         MaskFolder(tmp_path, reef)
     mask = tmp_path / "coral" / "reef_001.png"
     for values, message in (
-        (np.zeros((100, 100), np.uint8), "reef_001.png is 100 x 100 pixels, .* 640 x 360: draw it on the photograph"),
-        (np.full((360, 640, 3), (0, 0, 255), np.uint8), "reef_001.png is a mask in colours"),
+        (np.zeros((100, 100), np.uint8), "reef_001.png is 100 x 100 pixels, .* 640 x 360: make it from the image"),
+        (np.full((360, 640, 3), (0, 0, 255), np.uint8), "reef_001.png is a mask in color"),
     ):
         write_mask(mask, values)
         with pytest.raises(InputError, match=message):
             MaskFolder(tmp_path, reef).regions(reef_image, [])
     mask.write_bytes(b"no picture")
-    with pytest.raises(InputError, match="reef_001.png cannot be read as a picture"):
+    with pytest.raises(InputError, match="reef_001.png cannot be read as an image"):
         MaskFolder(tmp_path, reef).regions(reef_image, [])
 
 
@@ -252,8 +252,8 @@ def test_masks_that_do_not_fit_are_named(tmp_path: Path, reef: Scene, reef_image
 def test_open_water_is_found_without_a_network(reef: Scene) -> None:
     masks = MaskFolder(REEF / "labels", reef)
     for image in load_images(reef, reef.views[::6], 320):
-        truth = next(region.mask for region in masks.regions(image, []) if region.name == "open water")
-        found = {region.name: region.mask for region in Saliency().regions(image, [])}[OPEN_WATER]
+        truth = next(region.mask for region in masks.regions(image, []) if region.label == "open water")
+        found = {region.label: region.mask for region in Saliency().regions(image, [])}[OPEN_WATER]
         assert (found & truth).sum() / (found | truth).sum() > 0.8
 
 
@@ -272,7 +272,7 @@ def test_open_water_is_found_in_real_photographs() -> None:
 
 
 def test_saliency_knows_no_words_and_takes_any_picture() -> None:
-    with pytest.raises(InputError, match="saliency finds what stands out, not words"):
+    with pytest.raises(InputError, match="saliency cannot look for words"):
         Saliency().regions(photograph(), ["coral"])
     for height, width in ((1, 1), (3, 200), (50, 7), (40, 60)):
         for value in (0, 128, 255):
@@ -280,3 +280,12 @@ def test_saliency_knows_no_words_and_takes_any_picture() -> None:
             image.pixels[:] = value
             regions = Saliency().regions(image, [])
             assert np.sum([region.mask for region in regions], axis=0).max() == 1
+
+
+def test_contrast_is_the_mean_difference_from_the_most_similar_quarter_of_the_border() -> None:
+    lightness = np.array([50, 10, 40, 90, 30, 20, 80, 70, 60, 0, 11, 13])  # of the border: its quarter is 3 superpixels
+    border = np.stack([lightness, 0 * lightness, 0 * lightness], 1).astype(float)
+    colors = np.array([[10.0, 0, 0], [100, 0, 0], [20, 4, 3]])
+    expected = [(0 + 1 + 3) / 3, (10 + 20 + 30) / 3, (5 + np.hypot(7, 5) + np.hypot(9, 5)) / 3]
+    np.testing.assert_allclose(border_contrast(colors, border), expected)
+    np.testing.assert_allclose(border_contrast(colors[:1], border[:1]), [40])  # at least one

@@ -21,7 +21,7 @@ from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.rendering.model import cloud_from_checkpoint
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
-from swag_engine.semantics.assign import rendered_labels
+from swag_engine.semantics.assign import render_labels
 from swag_engine.semantics.masks import MaskFolder
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint, save_checkpoint
@@ -88,7 +88,7 @@ def test_labels_are_those_of_the_truth_at_held_out_views(labelled: Path) -> None
     right = total = 0
     for image in load_images(scene, [view for view in scene.views if view.name in ("reef_000.jpg", "reef_016.jpg")]):
         view = next(view for view in scene.views if view.name == image.camera.name)
-        truth = {region.name: region.mask for region in MaskFolder(MASKS, scene).regions(image, [])}
+        truth = {region.label: region.mask for region in MaskFolder(MASKS, scene).regions(image, [])}
         points = scene.points.positions[view.point_indices]
         seen = points @ image.camera.world_to_camera[:3, :3].T + image.camera.world_to_camera[:3, 3]
         pixels = np.floor((seen @ image.camera.K.T)[:, :2] / seen[:, 2:]).astype(int)
@@ -137,7 +137,7 @@ def test_words_that_no_label_is_called_are_compared_by_meaning(
     wreck = next(entry["id"] for entry in table["labels"] if entry["name"] == "wreck")
     neutral = np.zeros(semantics.projection.matrix.shape[1], np.float32)
     meaning = semantics.prototypes[wreck - 1] @ semantics.projection.matrix
-    monkeypatch.setattr(semantics_run, "region_embedder", lambda *arguments: Words())
+    monkeypatch.setattr(semantics_run, "make_embedder", lambda *arguments: Words())
     found, names = search_run(folder, "ship")
     by_name, _ = search_run(folder, "wreck")
     assert names == [] and np.allclose(found, by_name, atol=1e-4)
@@ -158,7 +158,7 @@ def test_one_label_is_taken_out(labelled: Path, tmp_path: Path, suffix: str) -> 
         )
     with pytest.raises(InputError, match="There is no label named kraken; there are .*wreck"):
         extract_run(labelled, "kraken", tmp_path / f"no{suffix}")
-    with pytest.raises(InputError, match="part.obj cannot be written"):
+    with pytest.raises(InputError, match="part.obj is not a splat file"):
         extract_run(labelled, "coral", tmp_path / "part.obj")
 
 
@@ -171,7 +171,7 @@ def test_labels_without_masks_or_words_come_from_saliency(run: Path) -> None:
     again = label_run(run, provider="saliency")  # over its own result, from the cache
     assert again == made
     assert not any(name.startswith("feature_") for name in read_ply(run / "result.ply").extras)
-    with pytest.raises(InputError, match="saliency finds what stands out, not words"):
+    with pytest.raises(InputError, match="saliency cannot look for words"):
         label_run(run, ["coral"], provider="saliency")
 
 
@@ -180,7 +180,7 @@ def test_what_cannot_be_labelled_leaves_the_run_as_it_was(run: Path, tmp_path: P
     for arguments, message in (
         ({"words": [""]}, "One of the words to look for is empty"),
         ({"masks": tmp_path / "absent"}, "There is no folder"),
-        ({"words": ["eel"], "masks": MASKS}, "found no region of eel in any of the 18 photographs"),
+        ({"words": ["eel"], "masks": MASKS}, "found no region of eel in any of the 18 images"),
         ({"words": ["coral"]}, "The network bert-vocabulary .* is not on this machine: get it .*vocab.txt"),
     ):
         with pytest.raises(InputError, match=message):
@@ -222,10 +222,10 @@ def test_rendering_the_labels_of_a_run_is_right_where_it_is_covered(labelled: Pa
     table = json.loads((labelled / "labels.json").read_text())["labels"]
     image = load_images(scene, scene.views[:1], 160)[0]
     numbers = torch.from_numpy(read_ply(labelled / "result.ply").extras["label"].astype(np.int64))
-    shown = rendered_labels(cloud, numbers, len(table), image.camera)
+    shown = render_labels(cloud, numbers, len(table), image.camera)
     truth = np.zeros(shown.shape, int)
     for region in MaskFolder(MASKS, scene).regions(image, []):
-        truth[region.mask] = next(entry["id"] for entry in table if entry["name"] == region.name)
+        truth[region.mask] = next(entry["id"] for entry in table if entry["name"] == region.label)
     covered = shown > 0
     assert covered.mean() > 0.1 and (shown == truth)[covered].mean() > 0.6
 

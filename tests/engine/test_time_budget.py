@@ -1,39 +1,45 @@
-"""A run that is limited by time: what it chooses, that it ends when it should, and what may follow."""
+"""Runs under a time budget: the size they choose, when they end, and how they can be continued."""
 
 import math
-from dataclasses import replace
+import re
+from dataclasses import asdict, replace
 
 import pytest
+from runs import train_with
 
 from swag_engine.app.progress import BARS, sparkline
 from swag_engine.base import timing
 from swag_engine.base.errors import InputError
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.settings.presets import LADDER, PRESETS, seconds_of, size_at
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training import trainer as loop
-from swag_engine.training.pacing import clock as clock_module
 from swag_engine.training.pacing.clock import REPLAN_EVERY, Clock, is_flat, next_minute
 from swag_engine.training.pacing.speed import Extent, Speed, predicted_seconds
+from swag_engine.training.schedule import STANDARD, LearningRates
 from swag_engine.training.trainer import train
 
 SHORT = TrainSettings(iterations=60, width=64, max_gaussians=300, sh_degree=1)
+NO_CLOSING = replace(STANDARD, closing_seconds=0.1)
+"""A schedule that keeps no time for a report, so that short budgets suffice."""
+UNCHANGING = replace(STANDARD, learning_rates=LearningRates(**dict.fromkeys(asdict(LearningRates()), 1e-12)))
+"""A schedule whose steps change next to nothing, so that the curve of validation PSNR is flat."""
 
 
 @pytest.mark.parametrize(
     ("text", "seconds"),
     [("", 0), ("90", 90), ("90s", 90), ("10m", 600), ("1h30m", 5400), ("1.5m", 90), ("2min", 120), ("1h 5s", 3605)],
 )
-def test_a_time_budget_in_words(text, seconds):
+def test_time_budgets_are_parsed(text, seconds):
     assert seconds_of(text) == seconds
 
 
 @pytest.mark.parametrize("text", ["soon", "0", "10 parsecs", "-3m", "m", "3000h", "s10"])
-def test_no_time_budget(text):
+def test_other_time_budgets_are_refused(text):
     with pytest.raises(InputError, match="90s, 10m or 1h30m"):
         TrainSettings(time_budget=text)
 
 
-def test_what_a_preset_has_and_what_the_user_says_instead():
+def test_settings_of_the_user_replace_those_of_the_preset():
     assert TrainSettings(preset="draft").sized().iterations == PRESETS["draft"].iterations
     mixed = TrainSettings(preset="high", width=200).sized()
     assert (mixed.width, mixed.max_gaussians) == (200, PRESETS["high"].max_gaussians)
@@ -42,7 +48,7 @@ def test_what_a_preset_has_and_what_the_user_says_instead():
         TrainSettings(time_budget="5m", iterations=10)
 
 
-def test_sizes_between_presets_grow_in_everything():
+def test_sizes_between_presets_increase_in_every_figure():
     sizes = [size_at(rung / 4) for rung in range(4 * len(LADDER) - 3)]
     assert sizes[::4] == list(LADDER)
     for smaller, larger in zip(sizes, sizes[1:], strict=False):
@@ -59,7 +65,7 @@ def test_a_budget_is_kept_by_a_machine_that_is_not_as_predicted_and_changes_its_
     clock, now, iteration, took, budget = Clock(2000), 0.0, 0, 0.0, 50.0
     fractions = []
     while not clock.done:
-        step = slowness * predicted(clock.fraction) * (2 if 20 < now < 30 else 1)  # something else wants the machine
+        step = slowness * predicted(clock.fraction) * (2 if 20 < now < 30 else 1)  # a busy machine
         now, took, iteration = now + step, took + step, iteration + 1
         clock.advance(iteration)
         if iteration % REPLAN_EVERY == 0:
@@ -68,40 +74,38 @@ def test_a_budget_is_kept_by_a_machine_that_is_not_as_predicted_and_changes_its_
         fractions.append(clock.fraction)
     assert now == pytest.approx(budget, rel=0.02)
     assert fractions == sorted(fractions)
-    assert max(b - a for a, b in zip(fractions, fractions[1:], strict=False)) < 0.05  # no stage is jumped over
+    assert max(b - a for a, b in zip(fractions, fractions[1:], strict=False)) < 0.05  # no stage is skipped
     assert clock.planned(iteration) == iteration
 
 
-def test_a_faster_machine_or_a_longer_budget_gives_a_larger_run(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "swag_engine.training.pacing.budget.CLOSING", 0.1
-    )  # these need no report; a busy machine needs time
-    small = train(tiny_scene, tmp_path / "small", TrainSettings(time_budget="6s", sh_degree=1, width=48))["metrics"]
-    config = loop.RunFolder(tmp_path / "small").read_config()[1]
+def test_a_time_budget_chooses_the_size_and_a_faster_machine_a_larger_one(tiny_scene, tmp_path):
+    settings = TrainSettings(time_budget="6s", sh_degree=1, width=48)
+    small = train_with(tiny_scene, tmp_path / "small", settings, schedule=NO_CLOSING)["metrics"]
+    config = RunFolder(tmp_path / "small").read_config()[1]
     assert config.width == 48 and 0 < config.max_gaussians < LADDER[-1].max_gaussians
     assert not small["interrupted"] and small["iteration"] == small["iterations"] > REPLAN_EVERY
     extent, slow, fast = Extent(10, 2, 1000, 640, 480), Speed(5, 2e-4, 4e-5, 0.1), Speed(1, 4e-5, 8e-6, 0.02)
     assert predicted_seconds(fast, extent, LADDER[1], 0.5) < predicted_seconds(slow, extent, LADDER[1], 0.5) / 4
 
 
-def test_too_little_time_is_said_with_how_much_it_takes(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("swag_engine.training.pacing.budget.CLOSING", 100.0)
-    with pytest.raises(InputError, match=r"2s is too short for this scene on this machine: it needs 10\ds at least"):
+def test_too_little_time_is_refused_with_how_much_is_needed(tiny_scene, tmp_path):
+    with pytest.raises(InputError, match=r"2s is too short for this scene on this machine: it needs \d+s") as caught:
         train(tiny_scene, tmp_path / "run", TrainSettings(time_budget="2s"))
+    assert int(re.search(r"needs (\d+)s", str(caught.value))[1]) >= STANDARD.closing_seconds
     assert not (tmp_path / "run").exists()
 
 
-def test_a_finished_run_goes_on_for_longer(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr("swag_engine.training.pacing.budget.CLOSING", 0.1)
+def test_a_finished_run_can_be_continued_for_longer(tiny_scene, tmp_path):
     run = tmp_path / "run"
     train(tiny_scene, run, SHORT)
-    with pytest.raises(InputError, match="finished already.*More --iterations than 60"):
+    with pytest.raises(InputError, match="finished already.*more --iterations than 60"):
         train(tiny_scene, run, SHORT, resume=True)
     longer = train(tiny_scene, run, replace(SHORT, iterations=90), resume=True)["metrics"]
     assert (longer["iteration"], longer["interrupted"]) == (90, False)
-    further = train(tiny_scene, run, TrainSettings(time_budget="5s"), resume=True)["metrics"]
+    budget = TrainSettings(time_budget="5s")
+    further = train_with(tiny_scene, run, budget, resume=True, schedule=NO_CLOSING)["metrics"]
     assert further["iteration"] > 90
-    assert loop.RunFolder(run).read_config()[1].width == SHORT.width
+    assert RunFolder(run).read_config()[1].width == SHORT.width
 
 
 def test_a_flat_curve():
@@ -111,7 +115,7 @@ def test_a_flat_curve():
     assert is_flat([*rising, (0.9, 45, 20.8), (1.0, 50, 20.81)])
 
 
-def test_what_another_minute_brings():
+def test_gain_of_another_minute():
     curve = [(0.1, 30, 20.0), (0.2, 60, 21.0), (0.4, 120, 22.0)]  # a decibel with each doubling
     assert next_minute(curve) == pytest.approx(math.log2(180 / 120))
     assert next_minute([*curve, (0.5, 150, 21.9), (0.6, 180, 21.9)]) == 0
@@ -120,36 +124,36 @@ def test_what_another_minute_brings():
     assert (bars[0], bars[-1], len(bars)) == (BARS[0], BARS[-1], 3)
 
 
-def test_a_run_ends_early_when_its_curve_is_flat(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(clock_module, "FLAT_DB", 100.0)
-    settings = replace(SHORT, iterations=100, stop_when_flat=True)
-    metrics = train(tiny_scene, tmp_path / "run", settings)["metrics"]
-    # Flat at 70 %, the earliest that is looked at; the frozen last tenth still follows.
+def test_a_run_ends_early_when_its_curve_is_flat(tiny_scene, tmp_path):
+    effects = "water=off,lamp=off,exposure=off,caustics=off,moving_objects=off"
+    settings = replace(SHORT, effects=effects, iterations=100, stop_when_flat=True)
+    metrics = train_with(tiny_scene, tmp_path / "run", settings, schedule=UNCHANGING)["metrics"]
+    # Flat at 70 %, the earliest that is examined; the frozen last tenth still follows.
     assert 78 <= metrics["iteration"] <= 82
     assert not metrics["interrupted"] and "Finished early" in metrics["notes"][-1]
-    stopped = train(tiny_scene, tmp_path / "parts", settings, should_stop=iter([False] * 40 + [True]).__next__)[
-        "metrics"
-    ]
+    stops = iter([False] * 40 + [True])
+    stopped = train_with(
+        tiny_scene, tmp_path / "parts", settings, schedule=UNCHANGING, should_stop=lambda: next(stops)
+    )["metrics"]
     assert stopped["interrupted"]
-    resumed = train(tiny_scene, tmp_path / "parts", settings, resume=True)["metrics"]
+    resumed = train_with(tiny_scene, tmp_path / "parts", settings, schedule=UNCHANGING, resume=True)["metrics"]
     assert (resumed["iteration"], resumed["psnr"]) == (metrics["iteration"], metrics["psnr"])
 
 
-def test_parts_are_counted_without_what_is_inside_them(monkeypatch):
+def test_parts_are_counted_without_the_parts_inside_them():
     now = 0.0
 
     def wait(seconds):
         nonlocal now
         now += seconds
 
-    monkeypatch.setattr(timing.time, "perf_counter", lambda: now)
-    ledger = timing.Ledger()
+    ledger = timing.Ledger(clock=lambda: now)
 
     @timing.part("water")
     def water():
         wait(3)
 
-    water()  # outside of an iteration nobody counts
+    water()  # not counted outside of an iteration
     for _ in range(2):
         with ledger.iteration():
             wait(1)

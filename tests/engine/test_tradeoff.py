@@ -1,19 +1,19 @@
-"""Accuracy against time: every run scored alike, the front as defined, the files whole, the work never done twice."""
+"""Accuracy against time: runs scored at one width, the Pareto front, the files, and runs that are kept."""
 
 import csv
 import json
 import re
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from runs import training_times
+from safetensors.torch import save_file
 
+from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
 from swag_engine.evaluation.metrics import mean_score, score_views
-from swag_engine.experiments import ablate
-from swag_engine.experiments import tradeoff as module
 from swag_engine.experiments.evaluate_run import newest
 from swag_engine.experiments.grid import Grid
 from swag_engine.experiments.tradeoff import compare, describe, dominators, tradeoff
@@ -28,13 +28,13 @@ GRID = Grid(presets=("draft",), iterations=(4, 24), widths=(32, 64), max_gaussia
 @pytest.fixture(scope="module")
 def done(tiny_scene, tmp_path_factory):
     out = tmp_path_factory.mktemp("a <b>") / "out"
-    told = []
-    document = tradeoff(tiny_scene, out, GRID, on_run=lambda name, row: told.append((name, row["psnr"])))
-    assert told == [(row["name"], row["psnr"]) for row in document["rows"]]
+    reported = []
+    document = tradeoff(tiny_scene, out, GRID, on_run=lambda name, row: reported.append((name, row["psnr"])))
+    assert reported == [(row["name"], row["psnr"]) for row in document["rows"]]
     return out, document
 
 
-def test_a_point_is_dominated_by_what_is_as_fast_and_as_good_and_better_in_one():
+def test_a_point_is_dominated_by_one_that_is_as_fast_and_as_good_and_better_in_one():
     random = np.random.default_rng(0)
     points = [tuple(map(float, point)) for point in random.integers(0, 6, (40, 2))]
     for (seconds, quality), by in zip(points, dominators(points), strict=True):
@@ -47,7 +47,7 @@ def test_equal_points_do_not_dominate_each_other():
     assert dominators([(1.0, 5.0), (1.0, 5.0)]) == [None, None]
 
 
-def test_quality_that_should_be_low_is_low_on_its_front():
+def test_lower_lpips_is_better():
     def row(name, seconds, lpips):
         return {"name": name, "seconds": seconds, "psnr": 20.0 + seconds, "ssim": 0.5, "lpips_alex": lpips} | {
             "lpips_vgg": None
@@ -94,7 +94,7 @@ def test_all_runs_are_scored_at_one_width(done, tiny_scene):
         assert (row["psnr"] == own["test_psnr"]) == (row["settings"]["width"] == 64)
 
 
-def test_its_files_hold_every_run_and_name_the_dominated(done):
+def test_files_hold_every_run_and_name_the_dominated(done):
     out, document = done
     stored = json.loads((out / "tradeoff.json").read_text())
     assert [row["psnr"] for row in stored["rows"]] == [row["psnr"] for row in document["rows"]]
@@ -113,15 +113,15 @@ def test_its_files_hold_every_run_and_name_the_dominated(done):
     assert not list(out.glob(".*.part"))
 
 
-def test_what_is_there_is_not_made_again(done, tiny_scene, monkeypatch, tmp_path):
+def test_runs_that_are_finished_are_kept(done, tiny_scene, tmp_path):
     out, document = done
-    trained = []
-    train = ablate.train
-    monkeypatch.setattr(ablate, "train", lambda *a, **k: trained.append(a[1].name) or train(*a, **k))
-    wider = replace(GRID, max_gaussians=(320, 310))
+    before = training_times(out)
+    wider = replace(GRID, iterations=(4,), widths=(32,), max_gaussians=(320, 310))
     again = tradeoff(tiny_scene, out, wider, score_width=48)
-    assert len(trained) == 4 and all("310" in name for name in trained)
-    assert again["score_width"] == 48 and len(again["rows"]) == 8
+    after = training_times(out)
+    (trained,) = [name for name in after if after[name] != before.get(name)]
+    assert "310" in trained
+    assert again["score_width"] == 48 and len(again["rows"]) == 2
     assert again["rows"][0]["psnr"] != document["rows"][0]["psnr"]
     asked = iter(range(10**9))
     stopped = tradeoff(tiny_scene, tmp_path, GRID, should_stop=lambda: next(asked) > 10)
@@ -129,21 +129,32 @@ def test_what_is_there_is_not_made_again(done, tiny_scene, monkeypatch, tmp_path
     assert (tmp_path / "tradeoff.png").exists()
 
 
-def test_networks_add_their_figures(done, tiny_scene, monkeypatch):
-    distance = {"alex": lambda image, target: float((image - target).abs().mean())}
-    monkeypatch.setattr(module, "load_lpips", lambda folder: (distance, ["VGG16 <is> left out."]))
-    document = tradeoff(tiny_scene, done[0], GRID)
+def test_lpips_weights_add_their_figures(done, tiny_scene, tmp_path):
+    """Random weights of AlexNet's shapes, and none of VGG16."""
+    weights, random = {}, torch.Generator().manual_seed(0)
+    layers = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
+    for index, (layer, (outputs, inputs, side)) in enumerate(layers.items()):
+        deviation = (inputs * side**2) ** -0.5
+        kernel = deviation * torch.randn(outputs, inputs, side, side, generator=random)
+        weights |= {f"features.{layer}.weight": kernel, f"features.{layer}.bias": torch.zeros(outputs)}
+        weights[f"lin{index}.model.1.weight"] = torch.full((1, outputs, 1, 1), 0.1)
+    folder = tmp_path / "weights <b>"
+    folder.mkdir()
+    save_file(weights, folder / "lpips-alex.safetensors")
+    out, finished = done
+    document = tradeoff(tiny_scene, out, replace(GRID, widths=(64,)), weights_dir=folder)
+    assert [row["psnr"] for row in document["rows"]] == [row["psnr"] for row in finished["rows"][2:]]
     assert all(0 < row["lpips_alex"] < 1 and row["lpips_vgg"] is None for row in document["rows"])
-    page = (done[0] / "tradeoff.html").read_text(encoding="utf-8")
-    assert page.count("<svg") == 3 and "VGG16 &lt;is&gt; left out." in page and "LPIPS, AlexNet" in page
+    page = (out / "tradeoff.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 3 and "LPIPS, AlexNet" in page
+    assert "LPIPS with VGG16 is left out" in page and "weights &lt;b&gt;" in page and "weights <b>" not in page
 
 
-def test_the_command_takes_a_grid_and_says_what_is_wrong(done, tiny_scene, tmp_path):
-    command = [sys.executable, "-m", "swag_engine", "tradeoff"]
+def test_the_command_takes_a_grid_and_refuses_a_scene_that_is_not_there(done, tiny_scene, tmp_path, capsys):
     words = ["--presets", "draft", "--iterations", "4", "24", "--widths", "32", "64", "--max-gaussians", "320"]
     words += ["--effects", "water=off", "--json"]
-    ran = subprocess.run([*command, tiny_scene, "--out", done[0], *words], capture_output=True, text=True)
-    assert ran.returncode == 0, ran.stderr
-    assert [row["psnr"] for row in json.loads(ran.stdout)["rows"]] == [row["psnr"] for row in done[1]["rows"]]
-    wrong = subprocess.run([*command, tmp_path / "no", "--out", tmp_path / "o"], capture_output=True, text=True)
-    assert wrong.returncode == 2 and "no" in wrong.stderr and "Traceback" not in wrong.stderr
+    assert main(["tradeoff", str(tiny_scene), "--out", str(done[0]), *words]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert [row["psnr"] for row in printed["rows"]] == [row["psnr"] for row in done[1]["rows"]]
+    assert main(["tradeoff", str(tmp_path / "no"), "--out", str(tmp_path / "o")]) == 2
+    assert str(tmp_path / "no") in capsys.readouterr().err

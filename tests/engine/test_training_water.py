@@ -1,6 +1,7 @@
-"""A run that models the water: what it finds, keeps, writes, and shows without it."""
+"""Runs with water: coefficients, restored colors, renders with less water, and resuming."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -39,14 +40,14 @@ def test_the_water_is_found_and_written(runs):
     assert not (runs / "3dgs" / "water.json").exists()
 
 
-def test_what_is_exported_is_without_water(runs, tmp_path):
+def test_exported_gaussians_are_without_water(runs, tmp_path):
     restored, colors = (read_ply(runs / recipe / "result.ply") for recipe in ("swag", "3dgs"))
-    # Water takes red most: without it the Gaussians are redder for their green.
+    # Water absorbs red most: without it the Gaussians have more red relative to green.
     redness = [np.median(s.sh[:, 0, 0] - s.sh[:, 0, 1]) for s in (restored, colors)]
     assert redness[0] > redness[1] + 0.1
 
 
-def test_evaluation_repeats_the_figures_and_finds_truer_colours(runs):
+def test_evaluation_repeats_the_figures_and_restored_colors_are_nearer_to_the_truth(runs):
     errors = {}
     for recipe in ("swag", "3dgs"):
         evaluation = evaluate_run(runs / recipe)
@@ -56,13 +57,13 @@ def test_evaluation_repeats_the_figures_and_finds_truer_colours(runs):
     assert errors["swag"] < 0.7 * errors["3dgs"]
 
 
-def test_the_water_can_be_shown_by_degrees(runs, tmp_path):
+def test_the_amount_of_water_can_be_chosen(runs, tmp_path):
     means = []
     for amount in (0.0, 0.5, 1.0):
         (path,) = render_run(runs / "swag", tmp_path / str(amount), "reef_000.jpg", amount)
         means.append(cv2.imread(str(path)).mean((0, 1))[::-1])
-    photograph = cv2.imread(str(REEF / "images" / "reef_000.jpg")).mean((0, 1))[::-1]
-    assert np.abs(means[2] - photograph).max() < 12
+    image = cv2.imread(str(REEF / "images" / "reef_000.jpg")).mean((0, 1))[::-1]
+    assert np.abs(means[2] - image).max() < 12
     blueness = [mean[2] - mean[0] for mean in means]
     assert blueness[0] < blueness[1] < blueness[2]
     with pytest.raises(InputError, match="from 0 to 1, not 1.5"):
@@ -72,6 +73,8 @@ def test_the_water_can_be_shown_by_degrees(runs, tmp_path):
 def test_a_resumed_run_keeps_its_water(runs, tmp_path):
     asked = iter(range(10**9))
     settings = TrainSettings(**{**SETTINGS.to_json(), "recipe": "swag"})
+    (tmp_path / "run").mkdir()
+    shutil.copy(runs / "swag" / "plan.json", tmp_path / "run")  # saves making it again
     train(REEF, tmp_path / "run", settings, should_stop=lambda: next(asked) >= 60)
     train(REEF, tmp_path / "run", settings, resume=True)
     expected, _ = load_checkpoint(runs / "swag")

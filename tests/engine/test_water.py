@@ -5,20 +5,9 @@ import math
 import pytest
 import torch
 
-from swag_engine.water.light import relit, to_display, to_light
+from swag_engine.kernels.reference.transfer import to_display, to_light
 from swag_engine.water.medium import Medium, open_water, through_water, without_water
-
-CAMERA = torch.eye(4, dtype=torch.float64), torch.tensor([[20.0, 0, 11], [0, 21, 8], [0, 0, 1]], dtype=torch.float64)
-
-
-def make(n=40, light="linear", seed=0, dtype=torch.float64):
-    """Colours (n, 3), offsets (n, 3) and a medium whose veil changes with direction."""
-    generator = torch.Generator().manual_seed(seed)
-    colors = torch.rand(n, 3, generator=generator, dtype=torch.float64)
-    offsets = torch.randn(n, 3, generator=generator, dtype=torch.float64) * 2
-    medium = Medium(*(torch.randn(size, generator=generator).double() for size in ((3,), (3,), (9, 3))), 2.5, light)
-    medium.veil *= 0.5
-    return colors.to(dtype), offsets.to(dtype), Medium(*(t.to(dtype) for t in medium.parameters().values()), 2.5, light)
+from tests.engine.water_scenes import CAMERA, gain_and_gradients, make_water
 
 
 def test_srgb_curves_are_inverse_and_known():
@@ -27,21 +16,10 @@ def test_srgb_curves_are_inverse_and_known():
     assert to_light(torch.tensor(0.5).double()).item() == pytest.approx(0.214041, abs=1e-6)
 
 
-def relit_and_gradients(shape, backend, dtype, device="cpu"):
-    """Colours around the ends of the curve's straight part, and beyond 1, with other light; and the gradients."""
-    generator = torch.Generator().manual_seed(1)
-    display = torch.rand(45, 17, 3, generator=generator, dtype=torch.float64) ** 4 * 1.3
-    factor = torch.randn(shape, generator=generator, dtype=torch.float64)
-    leaves = [t.to(device, dtype, copy=True).requires_grad_() for t in (display, factor)]
-    shown = relit(*leaves, backend)
-    weights = torch.randn(shown.shape, generator=generator, dtype=torch.float64).to(shown)
-    return [t.detach().double().cpu() for t in (shown, *torch.autograd.grad((shown * weights).sum(), leaves))]
-
-
 @pytest.mark.parametrize("shape", [(), (1,), (3,), (45, 17, 1), (45, 17, 3)])
-def test_kernels_change_light_as_torch_does(shape):
-    truth = relit_and_gradients(shape, "torch", torch.float64)
-    for value, expected in zip(relit_and_gradients(shape, "cpu", torch.float32), truth, strict=True):
+def test_kernels_apply_gains_as_torch_does(shape):
+    truth = gain_and_gradients(shape, "torch", torch.float64)
+    for value, expected in zip(gain_and_gradients(shape, "cpu", torch.float32), truth, strict=True):
         torch.testing.assert_close(value, expected, atol=1e-5, rtol=1e-5)
 
 
@@ -58,8 +36,8 @@ def test_a_medium_starts_from_its_coefficients():
 
 
 @pytest.mark.parametrize("light", ["linear", "srgb"])
-def test_no_water_changes_nothing_and_far_things_become_water(light):
-    colors, offsets, medium = make(light=light)
+def test_no_water_changes_nothing_and_far_colors_become_background_light(light):
+    colors, offsets, medium = make_water(light=light)
     torch.testing.assert_close(through_water(colors, offsets, medium, amount=0.0), colors)
     viewmat, K = CAMERA
     middle = torch.tensor([[0.0, 0.0, 1e4]], dtype=torch.float64)
@@ -72,8 +50,8 @@ def test_no_water_changes_nothing_and_far_things_become_water(light):
 
 
 @pytest.mark.parametrize("light", ["linear", "srgb"])
-def test_colours_for_the_start_are_the_inverse(light):
-    colors, offsets, medium = make(light=light)
+def test_without_water_is_the_inverse(light):
+    colors, offsets, medium = make_water(light=light)
     medium.veil[1:] = 0
     seen = through_water(colors, offsets, medium, 0)
     restored = without_water(seen, offsets.norm(dim=1), medium)
@@ -86,7 +64,7 @@ def test_colours_for_the_start_are_the_inverse(light):
 def test_it_equals_the_water_between_the_gaussians(seed):
     """WaterSplatting's form: between two Gaussians the water adds T B (exp(-beta_B s) - exp(-beta_B s'))."""
     generator = torch.Generator().manual_seed(seed)
-    n, medium = 12, make(seed=seed, light="srgb")[2]
+    n, medium = 12, make_water(seed=seed, light="srgb")[2]
     s = torch.rand(n, generator=generator, dtype=torch.float64).cumsum(0)
     alpha = torch.rand(n, generator=generator, dtype=torch.float64) * 0.6
     colors = torch.rand(n, 3, generator=generator, dtype=torch.float64)
@@ -106,7 +84,7 @@ def test_it_equals_the_water_between_the_gaussians(seed):
 @pytest.mark.parametrize("degree", [0, 1, 2])
 @pytest.mark.parametrize("through_range", [True, False])
 def test_gradients_by_finite_differences(light, degree, through_range):
-    colors, offsets, medium = make(5, light)
+    colors, offsets, medium = make_water(5, light)
     directions = torch.nn.functional.normalize(offsets, dim=1)
     ranges = offsets.norm(dim=1, keepdim=True)
 
@@ -131,7 +109,7 @@ def test_gradients_by_finite_differences(light, degree, through_range):
 def test_kernels_agree(light, degree):
     results = []
     for dtype, backend in ((torch.float64, "torch"), (torch.float32, "cpu")):
-        colors, offsets, medium = make(500, light, dtype=dtype)
+        colors, offsets, medium = make_water(500, light, dtype=dtype)
         parameters = list(medium.parameters().values())
         leaves = [t.requires_grad_() for t in (colors, offsets, *parameters)]
         seen = through_water(colors, offsets, medium, degree, backend=backend)
@@ -148,7 +126,7 @@ def test_the_same_bits_for_any_number_of_threads():
     try:
         for threads in (1, 2, 5):
             torch.set_num_threads(threads)
-            colors, offsets, medium = make(3000, dtype=torch.float32)
+            colors, offsets, medium = make_water(3000, dtype=torch.float32)
             parameters = [t.requires_grad_() for t in medium.parameters().values()]
             seen = through_water(colors, offsets, medium, backend="cpu")
             results.append([seen, *torch.autograd.grad(seen.sum(), parameters)])

@@ -1,4 +1,4 @@
-"""The light in which photographs show sparse points."""
+"""The linear light of sparse points in images."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from swag_engine.scene.images import TrainingImage
 WIDTH, HEIGHT, FOCAL = 64, 48, 60.0
 
 
-def photograph(name, depth, seed):
+def make_image(name, depth, seed):
     """Noise, seen by a camera that looks along z from `depth` before the plane of the points."""
     pixels = np.random.default_rng(seed).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     pose = np.eye(4)
@@ -22,7 +22,7 @@ def photograph(name, depth, seed):
 
 
 def covered(low, high, size):
-    """Share of each of `size` pixels between low and high."""
+    """Fraction of each of `size` pixels between low and high."""
     edges = np.arange(size)
     return (np.minimum(edges + 1, high) - np.maximum(edges, low)).clip(0)
 
@@ -31,7 +31,7 @@ def covered(low, high, size):
 def seen():
     places = np.array([[0.013, -0.04, 0], [0.21, 0.17, 0], [-0.55, 0.3, 0]])
     points = Points(places, np.zeros((3, 3), np.uint8), np.full(3, 2), np.zeros(3))
-    return [photograph("far.png", 6.0, 0), photograph("near.png", 2.0, 1)], points
+    return [make_image("far.png", 6.0, 0), make_image("near.png", 2.0, 1)], points
 
 
 def test_all_views_average_the_same_part_of_the_world_to_a_fraction_of_a_pixel(seen):
@@ -51,9 +51,9 @@ def test_all_views_average_the_same_part_of_the_world_to_a_fraction_of_a_pixel(s
             np.testing.assert_allclose(got, expected[None], rtol=1e-5)
 
 
-def test_what_a_photograph_does_not_show_whole_is_left_out(seen):
+def test_patches_that_an_image_does_not_show_whole_are_left_out(seen):
     images, points = seen
     images[1].valid[HEIGHT // 2 - 2, WIDTH // 2] = False  # within the near patch of the first point
-    points.positions[2, 0] = -1.05  # half beyond the near photograph
+    points.positions[2, 0] = -1.05  # half beyond the near image
     observations = observe(images, [np.arange(3)] * 2, points)
     assert set(observations.track) == {1}

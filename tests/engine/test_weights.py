@@ -77,7 +77,7 @@ def test_a_file_that_is_no_network_is_named(tmp_path: Path) -> None:
             open_doubling(tmp_path / name)
         assert str(tmp_path / name) in str(refused.value) and "\n" not in str(refused.value)
     for absent in (tmp_path / "absent.onnx", tmp_path):
-        with pytest.raises(InputError, match=f"There is no file {absent}: put a doubling network there"):
+        with pytest.raises(InputError, match=f"There is no file {absent}: save a doubling network there"):
             open_doubling(absent)
 
 
@@ -270,7 +270,7 @@ def test_a_network_is_fetched_once_with_consent(
 
 def test_a_download_goes_on_where_it_stopped(server: Server, empty_cache: Path) -> None:
     server.most = 1_000_000
-    with pytest.raises(InputError, match="cannot be fetched .*: try again, which goes on where it stopped"):
+    with pytest.raises(InputError, match="cannot be downloaded .*: try again, which continues where it stopped"):
         fetch("known")
     assert not (empty_cache / "known.onnx").exists()
     server.most = None
@@ -298,10 +298,10 @@ def test_what_is_not_the_network_is_removed(server: Server, empty_cache: Path, w
 
 def test_a_server_that_refuses_is_quoted(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     server.status = 404
-    with pytest.raises(InputError, match="known.onnx cannot be fetched: the server answers 404"):
+    with pytest.raises(InputError, match="known.onnx cannot be downloaded: the server answers 404"):
         fetch("known")
     monkeypatch.setitem(NETWORKS, "known", replace(NETWORKS["known"], url="http://127.0.0.1:9/known.onnx"))
-    with pytest.raises(InputError, match="cannot be fetched .*refused"):
+    with pytest.raises(InputError, match="cannot be downloaded .*refused"):
         fetch("known")
 
 

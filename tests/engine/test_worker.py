@@ -143,6 +143,40 @@ def test_a_paused_run_can_be_ended(worker, tiny_scene, tmp_path, how):
     assert (tmp_path / "run" / "result.ply").exists()
 
 
+def test_a_cancel_with_nothing_to_cancel_does_not_end_the_next_training(worker, tiny_scene, tmp_path):
+    worker.send(request="cancel")
+    worker.send(request="pause")
+    settings = {"iterations": 20, "width": 64, "max_gaussians": 400, "sh_degree": 0}
+    worker.send(request="train", scene=str(tiny_scene), out=str(tmp_path / "run"), settings=settings)
+    result = worker.until("result", "error")
+    assert not result["interrupted"] and result["metrics"]["iteration"] == 20
+    worker.send(request="cancel")
+    worker.send(request="inspect", scene=str(tiny_scene), arrays=str(tmp_path / "arrays"))
+    assert worker.until("result", "error")["event"] == "result"
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_sigterm_ends_a_training_with_its_result(worker, tiny_scene, tmp_path, paused):
+    settings = {"iterations": 100_000, "width": 64, "max_gaussians": 400, "sh_degree": 0}
+    worker.send(request="train", scene=str(tiny_scene), out=str(tmp_path / "run"), settings=settings)
+    while worker.until("progress")["stage"] != "train":
+        pass
+    if paused:
+        worker.send(request="pause")
+        time.sleep(0.5)
+    worker.process.terminate()
+    assert worker.until("result", "error")["interrupted"]
+    assert worker.process.wait(30) == 143
+    assert (tmp_path / "run" / "result.ply").exists()
+
+
+def test_sigterm_ends_an_idle_worker(worker, tiny_scene, tmp_path):
+    worker.send(request="inspect", scene=str(tiny_scene), arrays=str(tmp_path / "arrays"))
+    worker.until("result")
+    worker.process.terminate()
+    assert worker.process.wait(30) == 143
+
+
 def test_the_worker_ends_with_its_parent_and_keeps_what_exists(worker, tiny_scene, tmp_path):
     settings = {"iterations": 100_000, "width": 64, "max_gaussians": 400, "sh_degree": 0}
     worker.send(request="train", scene=str(tiny_scene), out=str(tmp_path / "run"), settings=settings)

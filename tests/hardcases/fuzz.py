@@ -1,10 +1,10 @@
-"""Hostile input of every kind that is read: each is read, or refused in one sentence; nothing else.
+"""Fuzzing of every kind of input: each file is read, or refused in one sentence.
 
     python tests/hardcases/fuzz.py [--inputs 1000] [--seed 0] [--kinds onnx ...]
 
-Each kind runs in a process of its own with 6 GB of memory, so that a crash of a library is seen too. Prints counts as
-JSON; exit code 1 and the number of the input where one was neither read nor refused. Splat files have their own tests
-(test_damaged_files.py), with the same changes.
+Each kind runs in a process of its own with 6 GB of memory, so that a crash of a library is noticed too. Prints counts
+as JSON; exit code 1 and the number of the input where one was neither read nor refused. Splat files have their own
+tests (test_damaged_files.py), with the same changes.
 """
 
 import argparse
@@ -27,7 +27,7 @@ import cv2
 import numpy as np
 
 from swag_engine.base.errors import InputError
-from tests.hardcases.test_damaged_files import THINGS, bytes_changed, values_changed
+from tests.hardcases.changed_files import THINGS, bytes_changed, values_changed
 
 MEMORY = 6 << 30
 Door = Callable[[Path], object]
@@ -35,7 +35,7 @@ Change = Callable[[bytes, np.random.Generator], bytes]
 
 
 def words_changed(data: bytes, random: np.random.Generator) -> bytes:
-    """Words of a text are other words or numbers, or lines are gone or doubled."""
+    """Replace words of a text by other words or numbers, or remove or repeat lines."""
     lines = data.split(b"\n")
     for _ in range(random.integers(1, 4)):
         place = int(random.integers(len(lines)))
@@ -83,7 +83,7 @@ def images(folder: Path) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:
 
 
 def run_folder(folder: Path) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:
-    """Every file of a run that is read again, by everything that reads runs."""
+    """Every file of a run that is read again, with each function that reads it."""
     from tiny import make_tiny_scene
 
     from swag_engine.experiments.evaluate_run import render_run
@@ -168,9 +168,9 @@ KINDS: dict[str, Callable[[Path], Iterator[tuple[Path, Door, tuple[Change, ...]]
 
 
 def fuzz(kind: str, inputs: int, seed: int) -> dict[str, int]:
-    """Counts of what one kind did in this process; each input is named on standard error before it is read.
+    """Fuzz one kind in this process and count outcomes; each input is named on standard error before it is read.
 
-    Raises whatever an input raises that is no InputError.
+    Raises any error of an input other than InputError.
     """
     import torch
 
@@ -204,7 +204,7 @@ def fuzz(kind: str, inputs: int, seed: int) -> dict[str, int]:
 
 
 def fuzz_all(kinds: list[str], inputs: int, seed: int) -> tuple[dict[str, dict[str, int]], list[str]]:
-    """Counts by kind, and what went wrong."""
+    """Fuzz each kind in a process of its own; return counts by kind, and the failures."""
     found, wrong = {}, []
     for kind in kinds:
         command = [sys.executable, __file__, "--inputs", str(inputs), "--seed", str(seed), "--one", kind]

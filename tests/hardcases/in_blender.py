@@ -18,7 +18,7 @@ SIZES = {"FLOAT": ("value", 1), "FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("
 
 
 def is_finite(cloud: bpy.types.PointCloud) -> bool:
-    """Whether every number of every point is."""
+    """Return whether every attribute of every point is finite."""
     for attribute in cloud.attributes:
         if attribute.data_type in SIZES:
             name, size = SIZES[attribute.data_type]
@@ -30,7 +30,7 @@ def is_finite(cloud: bpy.types.PointCloud) -> bool:
 
 
 def held() -> dict[str, object]:
-    """Points of each cloud of the scene, its cameras, and the names of objects with a number that is not finite."""
+    """Return the points of each cloud, the number of cameras, and the objects with values that are not finite."""
     objects = list(bpy.context.scene.objects)
     bpy.context.view_layer.update()
     clouds = [obj for obj in objects if obj.type == "POINTCLOUD"]
@@ -44,7 +44,7 @@ def held() -> dict[str, object]:
 
 def main() -> None:
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what Blender prints is no answer
+    os.dup2(2, 1)  # Blender's own output is not part of the answers
     extension = Path(bpy.utils.user_resource("EXTENSIONS")) / "user_default" / "swag_splatting"
     extension.parent.mkdir(parents=True)
     extension.symlink_to(ROOT)

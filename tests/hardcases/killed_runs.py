@@ -1,6 +1,6 @@
-"""Kills training runs at any moment, and looks whether what they leave is whole and goes on as if nothing had been.
+"""Kill training runs at any moment, and check that their files are whole and that they resume bit-equal.
 
-    python tests/hardcases/killed_runs.py --kills 100 [--seed 0]        prints what was seen as JSON
+    python tests/hardcases/killed_runs.py --kills 100 [--seed 0]        prints counts as JSON
 
 Linux. Each process is ended by SIGKILL at a random time, by SIGKILL before or after a random call that flushes, renames
 or removes a file, by the system in the middle of a random write, or is told in the middle of one that the disk is full.
@@ -49,7 +49,7 @@ REFUSED = 2
 
 
 def in_a_process(work: Callable[[], Any]) -> int:
-    """Exit status of a forked process that does `work`: 0, REFUSED for an InputError, 1 for a bug, or -signal."""
+    """Run `work` in a forked process; return 0, REFUSED for an InputError, 1 for another error, or -signal."""
     if pid := os.fork():
         return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     faulthandler.dump_traceback_later(60, exit=True)
@@ -78,8 +78,8 @@ def die() -> None:
 
 
 def ending(kind: str, chance: random.Random, seconds: float) -> Callable[[], None]:
-    """What arranges for the end of the process that calls it; drawn here, so that a seed repeats it."""
-    share, size, number, after = (
+    """Return a function that arranges the end of the process that calls it; drawn here, so that a seed repeats it."""
+    fraction, size, number, after = (
         chance.random(),
         int(10 ** chance.uniform(1.5, 5.5)),
         chance.randrange(40),
@@ -87,7 +87,7 @@ def ending(kind: str, chance: random.Random, seconds: float) -> Callable[[], Non
     )
 
     def at_a_moment() -> None:
-        threading.Thread(target=lambda: (time.sleep(share * seconds), die()), daemon=True).start()
+        threading.Thread(target=lambda: (time.sleep(fraction * seconds), die()), daemon=True).start()
 
     def at_a_call() -> None:
         calls = iter(range(number, -1, -1))
@@ -108,7 +108,7 @@ def ending(kind: str, chance: random.Random, seconds: float) -> Callable[[], Non
             setattr(os, name, deadly(getattr(os, name)))
 
     def in_a_write() -> None:
-        if stat.S_ISREG(os.fstat(2).st_mode):  # the limit is for the run's files, not for what is said
+        if stat.S_ISREG(os.fstat(2).st_mode):  # the limit is for the run's files, not for messages
             os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
         signal.signal(signal.SIGXFSZ, signal.SIG_DFL if kind == "write" else signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
@@ -117,7 +117,7 @@ def ending(kind: str, chance: random.Random, seconds: float) -> Callable[[], Non
 
 
 def check_whole(out: Path) -> None:
-    """Every file that has its name is whole. Raises whatever says that it is not."""
+    """Assert that every file with its final name is whole."""
     for path in out.iterdir() if out.exists() else ():
         if path.name.startswith("."):
             assert path.name == LOCK or any(path.match(pattern) for pattern in HALF), path
@@ -135,7 +135,7 @@ def check_whole(out: Path) -> None:
 
 
 def check_equal(out: Path, expected: Path) -> None:
-    """A run that came to its end is the one that nobody killed."""
+    """Assert that a finished run is bit-equal to one that was never killed."""
     assert (out / "result.ply").read_bytes() == (expected / "result.ply").read_bytes()
     assert (out / "result.glb").read_bytes() == (expected / "result.glb").read_bytes()
     (got, _), (want, _) = load_checkpoint(out), load_checkpoint(expected)
@@ -146,7 +146,7 @@ def check_equal(out: Path, expected: Path) -> None:
 
 
 def killed_runs(folder: Path, kills: int, seed: int) -> dict[str, Any]:
-    """Kill so many processes and return the counts. Raises AssertionError for anything lost."""
+    """Kill so many processes and return counts. Raises AssertionError where something was lost."""
     torch.set_num_threads(1)
     chance, seen = random.Random(seed), Counter()
     scene = make_tiny_scene(folder / "scene", width=48, height=36, points=200)

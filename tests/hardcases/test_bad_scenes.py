@@ -1,4 +1,4 @@
-"""What users hand in by mistake: each gets one sentence that names the file, and nothing on standard error."""
+"""Wrong or damaged scenes: each is refused in one sentence that names the file, with nothing on standard error."""
 
 import errno
 import os
@@ -22,7 +22,7 @@ from swag_engine.scene.images import load_images
 
 
 def sentence(work: Callable[[], object], *names: object) -> str:
-    """Run `work`, which must fail with one sentence that contains all of `names`."""
+    """Assert that `work` raises InputError with one sentence that contains all of `names`; return it."""
     with pytest.raises(InputError) as caught:
         work()
     message = str(caught.value)
@@ -75,7 +75,7 @@ def test_binary_files_of_noise(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("part", ["cameras", "images", "points3D"])
-def test_text_files_cut_short_or_of_something_else(tmp_path: Path, part: str) -> None:
+def test_text_files_cut_short_or_with_other_text(tmp_path: Path, part: str) -> None:
     folder = make_dot_scene(tmp_path, views=4, text=True)
     file = folder / "sparse" / "0" / f"{part}.txt"
     text = file.read_text()
@@ -90,9 +90,9 @@ def test_text_files_cut_short_or_of_something_else(tmp_path: Path, part: str) ->
 
 
 @pytest.mark.parametrize(("part", "named"), [("cameras", "cameras.bin"), ("frames", "sparse"), ("rigs", "sparse")])
-def test_colmaps_own_words_stay_off_standard_error(folder: Path, part: str, named: str) -> None:
+def test_messages_of_colmap_are_kept_off_standard_error(folder: Path, part: str, named: str) -> None:
     file = folder / "sparse" / "0" / f"{part}.bin"
-    file.write_bytes(bytes([part == "cameras"]) + bytes(7))  # cut short, or whole but of nothing
+    file.write_bytes(bytes([part == "cameras"]) + bytes(7))  # cut short, or whole but empty
     code = f"from swag_engine.scene.colmap import load_scene; load_scene({str(folder)!r})"
     code = f"try:\n    {code}\nexcept Exception as error:\n    print(error)"
     root = Path(__file__).resolve().parents[2]
@@ -110,7 +110,7 @@ def test_a_model_without_points(folder: Path) -> None:
     sentence(lambda: load_scene(folder), folder / "sparse" / "0", "no points")
 
 
-def test_photographs_that_are_not_there(folder: Path) -> None:
+def test_missing_images(folder: Path) -> None:
     (folder / "images" / "view_02.png").unlink()
     scene = load_scene(folder)
     assert scene.missing == ("view_02.png",) and len(load_images(scene, scene.views)) == 3
@@ -122,14 +122,14 @@ def test_photographs_that_are_not_there(folder: Path) -> None:
     sentence(lambda: load_scene(folder), "view_01.png", folder)
 
 
-def test_a_model_of_one_photograph(tmp_path: Path) -> None:
+def test_a_model_of_one_image(tmp_path: Path) -> None:
     make_dot_scene(tmp_path, views=1)
     sentence(lambda: load_scene(tmp_path), tmp_path / "sparse" / "0", "at least two")
 
 
 @pytest.mark.parametrize("name", ["view_01.png", "view_01.jpg"])
 @pytest.mark.parametrize("damage", ["empty", "cut", "text"])
-def test_pictures_that_cannot_be_read(tmp_path: Path, name: str, damage: str) -> None:
+def test_images_that_cannot_be_read(tmp_path: Path, name: str, damage: str) -> None:
     scene = load_scene(make_dot_scene(tmp_path, views=2, name=name.replace("01", "{:02d}")))
     path = tmp_path / "images" / name
     data = path.read_bytes()
@@ -137,13 +137,13 @@ def test_pictures_that_cannot_be_read(tmp_path: Path, name: str, damage: str) ->
     sentence(lambda: load_images(scene, scene.views), path)
 
 
-def test_a_picture_that_vanishes_after_the_scene_was_read(folder: Path) -> None:
+def test_an_image_that_is_removed_after_the_scene_was_read(folder: Path) -> None:
     scene = load_scene(folder)
     (folder / "images" / "view_03.png").unlink()
     sentence(lambda: load_images(scene, scene.views), "view_03.png")
 
 
-def test_a_picture_of_another_shape_or_kind(folder: Path) -> None:
+def test_an_image_of_another_size_or_data_type(folder: Path) -> None:
     scene = load_scene(folder)
     path = folder / "images" / "view_01.png"
     path.write_bytes(cv2.imencode(".png", np.zeros((150, 150, 3), np.uint8))[1].tobytes())
@@ -152,7 +152,7 @@ def test_a_picture_of_another_shape_or_kind(folder: Path) -> None:
     sentence(lambda: load_images(scene, scene.views), path, "float32")
 
 
-def test_cameras_that_no_pinhole_picture_comes_from(tmp_path: Path) -> None:
+def test_cameras_that_cannot_be_undistorted(tmp_path: Path) -> None:
     globe = pycolmap.Camera(model="EQUIRECTANGULAR", width=200, height=100, params=[200.0, 100.0])
     make_dot_scene(tmp_path / "globe", globe, views=2)
     sentence(lambda: load_scene(tmp_path / "globe"), "EQUIRECTANGULAR")
@@ -172,7 +172,7 @@ def left_over(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_sfm_of_what_is_no_photographs(tmp_path: Path) -> None:
+def test_sfm_without_usable_images(tmp_path: Path) -> None:
     out = tmp_path / "out"
     sentence(lambda: sfm.reconstruct(tmp_path / "nowhere", out), tmp_path / "nowhere")
     (tmp_path / "none").mkdir()
@@ -188,7 +188,7 @@ def test_sfm_of_what_is_no_photographs(tmp_path: Path) -> None:
     assert left_over(tmp_path) == ["film.mp4", "none", "one"]
 
 
-def test_sfm_of_photographs_of_nothing(tmp_path: Path) -> None:
+def test_sfm_of_images_without_features(tmp_path: Path) -> None:
     (tmp_path / "blue").mkdir()
     for index in range(3):
         cv2.imwrite(str(tmp_path / "blue" / f"{index}.png"), np.full((100, 100, 3), 90, np.uint8))
@@ -196,7 +196,7 @@ def test_sfm_of_photographs_of_nothing(tmp_path: Path) -> None:
     assert left_over(tmp_path) == ["blue"]
 
 
-def test_sfm_keeps_what_is_in_its_way(folder: Path, tmp_path: Path) -> None:
+def test_sfm_refuses_a_folder_that_is_not_empty(folder: Path, tmp_path: Path) -> None:
     before = left_over(folder)
     sentence(lambda: sfm.reconstruct(folder / "images", folder), folder, "not an empty folder")
     assert left_over(folder) == before

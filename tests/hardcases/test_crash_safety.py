@@ -1,4 +1,4 @@
-"""Killed processes, full disks, two writers: what has a name in a run folder is whole, and runs go on."""
+"""Killed processes, full disks, two writers: named files of a run folder are whole, and runs can be resumed."""
 
 import json
 import os
@@ -22,7 +22,7 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="kills processes in t
 
 
 @linux
-def test_killed_runs_lose_nothing():
+def test_killed_runs_resume_bit_equal():
     """Twenty of the hundred that `python tests/hardcases/killed_runs.py` kills."""
     command = [sys.executable, "tests/hardcases/killed_runs.py", "--kills", "20", "--seed", "1"]
     done = subprocess.run(
@@ -34,7 +34,7 @@ def test_killed_runs_lose_nothing():
     assert "Traceback" not in done.stderr
 
 
-def test_bytes_reach_the_disk_before_names_do(tmp_path, monkeypatch):
+def test_a_file_is_flushed_before_it_is_renamed(tmp_path, monkeypatch):
     done = []
     fsync, replace = os.fsync, os.replace
     monkeypatch.setattr(os, "fsync", lambda f: (done.append(Path(os.readlink(f"/proc/self/fd/{f}"))), fsync(f))[1])
@@ -52,17 +52,17 @@ def test_a_full_disk_keeps_the_old_file(tmp_path, monkeypatch, step):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(*{"write": (Path, "write_text", full), "fsync": (os, "fsync", full)}.get(
-        step, (os, "replace", full)
-    ))  # fmt: skip
     with pytest.raises(InputError, match="a.json: No space left"), atomic_path(path) as temporary:
         temporary.write_text("new")
+        if step == "write":
+            full()
+        monkeypatch.setattr(os, step, full)
     monkeypatch.undo()
     assert path.read_text() == "old" and os.listdir(tmp_path) == ["a.json"]
 
 
 def holder(folder: Path) -> subprocess.Popen:
-    """Another process that holds `folder`."""
+    """Start another process that claims `folder`."""
     code = f"from pathlib import Path; from swag_engine.base.files import claimed\nwith claimed(Path({str(folder)!r})):"
     code += "\n    print('held', flush=True); input()"
     process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -96,7 +96,7 @@ def test_a_second_claim_in_one_process_is_refused(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_what_a_killed_process_left_half_is_cleared(tmp_path):
+def test_unfinished_files_of_a_killed_process_are_removed(tmp_path):
     for name in (".result.ply.123.part", ".tmpAb12Cd", ".keep", "result.ply"):
         (tmp_path / name).write_text("x")
     with claimed(tmp_path):
@@ -111,7 +111,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
 
 @linux
 def test_a_killed_blender_leaves_a_whole_run_and_no_worker(tiny_scene, tmp_path):
-    """Whoever started the worker dies: the worker sees the end of its pipe, writes what it has, and ends."""
+    """When its parent process dies, the worker reaches the end of its pipe, writes the result so far, and ends."""
     run = tmp_path / "run"
     request = {"request": "train", "scene": str(tiny_scene), "out": str(run)}
     request["settings"] = {"iterations": 100_000, "width": 48, "max_gaussians": 300, "sh_degree": 0}

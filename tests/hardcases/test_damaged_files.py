@@ -1,4 +1,4 @@
-"""Hostile and damaged splat files: splats or one sentence, little memory, and nothing written anywhere."""
+"""Hostile and damaged splat files are read or refused in one sentence, with little memory and nothing written."""
 
 import json
 import re
@@ -15,24 +15,11 @@ from swag_engine.base.errors import InputError
 from swag_engine.formats.gltf import read_glb, write_glb
 from swag_engine.formats.ply import read_ply, write_ply
 from swag_engine.scene.cameras import Camera
-from swag_engine.splats.splats import Splats
+from tests.hardcases.changed_files import NUMBERS, bytes_changed, some_splats, values_changed
 
-# Changed files a kind of file; five kinds.
 INPUTS = 1000
-NUMBERS = [0, 1, -1, 3, 255, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 10**18, 10**400, -(10**18), 1e308, float("nan"), 0.5]
-THINGS = [*NUMBERS, None, True, "", "x", "../../etc/passwd", "file:///dev/zero", [], {}, [0] * 50, [[]], {"a": {}}]
+"""Changed files of each kind; there are five kinds."""
 WORDS = [b"nan", b"-inf", b"1e999", b"", b"x", b"\xff", b"uchar", b"double", b"list uchar int", b"\n", b"vertex", b"sh"]
-
-
-def some_splats(count: int = 6, degree: int = 1) -> Splats:
-    random = np.random.default_rng(degree)
-
-    def normal(*shape: int) -> np.ndarray:
-        return random.standard_normal((count, *shape), np.float32)
-
-    label = np.arange(count, dtype=np.int32)
-    return Splats(normal(3), normal(4), np.exp(normal(3)), random.random(count, np.float32),
-                  normal((degree + 1) ** 2, 3), {"label": label, "likeness": normal()})  # fmt: skip
 
 
 def binary_ply(path: Path) -> bytes:
@@ -67,30 +54,8 @@ def glb(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def bytes_changed(data: bytes, random: np.random.Generator) -> bytes:
-    """Some bytes set, cut out, doubled or swapped; rather near the beginning, where what counts stands."""
-    changed = bytearray(data)
-    for _ in range(random.integers(1, 4)):
-        place = int(len(changed) * random.random() ** random.choice([0.5, 2]))
-        length = int(random.integers(1, 40))
-        match random.integers(6):
-            case 0:
-                changed[place : place + 1] = random.bytes(1)
-            case 1:
-                del changed[place : place + length]
-            case 2:
-                changed[place:place] = changed[place : place + length]
-            case 3:
-                changed[place : place + 4] = struct.pack("<I", int(random.choice([0, 1, 2**31, 2**32 - 1])))
-            case 4:
-                changed[place : place + 4] = struct.pack("<f", random.choice([np.nan, np.inf, -1e38, 1e-45]))
-            case 5:
-                del changed[place:]
-    return bytes(changed)
-
-
 def header_changed(data: bytes, random: np.random.Generator) -> bytes:
-    """A number or a word of a PLY's header is another one, or a line is gone, doubled or elsewhere."""
+    """Change a number or a word in the header of a PLY, or remove, repeat or move a line."""
     header, end, body = data.partition(b"end_header\n")
     lines = header.splitlines()
     for _ in range(random.integers(1, 3)):
@@ -113,7 +78,7 @@ def header_changed(data: bytes, random: np.random.Generator) -> bytes:
 
 
 def words_changed(data: bytes, random: np.random.Generator) -> bytes:
-    """Numbers in the rows of a text PLY are other things."""
+    """Replace numbers in the rows of a text PLY by other words."""
     header, end, body = data.partition(b"end_header\n")
     words = re.split(rb"(\s)", body)
     for _ in range(random.integers(1, 4)):
@@ -121,29 +86,8 @@ def words_changed(data: bytes, random: np.random.Generator) -> bytes:
     return header + end + b"".join(words)
 
 
-def values_changed(data: bytes, random: np.random.Generator) -> bytes:
-    """Values somewhere in a JSON document are others, or gone; or it is the document that is another one."""
-    if random.random() < 0.05:
-        return json.dumps(THINGS[int(random.integers(len(THINGS)))]).encode()
-    document = json.loads(data)
-    for _ in range(random.integers(1, 4)):
-        place: dict | list = document
-        while isinstance(place, dict | list) and place:
-            keys = list(place) if isinstance(place, dict) else list(range(len(place)))
-            key = keys[int(random.integers(len(keys)))]
-            if isinstance(place[key], dict | list) and place[key] and random.random() < 0.7:
-                place = place[key]
-                continue
-            if random.random() < 0.2:
-                del place[key]
-            else:
-                place[key] = THINGS[int(random.integers(len(THINGS)))]
-            break
-    return json.dumps(document).encode()
-
-
 def glb_json_changed(data: bytes, random: np.random.Generator) -> bytes:
-    """As values_changed in the JSON of a GLB; the chunks' lengths fit."""
+    """Apply values_changed to the JSON of a GLB and adjust the lengths of its chunks."""
     (length,) = struct.unpack("<I", data[12:16])
     text = values_changed(data[20 : 20 + length], random)
     text += b" " * (-len(text) % 4)
@@ -199,7 +143,7 @@ def test_changed_files(tmp_path: Path, make: Callable, change: tuple[Callable, .
 
 
 def refused_cheaply(path: Path, read: Callable) -> str:
-    """The sentence that `read` says of the file, and that it says it without memory for what the file promises."""
+    """Assert that `read` refuses the file in one sentence without allocating what its header declares; return it."""
     tracemalloc.start()
     with pytest.raises(InputError) as caught:
         read(path)
@@ -212,7 +156,7 @@ def refused_cheaply(path: Path, read: Callable) -> str:
 
 @pytest.mark.parametrize("zeros", [10, 17, 30, 5000])
 @pytest.mark.parametrize("make", [binary_ply, text_ply, packed_ply])
-def test_a_ply_that_promises_more_than_it_holds(tmp_path: Path, make: Callable, zeros: int) -> None:
+def test_a_ply_that_declares_more_than_it_holds(tmp_path: Path, make: Callable, zeros: int) -> None:
     path = tmp_path / "promise.ply"
     path.write_bytes(re.sub(rb"element vertex \d+", b"element vertex 1" + b"0" * zeros, make(path)))
     assert re.search("cut off|damaged", refused_cheaply(path, read_ply))
@@ -244,7 +188,7 @@ def test_glb_json_that_is_deep_or_endless(tmp_path: Path, text: bytes) -> None:
 
 
 def test_a_glb_whose_attributes_share_their_bytes(tmp_path: Path) -> None:
-    """A small file cannot become large in memory by showing the same bytes again and again."""
+    """A small file cannot become large in memory by using the same bytes many times."""
     path = tmp_path / "shared.glb"
     data = glb(path)
     (length,) = struct.unpack("<I", data[12:16])
@@ -268,7 +212,7 @@ def test_a_glb_whose_attributes_share_their_bytes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "uri", ["../../etc/passwd", "file:///etc/passwd", "/dev/zero", "http://127.0.0.1:9/x", "%2e%2e/x"]
 )
-def test_gltf_addresses_are_never_followed(tmp_path: Path, uri: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gltf_uris_are_never_opened(tmp_path: Path, uri: str, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "tricky.glb"
     data = glb(path)
     (length,) = struct.unpack("<I", data[12:16])

@@ -1,4 +1,4 @@
-"""What fuzzing and random search found, each by a name of its own, and the search itself."""
+"""Regression tests of what fuzzing and random search found."""
 
 import json
 
@@ -43,11 +43,11 @@ def numbers(count: int) -> st.SearchStrategy:
     focal=st.floats(1e-3, 1e6),
     pixel=st.floats(0, 1, width=32),
 )
-def test_any_three_gaussians_give_finite_pictures_and_gradients(backend, values, water, focal, pixel):
+def test_any_three_gaussians_give_finite_images_and_gradients(backend, values, water, focal, pixel):
     """Any float32 in any parameter, any finite water, any focal length: finite loss and gradients."""
     means, quats, log_scales, logits, sh0 = values.split([9, 12, 9, 3, 9])
-    sh0 = sh0.clamp(-1e10, 1e10)  # the squares of brighter pictures overflow: those steps are the guard's to skip
-    if water:  # it is of all Gaussians: what is no number in one of them is the guard's to find
+    sh0 = sh0.clamp(-1e10, 1e10)  # the squares of brighter images overflow; the guard skips such steps
+    if water:  # it is shared by all Gaussians, so that NaN in one reaches all; the guard finds it
         means, sh0 = (torch.where(values.isnan(), 0.0, values) for values in (means, sh0))
     cloud = GaussianCloud(
         means.reshape(3, 3), quats.reshape(3, 4), log_scales.reshape(3, 3), logits, sh0.reshape(3, 1, 3),
@@ -55,8 +55,8 @@ def test_any_three_gaussians_give_finite_pictures_and_gradients(backend, values,
     )  # fmt: skip
     medium = None
     if water:
-        attenuation, backscatter, veil = torch.tensor(water, dtype=torch.float32).split(3)
-        medium = Medium(attenuation, backscatter, torch.cat([veil[None], torch.zeros(8, 3)]), 1.0)
+        attenuation, backscatter, background = torch.tensor(water, dtype=torch.float32).split(3)
+        medium = Medium(attenuation, backscatter, torch.cat([background[None], torch.zeros(8, 3)]), 1.0)
     leaves = [*cloud.parameters().values(), *(medium.parameters().values() if medium else ())]
     leaves = [leaf.requires_grad_() for leaf in leaves if leaf.numel()]
     camera = Camera("any", fx=focal, fy=focal, world_to_camera=torch.eye(4, dtype=torch.float64).numpy(), **CAMERA)
@@ -74,7 +74,7 @@ def test_any_three_gaussians_give_finite_pictures_and_gradients(backend, values,
 
 @pytest.mark.parametrize("backend", ["cpu", "torch"])
 @pytest.mark.parametrize("brightness, place", [(1e4, -5.0), (4.24e16, -5.0), (float("inf"), -5.0), (0.0, -1.9e19)])
-def test_a_gaussian_that_nobody_sees_leaves_the_water_alone(backend, brightness, place):
+def test_a_gaussian_out_of_view_does_not_change_gradients_of_the_water(backend, brightness, place):
     cloud = GaussianCloud(torch.tensor([[0.0, 0, place]]), torch.ones(1, 4), torch.zeros(1, 3), torch.zeros(1),
                           torch.full((1, 1, 3), brightness), torch.zeros(1, 0, 3), torch.zeros(3))  # fmt: skip
     medium = Medium.starting(1.0)
@@ -86,7 +86,7 @@ def test_a_gaussian_that_nobody_sees_leaves_the_water_alone(backend, brightness,
     )
 
 
-def test_a_network_whose_words_are_no_text(tmp_path):
+def test_a_network_whose_names_are_not_utf8_is_refused(tmp_path):
     graph = "net (float[1,3,Hxyz,W] image) => (float[1,3,Hxyz,W] out) { out = Relu(image) }"
     path = tmp_path / "net.onnx"
     onnx.save(onnx.parser.parse_model(f'<ir_version: 8, opset_import: ["": 17]> {graph}'), path)
@@ -96,8 +96,8 @@ def test_a_network_whose_words_are_no_text(tmp_path):
 
 
 @pytest.mark.parametrize("far", ["1e60", "1e308"])
-def test_a_model_with_one_point_at_the_end_of_the_world_goes_without_it(tmp_path, far):
-    """In Blender it took cameras and splats with it: their root stands where the middle of the points is."""
+def test_a_point_that_is_too_far_away_is_left_out(tmp_path, far):
+    """Blender places the root of cameras and splats at the mean of the points, which one such point would move."""
     scene = make_tiny_scene(tmp_path / "scene", views=3, points=5)
     points = scene / "sparse" / "0" / "points3D.txt"
     first, *others = points.read_text().splitlines()
@@ -110,13 +110,13 @@ def test_a_model_with_one_point_at_the_end_of_the_world_goes_without_it(tmp_path
 
 @pytest.mark.parametrize("name", ["recipe", "effects", "backend", "water_type", "time_budget"])
 @pytest.mark.parametrize("value", [{}, [], 3, None])
-def test_a_setting_that_should_be_text(name, value):
+def test_settings_that_are_not_text_are_refused(name, value):
     with pytest.raises(InputError, match="must be a"):
         parse_request(json.dumps({"request": "train", "scene": "a", "out": "b", "settings": {name: value}}))
 
 
 @pytest.mark.parametrize("text", ["{}", '{"interrupted": 3}', "[]", "[" * 100_000, '{"interrupted"'])
-def test_metrics_that_are_damaged(tmp_path, text):
+def test_damaged_metrics_are_refused(tmp_path, text):
     (tmp_path / "metrics.json").write_text(text)
     with pytest.raises(InputError, match="metrics.json"):
         RunFolder(tmp_path).finished()

@@ -1,4 +1,4 @@
-"""Hostile COLMAP models, photographs, runs, requests and networks: read or refused in a sentence. A hundred of each;
+"""Hostile COLMAP models, images, runs, requests and networks are read, or refused in one sentence. A hundred of each;
 `python tests/hardcases/fuzz.py --inputs N` tries more."""
 
 import sys

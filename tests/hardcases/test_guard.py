@@ -1,4 +1,4 @@
-"""Runs that a number threatens to poison end with a usable result, and say what happened."""
+"""Runs with values that are not finite, or with a rising loss, end with a usable result and a note."""
 
 import shutil
 from dataclasses import asdict, replace
@@ -29,18 +29,18 @@ def finite(run: Path) -> bool:
     return len(splats.positions) > 0 and len(arrays) >= 5 and all(np.isfinite(array).all() for array in arrays)
 
 
-def poison(trainer: Trainer, *names: str) -> None:
-    """Give the targets of these images, or all targets without a name, a loss that is not a number."""
+def break_loss(trainer: Trainer, *names: str) -> None:
+    """Give the targets of these images, or all targets without names, a loss that is NaN."""
     step = trainer.step
 
-    def poisoned(state, target, config):
+    def broken(state, target, config):
         if names and target.camera.name not in names:
             return step(state, target, config)
         weight = torch.ones(target.valid.shape)
         weight[0, 0] = float("nan")
         return step(state, replace(target, emphasis=weight), config)
 
-    trainer.step = poisoned
+    trainer.step = broken
 
 
 def fast(factor: float) -> Schedule:
@@ -50,7 +50,7 @@ def fast(factor: float) -> Schedule:
 
 
 def test_an_image_with_a_loss_that_is_not_a_number_is_skipped_and_named(tiny_scene, tmp_path):
-    result = train_with(tiny_scene, tmp_path / "run", SETTINGS, lambda trainer: poison(trainer, "view_03.png"))
+    result = train_with(tiny_scene, tmp_path / "run", SETTINGS, lambda trainer: break_loss(trainer, "view_03.png"))
     metrics = result["metrics"]
     assert metrics["iteration"] == SETTINGS.iterations
     assert metrics["test_psnr"] > metrics["control_psnr"] + 3 and finite(tmp_path / "run")
@@ -65,8 +65,8 @@ def test_learning_rates_a_hundred_times_too_high_are_reduced(tiny_scene, tmp_pat
     assert "the loss rose from" in note and "Training continued" in note
 
 
-@pytest.mark.parametrize("damage", ["noise", "black", "another photograph"])
-def test_a_damaged_photograph_that_can_still_be_read(tiny_scene, tmp_path, damage):
+@pytest.mark.parametrize("damage", ["noise", "black", "another image"])
+def test_a_damaged_image_that_can_still_be_read(tiny_scene, tmp_path, damage):
     scene = shutil.copytree(tiny_scene, tmp_path / "scene")
     path = scene / "images" / "view_03.png"
     pixels = cv2.imread(str(path))
@@ -91,7 +91,7 @@ def test_a_run_that_cannot_continue_stops_with_the_last_good_parameters(tiny_sce
             if state.iteration == 20 and not good:
                 good.update(state.guarded.last_good)
                 trainer.step = step
-                poison(trainer)
+                break_loss(trainer)
                 return trainer.step(state, target, config)
             return step(state, target, config)
 

@@ -1,7 +1,7 @@
-"""Random search (hypothesis) over what is read and over what a run can be asked for: an answer, or one sentence.
+"""Random search (hypothesis) over input files and settings of runs: a result, or one sentence.
 
-What it finds becomes a case with a name in test_found.py. With SWAG_EXAMPLES=N it looks at N examples of each, other
-ones each time.
+What it finds becomes a test in test_found.py. With SWAG_EXAMPLES=N it tries N examples of each, different ones each
+time.
 """
 
 import json
@@ -22,7 +22,7 @@ from swag_engine.base.errors import InputError
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
-from swag_engine.formats.water import baked
+from swag_engine.formats.water import bake_water
 from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.planning.plan import read_plan
 from swag_engine.scene.cameras import Camera
@@ -34,13 +34,13 @@ from swag_engine.settings.recipes import RECIPES, SWITCHES
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
-from tests.hardcases.test_damaged_files import some_splats
+from tests.hardcases.changed_files import some_splats
 
 EXAMPLES = int(os.environ.get("SWAG_EXAMPLES", 0))
 
 
 def searched(examples: int):
-    """Settings of a search that tests run with so many examples."""
+    """Return the settings of a search that tries so many examples by default."""
     return settings(
         max_examples=EXAMPLES or examples,
         derandomize=not EXAMPLES,
@@ -51,7 +51,7 @@ def searched(examples: int):
 
 
 def read_or_refused(read, *arguments):
-    """What `read` returns, None where it refuses in one sentence."""
+    """Return what `read` returns, None where it refuses the input in one sentence."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -60,7 +60,7 @@ def read_or_refused(read, *arguments):
         assert str(error) and "\n" not in str(error), error
 
 
-# -- what is read ------------------------------------------------------------------------------------------------------
+# -- input files ------------------------------------------------------------------------------------------------------
 
 VALUES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=9)
 DOCUMENTS = st.recursive(
@@ -106,7 +106,7 @@ JSON = {
             },
             optional={"veil_sh": DOCUMENTS, "B_inf": TRIPLES, "ranges": DOCUMENTS, "transmission": DOCUMENTS},
         ),
-        lambda path: baked(some_splats(), RunFolder(path.parent).read_water(), [SEEN_FROM]),
+        lambda path: bake_water(some_splats(), RunFolder(path.parent).read_water(), [SEEN_FROM]),
     ),
     "plan.json": (
         st.fixed_dictionaries({"effects": st.fixed_dictionaries(dict.fromkeys(EFFECTS, EFFECT)), "water": DOCUMENTS}),
@@ -136,8 +136,14 @@ def test_any_json(kind, tmp_path):
     ids=["deep list", "deep object", "nothing", "half", "half a character", "long number"],
 )
 def test_json_that_is_no_document(kind, text, tmp_path):
-    (tmp_path / kind).write_text(text, encoding="utf-8")
-    read_or_refused(JSON[kind][1], tmp_path / kind)
+    path = tmp_path / kind
+    path.write_text(text, encoding="utf-8")
+    if kind == "metrics.jsonl":  # damaged lines are dropped
+        JSON[kind][1](path)
+        assert path.read_text() == ""
+    else:
+        with pytest.raises(InputError, match=r"^[^\n]+$"):
+            JSON[kind][1](path)
 
 
 NUMBERS = st.one_of(st.floats(), st.integers(-3, 300), st.integers(), st.floats(-9, 9)).map(str)
@@ -262,7 +268,7 @@ def test_any_glb(tmp_path):
     search()
 
 
-# -- what a run can be asked for ---------------------------------------------------------------------------------------
+# -- settings of runs -------------------------------------------------------------------------------------------------
 
 STATES = st.dictionaries(st.sampled_from(sorted([*EFFECTS, *SWITCHES])), st.sampled_from(["on", "off"]), max_size=6)
 ASKED = st.fixed_dictionaries(
@@ -283,7 +289,7 @@ ASKED = st.fixed_dictionaries(
 
 
 def test_any_run(tiny_scene, tmp_path_factory):
-    """Whatever it is asked for, stopped somewhere and resumed: a finite result."""
+    """Runs of any settings, stopped somewhere and resumed, have a finite result."""
 
     @searched(3)
     @given(asked=ASKED, stop=st.integers(0, 30))

@@ -1,9 +1,8 @@
-"""Too little memory: fewer Gaussians, smaller pictures, and a sentence about it; never a crash."""
+"""Too little memory: fewer Gaussians, smaller images, and a note; never a crash."""
 
 import json
 import sys
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -15,12 +14,13 @@ from torch.overrides import TorchFunctionMode
 from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
 from swag_engine.formats.ply import read_ply
-from swag_engine.kernels import cuda, cuda_driver
+from swag_engine.kernels import cuda_driver
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels.cuda import CudaKernels
 from swag_engine.kernels.protocol import TooManyPairs
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training import inputs
 from swag_engine.training import trainer as loop
 from swag_engine.training.pacing.memory import FEWEST, NARROWEST, SHARE, fit_memory, free_memory, is_shortage, needed
 from swag_engine.training.pacing.speed import Extent
@@ -31,31 +31,33 @@ EXTENT = Extent(training=90, held_out=10, points=9000, width=1000, height=800)
 
 
 @pytest.mark.parametrize("free", [4e9, 1e9, 2e8, 1e8])
-def test_a_run_is_cut_down_to_what_fits(free):
+def test_a_run_is_reduced_to_what_fits(free):
     asked = replace(SETTINGS, max_gaussians=300_000, width=640)
     settings, note = fit_memory(EXTENT, asked, int(free))
     assert needed(EXTENT, settings.width, settings.max_gaussians) <= SHARE * free
     assert settings == asked if free == 4e9 else settings.max_gaussians < asked.max_gaussians
     assert bool(note) == (settings != asked)
-    assert settings.width == 640 or settings.max_gaussians == FEWEST  # Gaussians are given up before pixels
+    assert settings.width == 640 or settings.max_gaussians == FEWEST  # Gaussians are reduced before images
     assert not note or f"trained with {settings.max_gaussians} and {settings.width}" in note
 
 
-def test_what_can_never_fit_is_one_sentence():
+def test_a_run_that_cannot_fit_is_refused():
     assert fit_memory(EXTENT, SETTINGS, None) == (SETTINGS, "")
     with pytest.raises(InputError, match="at the least and 0.01 GB are free"):
         fit_memory(EXTENT, replace(SETTINGS, width=NARROWEST * 3), 10_000_000)
 
 
-def test_the_system_tells_what_is_free():
+def test_free_memory_is_known():
     assert free_memory(torch.device("cpu")) > 1e7
 
 
-def test_a_run_says_that_it_was_cut_down(tiny_scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(loop, "free_memory", lambda device: int((6_000 * 1280 + 10 * 64 * 48 * 24) / SHARE))
-    asked = replace(SETTINGS, max_gaussians=50_000, iterations=10)
+def test_a_run_notes_that_it_was_reduced(tiny_scene, tmp_path):
+    asked = replace(SETTINGS, max_gaussians=100_000_000, iterations=10)
+    if SHARE * free_memory(torch.device("cpu")) > needed(EXTENT, asked.width, asked.max_gaussians):
+        pytest.skip("this machine has the 128 GB of memory that the largest run needs")
     metrics = loop.train(tiny_scene, tmp_path / "run", asked)["metrics"]
-    assert [note for note in metrics["notes"] if note.startswith("Memory: 50000 Gaussians")]
+    (note,) = [note for note in metrics["notes"] if note.startswith("Memory: 100000000 Gaussians")]
+    assert loop.RunFolder(tmp_path / "run").read_config()[1].max_gaussians == int(note.split()[-3])
 
 
 SHORTAGES = {
@@ -89,16 +91,14 @@ def test_a_run_that_runs_out_of_memory_continues_smaller(tmp_path, kind):
 
 @pytest.fixture
 def card(request, monkeypatch, tmp_path):
-    """A run's way to a card, down to the driver's library; fibres run what that launches. Torch's tensors stay here."""
+    """Make a card of CPU fibres, which refuses launches that are too large; tensors stay on the CPU."""
     if sys.platform != "linux":
         pytest.skip("the fibres are for Linux")
     from tests.engine.cuda_fibres import Fibres, Libcuda, pretend_card
 
     monkeypatch.setattr(cuda_driver, "ptx_path", lambda: tmp_path / "kernels.ptx")
     (tmp_path / "kernels.ptx").write_text("")
-    monkeypatch.setattr(cuda, "driver", cache(cuda.driver.__wrapped__))
-    for module in (loop, inputs):
-        monkeypatch.setattr(module, "device_for", lambda backend: torch.device("cpu"))
+    monkeypatch.setitem(KERNELS, "cuda", CudaKernels())
     fibres = Fibres(request.config.cache.mkdir("cuda_fibres"))
     return lambda too_large: pretend_card(monkeypatch, Libcuda(fibres, too_large))
 
@@ -111,19 +111,19 @@ CARDS = {
 
 
 @pytest.mark.parametrize("kind", CARDS)
-def test_a_run_on_a_card_that_is_too_small_goes_on_smaller(tmp_path, card, kind):
-    """The driver refuses launches; held-out photographs of full size are scored on the CPU where it has to be."""
-    too_large, says = CARDS[kind]
+def test_a_run_on_a_card_that_is_too_small_continues_smaller(tmp_path, card, kind):
+    """The driver refuses launches; held-out images of full size are then scored on the CPU."""
+    too_large, words = CARDS[kind]
     card(too_large)
     scene = make_tiny_scene(tmp_path / "scene", width=96, height=80)
     metrics = loop.train(scene, tmp_path / "run", replace(ON_CARD, width=96))["metrics"]
     assert metrics["iteration"] == ON_CARD.iterations and np.isfinite(metrics["test_psnr"])
     (note,) = [note for note in metrics["notes"] if note.startswith("Memory ran out")]
-    assert says in note and "held-out" not in note
+    assert words in note and "held-out" not in note
 
 
 @pytest.mark.parametrize("launch", [0, 1, 5, 60, 200])
-def test_a_launch_that_finds_no_memory_once_is_no_end(tiny_scene, tmp_path, card, launch):
+def test_one_launch_without_memory_does_not_end_a_run(tiny_scene, tmp_path, card, launch):
     launches = iter(range(10**9))
     card(lambda kernel, blocks: next(launches) == launch)
     metrics = loop.train(tiny_scene, tmp_path / "run", ON_CARD)["metrics"]
@@ -133,7 +133,7 @@ def test_a_launch_that_finds_no_memory_once_is_no_end(tiny_scene, tmp_path, card
 
 
 class Shortage(TorchFunctionMode):
-    """The n-th call of torch finds no memory on the card."""
+    """Raises an error of too little memory at the n-th call of torch."""
 
     def __init__(self, number: int) -> None:
         super().__init__()
@@ -146,12 +146,12 @@ class Shortage(TorchFunctionMode):
         return function(*arguments, **(named or {}))
 
 
-@pytest.mark.filterwarnings("ignore:TypedStorage")  # asked by torch of itself
-def test_memory_that_ends_anywhere_in_a_command_ends_it_well(tiny_scene, tmp_path, capsys):
-    """A result, or one sentence and a run that can be continued."""
+@pytest.mark.filterwarnings("ignore:TypedStorage")  # torch's own
+def test_a_shortage_anywhere_in_a_command_is_handled(tiny_scene, tmp_path, capsys):
+    """The command ends with a result, or with one sentence and a run that can be resumed."""
 
     def run(name, number, *more):
-        words = ["train", str(tiny_scene), "--out", str(tmp_path / name), "--iterations", "20", "--width", "48"]
+        words = ["train", str(tiny_scene), "--out", str(tmp_path / name), "--iterations", "10", "--width", "48"]
         with Shortage(number) as shortage:
             code = main([*words, "--backend", "cpu", "--json", *more])
         printed = json.loads(capsys.readouterr().out)
@@ -160,17 +160,17 @@ def test_memory_that_ends_anywhere_in_a_command_ends_it_well(tiny_scene, tmp_pat
     code, _, calls = run("whole", 0)
     assert code == 0
     codes = []
-    for number in map(int, np.linspace(1, calls - 1, 12)):
+    for number in map(int, np.linspace(1, calls - 1, 8)):
         code, printed, _ = run(f"run {number}", number)
         codes.append(code)
         if code:
             assert code == 2 and "more memory than there is" in printed["error"]
             code, _, _ = run(f"run {number}", 0, *["--resume"] * (tmp_path / f"run {number}" / "config.json").exists())
         assert code == 0 and np.isfinite(read_ply(tmp_path / f"run {number}" / "result.ply").positions).all()
-    assert 4 < codes.count(0) < 12
+    assert 2 < codes.count(0) < 8
 
 
-def test_a_run_that_never_fits_ends_with_a_sentence(tiny_scene, tmp_path):
+def test_a_run_that_fits_at_no_size_is_refused(tiny_scene, tmp_path):
     def never(trainer):
         def step(state, target, config):
             raise MemoryError
@@ -181,7 +181,7 @@ def test_a_run_that_never_fits_ends_with_a_sentence(tiny_scene, tmp_path):
         train_with(tiny_scene, tmp_path / "run", SETTINGS, never)
 
 
-def test_held_out_photographs_that_never_fit_are_left_unscored(tiny_scene, tmp_path, monkeypatch):
+def test_held_out_images_that_never_fit_are_not_scored(tiny_scene, tmp_path, monkeypatch):
     def never(*arguments):
         raise MemoryError
 
@@ -191,7 +191,7 @@ def test_held_out_photographs_that_never_fit_are_left_unscored(tiny_scene, tmp_p
 
 
 @pytest.mark.parametrize("factor, width", [(2, 160), (4, 80), (8, 80)])
-def test_photographs_are_never_larger_for_being_shrunk_more(factor, width):
+def test_a_larger_shrink_factor_never_gives_a_larger_image(factor, width):
     image = TrainingImage(Camera("a", 320, 180, 200, 200, 160, 90, np.eye(4)), np.zeros((180, 320, 3), np.uint8),
                           np.ones((180, 320), bool))  # fmt: skip
     assert Target.shrunk(image, factor, torch.device("cpu")).camera.width == width

@@ -1,4 +1,4 @@
-"""What comes from outside is data: never run, never followed out of its folder, never taken for markup."""
+"""Input is data: never executed, never a path out of its folder, never markup."""
 
 import ast
 import json
@@ -37,7 +37,7 @@ def imports(tree: ast.AST) -> set[str]:
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_no_source_runs_unpacks_or_listens(path):
+def test_no_source_executes_data_unpacks_archives_or_listens(path):
     tree = ast.parse(path.read_text(encoding="utf-8"))
     assert not {name for name in imports(tree) if {name, name.split(".")[0]} & (RUNS_CODE | UNPACKS | LISTENS)}
     for node in ast.walk(tree):
@@ -52,8 +52,8 @@ def test_no_source_runs_unpacks_or_listens(path):
         assert called.split(".")[-1] not in ("extract", "extractall", "unpack_archive"), f"line {node.lineno} unpacks"
 
 
-def test_the_worker_reads_its_parents_pipe_alone(tmp_path):
-    """No socket, no file of requests: with its pipe closed at once the worker ends without having done anything."""
+def test_the_worker_ends_when_its_pipe_is_closed(tmp_path):
+    """It takes requests from nowhere else: with the pipe closed at once it ends and prints nothing."""
     done = subprocess.run(
         [sys.executable, "-m", "swag_engine.app.worker"],
         cwd=ROOT,
@@ -66,7 +66,7 @@ def test_the_worker_reads_its_parents_pipe_alone(tmp_path):
 
 @pytest.fixture(scope="module")
 def hostile_run(tmp_path_factory):
-    """A run of a scene whose photographs have names of markup."""
+    """A run of a scene whose image names are markup."""
     folder = tmp_path_factory.mktemp("hostile")
     scene = make_tiny_scene(folder / "scene <b>&", views=4, width=32, height=24, points=60)
     model = scene / "sparse" / "0" / "images.txt"
@@ -79,7 +79,7 @@ def hostile_run(tmp_path_factory):
     return folder / "run"
 
 
-def test_names_of_markup_are_shown_and_not_run(hostile_run):
+def test_names_are_escaped(hostile_run):
     pages = list(hostile_run.glob("*.html"))
     assert pages
     for page in pages:
@@ -90,12 +90,13 @@ def test_names_of_markup_are_shown_and_not_run(hostile_run):
 
 
 @pytest.mark.parametrize("name", ["../../outside.png", "/outside.png", "..\\..\\outside.png", "C:\\outside.png"])
-def test_a_photographs_name_does_not_lead_out_of_a_folder(tmp_path, name):
-    """Pictures are written under the names of photographs, which a model can give any way it likes."""
+def test_image_names_do_not_lead_out_of_a_folder(tmp_path, name):
+    """Renders are written under the names of images, which a model can choose."""
     scene = make_tiny_scene(tmp_path / "scene", views=4, width=32, height=24, points=60)
     model = scene / "sparse" / "0" / "images.txt"
     model.write_text(model.read_text().replace("view_00.png", name))
-    (scene / "images" / "view_00.png").rename(scene / "images" / "outside.png")  # where only the last part is looked at
+    # Only the last part of a name counts when images are looked for.
+    (scene / "images" / "view_00.png").rename(scene / "images" / "outside.png")
     train(scene, tmp_path / "run", TrainSettings(iterations=2, width=32, max_gaussians=80))
     (view,) = [view for view in load_scene(scene).views if view.path.name == "outside.png"]
     (file,) = render_run(tmp_path / "run", tmp_path / "a" / "b" / "pictures", view.name)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from swag_engine.formats.cameras import moved
+from swag_engine.formats.cameras import transform_camera
 from swag_engine.formats.gltf import write_glb
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.rendering.render import render
@@ -57,7 +57,7 @@ def test_a_viewers_image_equals_the_engines(browser, tmp_path, page):
     turn = np.eye(4)
     turn[:3, :3] = 1.7 * cv2.Rodrigues(np.array([-0.4, 1.1, 0.3]))[0]
     turn[:3, 3] = 1, -2, 3
-    splats, camera = transformed(heap(), turn), moved(side_camera(), turn)
+    splats, camera = transformed(heap(), turn), transform_camera(side_camera(), turn)
     write_glb(tmp_path / "heap.glb", splats, (0.1, -0.9, 0.2), [camera])
     png = browser(page, tmp_path / "heap.glb", WIDTH, HEIGHT)
     (tmp_path / page).with_suffix(".png").write_bytes(png)

@@ -1,7 +1,7 @@
 """Places of textured boxes, ray-cast without Blender: a street by day, a room lit by lamps, flat ground from above.
 
-They stand for what is photographed on land: shine that changes with the view, far things of other colours than near
-ones, sky behind them, lamps that hang in the place and not on the camera.
+They stand for images taken on land: highlights that change with the view, distant objects of other colors than near
+ones, sky behind them, and lamps that are fixed in the place and not to the camera.
 """
 
 from dataclasses import dataclass
@@ -158,7 +158,7 @@ def passes_of(place: Place, pose: np.ndarray, width: int, height: int, focal: fl
 def _lit(
     place: Place, points: np.ndarray, rays: np.ndarray, side: int, facing: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Light on points (P, 3) of faces along an axis, what they mirror (P, 3), and the share that comes from the sun."""
+    """Return light on points (P, 3) of faces along an axis, their reflection (P, 3), and the fraction from the sun."""
     mirror = rays.copy()
     mirror[:, side] *= -1
     if place.lamps is None:

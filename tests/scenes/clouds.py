@@ -1,4 +1,4 @@
-"""Clouds of Gaussians at random."""
+"""Random clouds of Gaussians."""
 
 import torch
 
@@ -6,7 +6,7 @@ from swag_engine.gaussians.cloud import GaussianCloud
 
 
 def make_cloud(n: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> GaussianCloud:
-    """n Gaussians of all shapes and opacities some 5 units in front of the origin, along +z; SH of degree 1."""
+    """Return n Gaussians of all shapes and opacities some 5 units in front of the origin, along +z; SH of degree 1."""
     draw = torch.Generator().manual_seed(seed)
     means = torch.randn(n, 3, generator=draw) * torch.tensor([1.0, 1.0, 0.3]) + torch.tensor([0.0, 0.0, 5.0])
     return GaussianCloud(

@@ -8,7 +8,7 @@ import pycolmap
 
 
 def dot_positions(count: int = 60) -> np.ndarray:
-    """(count, 3) float64: jittered grid, so that dots do not overlap in a picture; depth 0 +- 0.4."""
+    """Return positions (count, 3) float64 on a jittered grid, so that dots do not overlap; depth 0 +- 0.4."""
     random = np.random.default_rng(3)
     side = int(np.ceil(count**0.5))
     grid = np.stack(np.meshgrid(np.linspace(-2, 2, side), np.linspace(-1.5, 1.5, side)), -1).reshape(-1, 2)[:count]
@@ -16,7 +16,7 @@ def dot_positions(count: int = 60) -> np.ndarray:
 
 
 def draw_dots(width: int, height: int, centres: np.ndarray, sigma: float = 1.5) -> np.ndarray:
-    """(height, width, 3) uint8 picture with a Gaussian blob at each of `centres` (N, 2) in COLMAP pixels."""
+    """Return an image (height, width, 3) uint8 with a Gaussian blob at each of `centres` (N, 2) in COLMAP pixels."""
     x, y = np.arange(width) + 0.5, np.arange(height) + 0.5
     picture = np.full((height, width), 20.0)
     for centre in centres[np.isfinite(centres).all(1)]:
@@ -34,7 +34,7 @@ def make_dot_scene(
     name: str = "view_{:02d}.png",
     text: bool = False,
 ) -> Path:
-    """Write pictures and model to `folder`. Several cameras to a rig stand side by side, `views` frames each."""
+    """Write images and a model to `folder`; the cameras of a rig are side by side and have `views` frames each."""
     positions = dot_positions()
     camera = camera or pycolmap.Camera(model="PINHOLE", width=200, height=150, params=[150.0, 150.0, 100.0, 75.0])
     scene = pycolmap.Reconstruction()

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from swag_engine.base.files import atomic_path
 from tests.scenes.boxes import ground, passes_of, room, street
-from tests.scenes.make_scene import Rendered, Settings, focal_length
+from tests.scenes.make_scene import Rendered, Settings, Water, focal_length, make_scene
 from tests.scenes.reef_model import Model, Passes, Renderer, camera_path
 
 PATTERNS = ("orbit", "oblique", "nadir")
@@ -23,7 +23,7 @@ PATTERNS = ("orbit", "oblique", "nadir")
 PLACES = {"walk": street, "around": room, "survey": ground}
 """Patterns over places of boxes."""
 FISHY = 0.4
-"""Share of the photographs that fish swim through in scenes with fish."""
+"""Fraction of the images that fish swim through in scenes with fish."""
 VIEWS = 20
 SIZE = (320, 180)
 
@@ -78,6 +78,18 @@ def camera_poses(pattern: str, views: int = VIEWS) -> list[np.ndarray]:
 def settings_for(out: Path, **effects: object) -> Settings:
     """What `make_scene` takes for a scene of these effects at the matrix' size."""
     return Settings(out, views=VIEWS, width=SIZE[0], height=SIZE[1], points=1500, **effects)  # type: ignore[arg-type]
+
+
+def small_scene(out: Path, pattern: str, seed: int, **effects: object) -> Path:
+    """Write a scene over a place of boxes that is made in seconds, in air or with the given water; returns `out`."""
+    air = Water((0, 0, 0), (0, 0, 0), (0, 0, 0))
+    chosen: dict = {"water": air} | effects
+    settings = Settings(out, views=12, width=160, height=90, points=500, seed=seed, **chosen)
+    poses, place = camera_poses(pattern, settings.views), PLACES[pattern](seed)
+    size = (settings.width * settings.supersample, settings.height * settings.supersample)
+    still = [passes_of(place, pose, *size, focal_length(settings) * settings.supersample) for pose in poses]
+    make_scene(settings, Rendered(poses, still, still, None))
+    return out
 
 
 PASSES = {"colour": "f2", "alpha": "f2", "range": "f4", "sun_share": "f2", "fish": "f2"}

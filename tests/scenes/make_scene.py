@@ -1,4 +1,4 @@
-"""Makes an underwater scene whose truth is known: photographs, a COLMAP model, clean images, ranges, coefficients.
+"""Make an underwater scene with known truth: images, a COLMAP model, clean images, ranges, coefficients.
 
     python tests/scenes/make_scene.py --out DIR [--water.beta-D R G B] [--lamp 1] [--exposure 0.15] [--caustics 0.5] ...
 
@@ -7,8 +7,8 @@ image formation model I = J exp(-beta_D z) + B (1 - exp(-beta_B z)), z the Eucli
 averaged down to its size. With `--volume` Cycles renders a real absorbing and scattering volume instead, so that truth
 does not share that equation.
 
-What is written to DIR:
-    images/NAME.jpg       the photographs
+Files in DIR:
+    images/NAME.jpg       the images
     sparse/0/             the COLMAP model (binary): exact poses, points triangulated from observations with noise
     clean/NAME.webp       what the held-out views (every eighth) look like without water and fish, on black
     range/NAME.png        their ranges, 16 bit, millimetres, 0 in open water
@@ -65,18 +65,18 @@ class Settings:
     """At most; fewer where the images are small."""
     water: Water = field(default_factory=Water)
     lamp: float = 0.0
-    """Share of a lamp at the camera in the light at the median range; its light falls as 1 / (lamp_tau + r^2)."""
+    """Fraction of the light at the median range from a lamp at the camera, which falls as 1 / (lamp_tau + r^2)."""
     lamp_tau: float = 1.0
     exposure: float = 0.0
     """Standard deviation of the images' log gains."""
     caustics: float = 0.0
     """Strength of the light pattern that waves throw on what the sun lights; 1 is the pattern as lenses make it."""
     vignetting: float = 0.0
-    """Share of its light that the lens loses at the corners; the loss grows with the squared distance to the middle."""
+    """Fraction of the light that the lens loses at the corners; it rises with the squared distance to the middle."""
     phone: float = 0.0
-    """How much the camera beautifies, 1 as telephones do: see `developed`."""
+    """Strength of the processing in the camera, 1 as in telephones: see `process_as_phone`."""
     moving_object: float = 0.0
-    """Share of the images that fish swim through."""
+    """Fraction of the images that fish swim through."""
     volume: bool = False
     """Render a scattering volume instead of applying the model. See `VOLUME`; `water` and `lamp` are not used."""
     truth: Literal["held-out", "all"] = "held-out"
@@ -104,9 +104,9 @@ def srgb(linear: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-def developed(shown: np.ndarray, strength: float, rng: np.random.Generator) -> np.ndarray:
-    """A displayed picture (H,W,3) as a telephone gives it: glare of bright parts over the rest, noise, a white balance
-    of its own, local contrast, an S-shaped tone curve and sharpened edges."""
+def process_as_phone(shown: np.ndarray, strength: float, rng: np.random.Generator) -> np.ndarray:
+    """Return a displayed image (H,W,3) as a telephone processes it: glare of bright parts over the rest, noise, a white
+    balance of its own, local contrast, an S-shaped tone curve and sharpened edges."""
     shown = shown.clip(0, 1)
     light = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
     glare = 0.04 * strength
@@ -142,15 +142,15 @@ def nearest_range(distance: np.ndarray, alpha: np.ndarray, factor: int) -> np.nd
 
 def majority(labels: np.ndarray, factor: int) -> np.ndarray:
     """Per image pixel the label of most of its rendered ones."""
-    shares = np.stack([averaged(labels == label, factor) for label in range(len(LABELS) + 1)])
-    return shares.argmax(0).astype(np.uint8)
+    fractions = np.stack([averaged(labels == label, factor) for label in range(len(LABELS) + 1)])
+    return fractions.argmax(0).astype(np.uint8)
 
 
 def through_water(clean: np.ndarray, alpha: np.ndarray, distance: np.ndarray, water: Water) -> np.ndarray:
     """The image formation model.
 
-    `clean` (H,W,3) in the values of `water.light`, multiplied by `alpha` (H,W), the share of each pixel that a surface
-    covers; `distance` (H,W) Euclidean range in metres, inf where alpha is 0. Open water shows B_inf.
+    `clean` (H,W,3) in the values of `water.light`, multiplied by `alpha` (H,W), the fraction of each pixel that
+    surfaces cover; `distance` (H,W) Euclidean range in metres, inf where alpha is 0. Open water shows B_inf.
     """
     z = np.where(np.isinf(distance), 0, distance)[..., None].astype(np.float64)
     alpha = alpha[..., None]
@@ -159,9 +159,9 @@ def through_water(clean: np.ndarray, alpha: np.ndarray, distance: np.ndarray, wa
     return direct + np.array(water.B_inf) * backscatter
 
 
-def lamp_light(distance: np.ndarray, share: float, tau: float, reference: float) -> np.ndarray:
+def lamp_light(distance: np.ndarray, fraction: float, tau: float, reference: float) -> np.ndarray:
     """Factor on the clean colour: an ambient part and a lamp's, together 1 at the reference range."""
-    return (1 - share) + share * (tau + reference**2) / (tau + distance**2)
+    return (1 - fraction) + fraction * (tau + reference**2) / (tau + distance**2)
 
 
 def caustic_pattern(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -389,7 +389,7 @@ def make_scene(settings: Settings, rendered: Rendered | None = None) -> dict:
             waves = np.random.default_rng((settings.seed, 3, k))
             shown = photograph(seen, settings, focal * factor, poses[k], reference, gains[k], waves)
         if settings.phone:
-            shown = developed(shown, settings.phone, np.random.default_rng((settings.seed, 5, k)))
+            shown = process_as_phone(shown, settings.phone, np.random.default_rng((settings.seed, 5, k)))
         images.append(to_8bit(shown))
         ranges.append(nearest_range(seen.range, seen.alpha, factor))
         cv2.imwrite(str(settings.out / "images" / name), images[-1][..., ::-1], JPEG)

@@ -990,8 +990,8 @@ class Passes:
     colour: np.ndarray  # (H,W,3) multiplied by alpha
     alpha: np.ndarray  # (H,W) 1 where there is a surface, 0 in open water
     range: np.ndarray  # (H,W) metres from the camera's centre along the ray, inf in open water
-    sun_share: np.ndarray  # (H,W) share of the light that comes straight from the sun
-    fish: np.ndarray  # (H,W) share of the pixel that a moving object covers
+    sun_share: np.ndarray  # (H,W) fraction of the light that comes straight from the sun
+    fish: np.ndarray  # (H,W) fraction of the pixel that a moving object covers
     label: np.ndarray  # (H,W) uint8, place in LABELS of what is seen, counted from 1
 
 

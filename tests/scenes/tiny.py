@@ -1,4 +1,4 @@
-"""A COLMAP scene that trains in seconds: a textured box of coloured points, seen from an arc of cameras."""
+"""A COLMAP scene that trains in seconds: a wall of colored discs, seen from an arc of cameras."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import numpy as np
 
 
 def make_tiny_scene(folder: Path, views: int = 10, width: int = 64, height: int = 48, points: int = 300) -> Path:
-    """Write `views` photographs and a COLMAP text model (PINHOLE) of a wall of coloured discs to `folder`."""
+    """Write `views` images and a COLMAP text model (PINHOLE) of a wall of colored discs to `folder`; return it."""
     random = np.random.default_rng(5)
     positions = np.column_stack([random.uniform(-2, 2, (points, 2)), random.uniform(-0.3, 0.3, points)])
     colors = random.integers(30, 226, (points, 3))

@@ -10,9 +10,6 @@ from ...settings.recipes import recipe_of
 from ...settings.settings import TrainSettings
 from .speed import Extent, Speed, measure_speed, predicted_milliseconds, predicted_seconds
 
-CLOSING = 3.0
-"""Time kept for writing results and their report, s."""
-
 
 @dataclass
 class Budget:
@@ -25,6 +22,7 @@ class Budget:
         extent: Size of the scene.
         size: Size of the run that should fit.
         densify_until: Fraction of the run at which densification ends.
+        closing: Time kept for writing results and their report, s.
         held_out: Time that scoring the held-out images took last, s.
     """
 
@@ -34,6 +32,7 @@ class Budget:
     extent: Extent
     size: Size
     densify_until: float
+    closing: float
     held_out: float = 0.0
 
     @property
@@ -43,7 +42,7 @@ class Budget:
 
     def left(self) -> float:
         """Return how long may still be trained, s."""
-        return self.seconds - (time.monotonic() - self.started) - CLOSING - self.held_out
+        return self.seconds - (time.monotonic() - self.started) - self.closing - self.held_out
 
     def shorten(self, seconds: float) -> None:
         """Let the run train only `seconds` more, where it had more time."""
@@ -54,13 +53,16 @@ class Budget:
         return predicted_milliseconds(self.speed, self.extent, self.size, fraction, self.densify_until) / 1000
 
 
-def fit_budget(scene: Scene, settings: TrainSettings, started: float) -> tuple[TrainSettings, Budget | None]:
+def fit_budget(
+    scene: Scene, settings: TrainSettings, started: float, closing: float
+) -> tuple[TrainSettings, Budget | None]:
     """Choose the size of the run that fits a time budget.
 
     Args:
         scene: The scene.
         settings: What the user chose.
         started: time.monotonic() that the budget counts from.
+        closing: Time to keep for writing results and their report, s.
 
     Returns:
         The settings with the size filled in, and the budget; None where the settings have none.
@@ -71,15 +73,15 @@ def fit_budget(scene: Scene, settings: TrainSettings, started: float) -> tuple[T
     if not settings.budget:
         return settings, None
     speed, extent = measure_speed(scene, settings), Extent.of(scene)
-    grow_until = recipe_of(settings.recipe, settings.effects).grow_until
-    left = settings.budget - (time.monotonic() - started) - CLOSING
+    densify_until = recipe_of(settings.recipe, settings.effects).densify_until
+    left = settings.budget - (time.monotonic() - started) - closing
 
     def size(rung: float) -> Size:
         asked, own = settings, size_at(rung)
         return Size(own.iterations, asked.width or own.width, asked.max_gaussians or own.max_gaussians)
 
     low, high = 0.0, float(len(LADDER) - 1)
-    needed = predicted_seconds(speed, extent, size(low), grow_until)
+    needed = predicted_seconds(speed, extent, size(low), densify_until)
     if needed > left:
         least = needed + settings.budget - left
         raise InputError(
@@ -87,8 +89,8 @@ def fit_budget(scene: Scene, settings: TrainSettings, started: float) -> tuple[T
         )
     for _ in range(30):
         middle = (low + high) / 2
-        fits = predicted_seconds(speed, extent, size(middle), grow_until) <= left
+        fits = predicted_seconds(speed, extent, size(middle), densify_until) <= left
         low, high = (middle, high) if fits else (low, middle)
     chosen = size(low)
-    budget = Budget(settings.budget, started, speed, extent, chosen, grow_until)
+    budget = Budget(settings.budget, started, speed, extent, chosen, densify_until, closing)
     return replace(settings, width=chosen.width, max_gaussians=chosen.max_gaussians), budget

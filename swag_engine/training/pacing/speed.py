@@ -160,7 +160,7 @@ def _iteration(cloud: GaussianCloud, image: TrainingImage, factor: int, settings
     return once
 
 
-def predicted_milliseconds(speed: Speed, extent: Extent, size: Size, fraction: float, grow_until: float) -> float:
+def predicted_milliseconds(speed: Speed, extent: Extent, size: Size, fraction: float, densify_until: float) -> float:
     """Predict the time of an iteration; early in a run images are smaller and Gaussians fewer.
 
     Args:
@@ -168,33 +168,34 @@ def predicted_milliseconds(speed: Speed, extent: Extent, size: Size, fraction: f
         extent: Size of the scene.
         size: Size of the run.
         fraction: How far the run is, 0..1.
-        grow_until: Fraction of the run at which densification ends.
+        densify_until: Fraction of the run at which densification ends.
 
     Returns:
         Time, ms.
     """
     schedule = STANDARD
     factor = next((factor for until, factor in schedule.coarse if fraction < until), 1)
-    grown = min(1.0, 1.25 * max(0.0, fraction - schedule.densify_from) / max(1e-9, grow_until - schedule.densify_from))
+    duration = max(1e-9, densify_until - schedule.densify_from)
+    grown = min(1.0, 1.25 * max(0.0, fraction - schedule.densify_from) / duration)
     start = min(extent.points, size.max_gaussians)
     gaussians = start + (size.max_gaussians - start) * grown
     return speed.milliseconds(gaussians, extent.pixels(size.width) / factor**2)
 
 
-def predicted_seconds(speed: Speed, extent: Extent, size: Size, grow_until: float) -> float:
+def predicted_seconds(speed: Speed, extent: Extent, size: Size, densify_until: float) -> float:
     """Predict the time of a whole run: loading, iterations, validation and the final scores.
 
     Args:
         speed: Speed of the machine.
         extent: Size of the scene.
         size: Size of the run.
-        grow_until: Fraction of the run at which densification ends.
+        densify_until: Fraction of the run at which densification ends.
 
     Returns:
         Time, s.
     """
     middles = [(step + 0.5) / STEPS for step in range(STEPS)]
-    mean = sum(predicted_milliseconds(speed, extent, size, middle, grow_until) for middle in middles) / STEPS
+    mean = sum(predicted_milliseconds(speed, extent, size, middle, densify_until) for middle in middles) / STEPS
     larger = extent.pixels(size.width) / extent.pixels(TIMED_WIDTH)
     loading = speed.load * (extent.training + extent.held_out) * larger
     # Rendering without a gradient takes a third of an iteration; each held-out image is rendered about six times.

@@ -76,7 +76,9 @@ def write_use_and_remove():
     assert obj.modifiers[0].node_group in here.node_groups and len(bpy.data.materials) == 3
     items = bpy.data.node_groups["SWAG Water"].interface.items_tree
     inputs = {item.name: item.default_value for item in items if item.in_out == "INPUT"}
-    assert np.allclose(inputs["Attenuation"], [0.4, 0.2, 0.1]) and np.allclose(inputs["Veil 8"], BACKGROUND[8])
+    assert np.allclose(inputs["Attenuation"], [0.4, 0.2, 0.1]) and np.allclose(
+        inputs["Background Light 8"], BACKGROUND[8]
+    )
     obj.hide_render = True
     render_through_the_group()
 

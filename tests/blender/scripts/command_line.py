@@ -1,6 +1,11 @@
 """`blender --background --command swag`, called as Blender calls it."""
 
+import os
+import signal
 import sys
+import threading
+import time
+from pathlib import Path
 
 import bpy
 from bl_ext.user_default.swag_splatting.swag_blender import commands
@@ -37,3 +42,15 @@ def wrong_imports(folder):
         run("import", folder + "/stopped", "--out", folder + "/a.blend", "--json"),
     ]
     return {"wrong": wrong, "import help": run("import", "--help"), "help": run("--help")}
+
+
+def train_and_terminate(scene, folder):
+    """The exit code of a training during which this process gets a SIGTERM."""
+
+    def terminate():
+        while not Path(folder, "run", "config.json").exists():
+            time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=terminate).start()
+    return run("train", scene, "--out", folder + "/run", "--iterations", "100000", "--width", "64")

@@ -1,11 +1,12 @@
 """Options of the export, and what modifiers and edit mode change in it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
-from bl_ext.user_default.swag_splatting.operators import export_splats as operators
 from bl_ext.user_default.swag_splatting.swag_blender import splats
+from bl_ext.user_default.swag_splatting.swag_blender.splat_export import ExportSettings, expected_size
 from files import add_imported_scene, export_splats, import_splats, matrix_in_file_frame, refusal
 
 
@@ -62,20 +63,8 @@ def delete_in_edit_mode(folder):
     export_splats(folder + "/cut.ply")
 
 
-class Dialog:
-    """The export operator's options and the methods that its dialog calls."""
-
-    use, frame, water, labels, crop_object, min_opacity = "SELECTED", "UPRIGHT", 0, "", "", 0.5
-    sh_degree, extras, metres_per_unit, cameras, forecast, forecast_of = 1, False, 1.0, False, "", ""
-    filepath = "plain.ply"
-
-
-for name in ("_foresee", "_together", "_chosen", "_choice"):
-    setattr(Dialog, name, getattr(operators.SWAG_OT_export_splats, name))
-
-
 def options(folder):
-    """Export a file per option; returns the crop box, forecasts of the dialog and messages of refusals."""
+    """Export a file per option; returns the crop box, expected sizes and messages of refusals."""
     path = Path(folder)
 
     def refused(**arguments):
@@ -100,12 +89,11 @@ def options(folder):
     export_splats(path / "metres.ply", metres_per_unit=3.0, frame="Z_UP")
     export_splats(path / "y_up.ply", frame="Y_UP")
 
-    dialog = Dialog()
-    assert dialog._foresee(bpy.context) and not dialog._foresee(bpy.context)
-    forecasts = [dialog.forecast]
-    dialog.min_opacity, dialog.filepath = 1.0, "plain.glb"
-    assert dialog._foresee(bpy.context)
-    forecasts.append(dialog.forecast)
+    settings = ExportSettings("SELECTED", "UPRIGHT", 1.0, 0.0, "", "", 0.5, 1, False, False)
+    sizes = [
+        expected_size(bpy.context, Path("plain.ply"), settings),
+        expected_size(bpy.context, Path("plain.glb"), replace(settings, min_opacity=1.0)),
+    ]
     messages = {
         "no label named kelp": refused(labels="kelp"),
         "no object gone": refused(crop_object="gone"),
@@ -119,7 +107,7 @@ def options(folder):
     second.hide_set(True)
     messages["select"] = refused()
     to_box = [list(row) for row in box.matrix_world.inverted() @ splats.FILE_FRAME]
-    return {"to_box": to_box, "forecasts": forecasts, "messages": messages}
+    return {"to_box": to_box, "expected sizes": sizes, "messages": messages}
 
 
 def water_and_cameras(folder, suffix):

@@ -14,9 +14,16 @@ KINDS = (
 )
 
 
+def subclasses(kind):
+    """All classes below a class."""
+    for cls in kind.__subclasses__():
+        yield cls
+        yield from subclasses(cls)
+
+
 def shown_words():
     """Names and descriptions of the extension's registered classes and their properties."""
-    classes = {cls for kind in KINDS for cls in kind.__subclasses__()}
+    classes = {cls for kind in KINDS for cls in subclasses(kind)}
     found = set()
     for cls in classes:
         # SwagStatus is for scripts: panels show its values alone.

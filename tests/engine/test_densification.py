@@ -1,4 +1,4 @@
-"""Growing: splitting where the loss pulls, and 3DGS-MCMC's moving, wandering and dying."""
+"""Densification: splitting by the gradient on screen, and relocation, noise and regularisation of 3DGS-MCMC."""
 
 import numpy as np
 import pytest
@@ -8,9 +8,9 @@ from clouds import make_cloud
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.densify import (
     PER_GAUSSIAN,
-    Growth,
-    GrowthStatistics,
-    McmcGrowth,
+    DensificationStatistics,
+    McmcStrategy,
+    SplitStrategy,
     random_of,
     rotation_matrices,
     share_opacity,
@@ -42,45 +42,48 @@ def covariance(cloud):
     return axes @ axes.transpose(1, 2)
 
 
-def test_growth_splits_what_the_loss_pulls_and_drops_what_is_transparent():
+def test_large_gradients_are_split_and_transparent_gaussians_removed():
     cloud = make_cloud(10)
     cloud.opacity_logits[3] = -9.0
-    statistics = GrowthStatistics(torch.zeros(10), torch.ones(10))
+    statistics = DensificationStatistics(torch.zeros(10), torch.ones(10))
     statistics.gradient[[2, 7]] = torch.tensor([1.0, 2.0])
-    grown, source = Growth().event(cloud, statistics, 10, 5.0, random_of(0, 0))
-    assert len(grown) == 10  # 9 left and room for one: the stronger of the two is split
+    densified, source = SplitStrategy().densify(cloud, statistics, 10, 5.0, random_of(0, 0))
+    assert len(densified) == 10  # 9 remain and one more fits: the larger of the two gradients is split
     assert 3 not in source and 7 not in source and (source == -1).sum() == 2
     kept = source[source >= 0]
-    torch.testing.assert_close(grown.means[: len(kept)], cloud.means[kept])
+    torch.testing.assert_close(densified.means[: len(kept)], cloud.means[kept])
 
 
-def test_growth_of_a_wholly_transparent_cloud_changes_nothing():
+def test_a_transparent_cloud_is_not_changed():
     cloud = make_cloud(4)
     cloud.opacity_logits[:] = -20.0
-    grown, source = Growth().event(cloud, GrowthStatistics.zeros(4, cloud.means.device), 100, 5.0, random_of(0, 0))
-    assert len(grown) == 4 and torch.equal(source, torch.arange(4))
+    densified, source = SplitStrategy().densify(
+        cloud, DensificationStatistics.zeros(4, cloud.means.device), 100, 5.0, random_of(0, 0)
+    )
+    assert len(densified) == 4 and torch.equal(source, torch.arange(4))
 
 
-def pulled(strengths):
-    """Statistics of one view whose loss pulled Gaussians so strongly."""
-    strengths = torch.tensor(strengths)
-    return GrowthStatistics(strengths, torch.ones(len(strengths)))
+def statistics_of(gradients):
+    """Statistics of one view with these gradients on screen."""
+    return DensificationStatistics(torch.tensor(gradients), torch.ones(len(gradients)))
 
 
-def test_a_weight_decides_what_is_split():
-    cloud, statistics = make_cloud(5), pulled([1.0, 2.0, 3.0, 4.0, 5.0])
-    same, source = Growth().event(cloud, statistics, 6, 5.0, random_of(0, 0), weight=torch.ones(5))
-    plain, expected = Growth().event(cloud, statistics, 6, 5.0, random_of(0, 0))
+def test_weights_multiply_the_scores():
+    cloud, statistics = make_cloud(5), statistics_of([1.0, 2.0, 3.0, 4.0, 5.0])
+    same, source = SplitStrategy().densify(cloud, statistics, 6, 5.0, random_of(0, 0), weight=torch.ones(5))
+    plain, expected = SplitStrategy().densify(cloud, statistics, 6, 5.0, random_of(0, 0))
     assert torch.equal(source, expected) and torch.equal(same.means, plain.means)
-    _, source = Growth().event(cloud, statistics, 6, 5.0, random_of(0, 0), weight=torch.tensor([9.0, 1, 1, 1, 1]))
+    _, source = SplitStrategy().densify(
+        cloud, statistics, 6, 5.0, random_of(0, 0), weight=torch.tensor([9.0, 1, 1, 1, 1])
+    )
     assert source.tolist() == [1, 2, 3, 4, -1, -1]
 
 
-def test_default_growth_adds_no_noise_and_no_loss():
+def test_splitting_adds_no_noise_and_no_loss():
     cloud = make_cloud(5)
     before = {name: tensor.clone() for name, tensor in cloud.parameters().items()}
-    Growth().perturb(cloud, 1.0, 1.0, random_of(0, 0))
-    assert Growth().regularisation(cloud, 1.0) is None
+    SplitStrategy().perturb(cloud, 1.0, 1.0, random_of(0, 0))
+    assert SplitStrategy().regularisation(cloud, 1.0) is None
     assert all(torch.equal(tensor, before[name]) for name, tensor in cloud.parameters().items())
 
 
@@ -94,7 +97,7 @@ def test_shared_opacity_keeps_the_centre_and_the_integral(opacity, count):
     assert torch.trapezoid(profile, x).item() == pytest.approx(opacity * (2 * np.pi) ** 0.5, rel=1e-9)
 
 
-def test_two_share_as_in_the_paper():
+def test_an_opacity_shared_by_two_is_that_of_the_paper():
     o = torch.tensor([0.05, 0.5, 0.95], dtype=torch.float64)
     shared, shrink = share_opacity(o, torch.full((3,), 2))
     new = 1 - (1 - o) ** 0.5
@@ -103,54 +106,60 @@ def test_two_share_as_in_the_paper():
     torch.testing.assert_close(shrink, o / (new + new - new**2 / 2**0.5))
 
 
-def test_the_dead_move_to_the_living_and_the_number_grows_to_the_budget():
+def test_dead_gaussians_are_relocated_and_the_number_rises_to_the_budget():
     cloud = make_cloud(40)
     cloud.opacity_logits[:10] = -9.0
     cloud.opacity_logits[10] = torch.nan
     cloud.sh0[11] = torch.inf
-    grown, source = McmcGrowth().event(cloud, GrowthStatistics.zeros(40, cloud.means.device), 50, 5.0, random_of(0, 1))
-    assert len(grown) == len(source) == 50
-    assert all(getattr(grown, name).isfinite().all() for name in PER_GAUSSIAN)
+    densified, source = McmcStrategy().densify(
+        cloud, DensificationStatistics.zeros(40, cloud.means.device), 50, 5.0, random_of(0, 1)
+    )
+    assert len(densified) == len(source) == 50
+    assert all(getattr(densified, name).isfinite().all() for name in PER_GAUSSIAN)
     assert not set(range(12)) & set(source.tolist())
     kept = source >= 0
     for name in PER_GAUSSIAN:
-        torch.testing.assert_close(getattr(grown, name)[kept], getattr(cloud, name)[source[kept]])
-    # The first 28 are the living in their order, then come those that moved to them, exactly.
-    where = (grown.means[28:, None] == grown.means[None, :28]).all(-1)
+        torch.testing.assert_close(getattr(densified, name)[kept], getattr(cloud, name)[source[kept]])
+    # The first 28 are the living in their order; the relocated ones follow, exactly at the places of living ones.
+    where = (densified.means[28:, None] == densified.means[None, :28]).all(-1)
     assert (where.sum(1) == 1).all()
     parents = where.any(0)
     assert torch.equal(parents, source[:28] < 0)
     alone = 1 - cloud.opacities[12:]
-    together = (1 - grown.opacities[:28]) * torch.stack(
-        [(1 - grown.opacities[28:][where[:, i]]).prod() for i in range(28)]
+    together = (1 - densified.opacities[:28]) * torch.stack(
+        [(1 - densified.opacities[28:][where[:, i]]).prod() for i in range(28)]
     )
     torch.testing.assert_close(together, alone)
     _, shrink = share_opacity(cloud.opacities[12:], where.sum(0) + 1)
-    torch.testing.assert_close(grown.scales[:28], cloud.scales[12:] * shrink[:, None])
+    torch.testing.assert_close(densified.scales[:28], cloud.scales[12:] * shrink[:, None])
 
 
-def test_moving_changes_the_picture_little():
+def test_relocation_changes_the_image_little():
     camera = Camera("a", 96, 64, 80.0, 80.0, 48.0, 32.0, np.eye(4))
     cloud = make_cloud(60)
-    grown, _ = McmcGrowth().event(cloud, GrowthStatistics.zeros(60, cloud.means.device), 90, 5.0, random_of(0, 1))
-    copies, _ = McmcGrowth().event(cloud, GrowthStatistics.zeros(60, cloud.means.device), 90, 5.0, random_of(0, 1))
+    densified, _ = McmcStrategy().densify(
+        cloud, DensificationStatistics.zeros(60, cloud.means.device), 90, 5.0, random_of(0, 1)
+    )
+    copies, _ = McmcStrategy().densify(
+        cloud, DensificationStatistics.zeros(60, cloud.means.device), 90, 5.0, random_of(0, 1)
+    )
     same = (copies.means[60:, None] == copies.means[None, :60]).all(-1).int().argmax(1)
     for name in ("opacity_logits", "log_scales"):
         original = getattr(cloud, name)
         setattr(copies, name, torch.cat([original, original[same]]))
     before = render(cloud, camera).color
-    changes = [(render(c, camera).color - before).abs().mean() for c in (grown, copies)]
+    changes = [(render(c, camera).color - before).abs().mean() for c in (densified, copies)]
     assert changes[0] < 0.3 * changes[1] and changes[0] * 255 < 1
 
 
-def test_the_living_are_drawn_by_opacity_and_weight():
+def test_living_gaussians_are_drawn_by_opacity_and_weight():
     cloud = make_cloud(3)
     cloud.opacity_logits[:] = torch.logit(torch.tensor([0.1, 0.3, 0.6]))
-    statistics, budget = GrowthStatistics.zeros(3, cloud.means.device), 4003
+    statistics, budget = DensificationStatistics.zeros(3, cloud.means.device), 4003
 
     def drawn(weight):
-        grown, _ = McmcGrowth().event(cloud, statistics, budget, 5.0, random_of(0, 0), weight)
-        return [(grown.means[3:] == mean).all(-1).double().mean().item() for mean in cloud.means]
+        densified, _ = McmcStrategy().densify(cloud, statistics, budget, 5.0, random_of(0, 0), weight)
+        return [(densified.means[3:] == mean).all(-1).double().mean().item() for mean in cloud.means]
 
     np.testing.assert_allclose(drawn(None), [0.1, 0.3, 0.6], atol=0.03)
     np.testing.assert_allclose(drawn(torch.tensor([6.0, 0.0, 1.0])), [0.5, 0, 0.5], atol=0.03)
@@ -164,21 +173,21 @@ def test_random_numbers_depend_on_seed_and_iteration_alone():
     assert len({tuple(numbers(seed, iteration)) for seed in range(4) for iteration in range(4)}) == 16
 
 
-@pytest.mark.parametrize("growth", [Growth(), McmcGrowth()])
+@pytest.mark.parametrize("strategy", [SplitStrategy(), McmcStrategy()])
 @pytest.mark.parametrize("n", [0, 1, 7])
 @pytest.mark.parametrize("opacity", [-20.0, 0.0, 40.0])
-def test_small_and_extreme_clouds_survive(growth, n, opacity):
+def test_small_and_extreme_clouds_stay_finite(strategy, n, opacity):
     cloud = make_cloud(n, dtype=torch.float32)
     cloud.opacity_logits[:] = opacity
-    statistics = GrowthStatistics(torch.ones(n), torch.ones(n))
-    grown, source = growth.event(cloud, statistics, 200, 5.0, random_of(0, 0))
-    assert len(grown) == len(source) <= 200
-    assert n <= len(grown)
-    growth.perturb(grown, 1e-3, 5.0, random_of(0, 0))
-    assert all(getattr(grown, name).isfinite().all() for name in PER_GAUSSIAN)
+    statistics = DensificationStatistics(torch.ones(n), torch.ones(n))
+    densified, source = strategy.densify(cloud, statistics, 200, 5.0, random_of(0, 0))
+    assert len(densified) == len(source) <= 200
+    assert n <= len(densified)
+    strategy.perturb(densified, 1e-3, 5.0, random_of(0, 0))
+    assert all(getattr(densified, name).isfinite().all() for name in PER_GAUSSIAN)
 
 
-def test_the_faint_wander_along_their_own_shape():
+def test_noise_has_the_covariance_of_faint_gaussians():
     n = 4000
     cloud = make_cloud(n)
     cloud.quats[:] = torch.tensor([0.8, 0.1, -0.5, 0.3], dtype=torch.float64)
@@ -186,13 +195,13 @@ def test_the_faint_wander_along_their_own_shape():
     cloud.opacity_logits[: n // 2] = torch.logit(torch.tensor(0.015))
     cloud.opacity_logits[n // 2 :] = 3.0
     before = cloud.means.clone()
-    McmcGrowth().perturb(cloud, 1e-3, 1.0, random_of(0, 5))
+    McmcStrategy().perturb(cloud, 1e-3, 1.0, random_of(0, 5))
     moved = cloud.means - before
     assert torch.equal(moved[n // 2 :], torch.zeros_like(moved[n // 2 :]))
     axes = rotation_matrices(cloud.quats[:1])[0]
-    spread = (moved[: n // 2] @ axes).std(dim=0)
+    deviations = (moved[: n // 2] @ axes).std(dim=0)
     expected = 1e-3 * 5e5 / (1 + np.e) * torch.tensor([0.04, 0.01, 0.0004], dtype=torch.float64)
-    torch.testing.assert_close(spread, expected, rtol=0.06, atol=0)
+    torch.testing.assert_close(deviations, expected, rtol=0.06, atol=0)
 
 
 def test_noise_and_loss_do_not_depend_on_the_scene_s_unit():
@@ -203,8 +212,8 @@ def test_noise_and_loss_do_not_depend_on_the_scene_s_unit():
         cloud.means *= unit
         cloud.log_scales += np.log(unit)
         before = cloud.means.clone()
-        losses.append(McmcGrowth().regularisation(cloud, 3 * unit))
-        McmcGrowth().perturb(cloud, 1e-3 * unit, 3 * unit, random_of(0, 5))
+        losses.append(McmcStrategy().regularisation(cloud, 3 * unit))
+        McmcStrategy().perturb(cloud, 1e-3 * unit, 3 * unit, random_of(0, 5))
         moves.append((cloud.means - before) / unit)
     torch.testing.assert_close(*moves)
     torch.testing.assert_close(*losses)
@@ -215,5 +224,5 @@ def test_the_loss_makes_gaussians_fainter_and_smaller():
     cloud = make_cloud(6)
     for tensor in (cloud.opacity_logits, cloud.log_scales):
         tensor.requires_grad_()
-    McmcGrowth().regularisation(cloud, 2.0).backward()
+    McmcStrategy().regularisation(cloud, 2.0).backward()
     assert (cloud.opacity_logits.grad > 0).all() and (cloud.log_scales.grad > 0).all()

@@ -3,14 +3,21 @@
 import torch
 from torch import Tensor
 
-from ..kernels.protocol import Projection
+from ..protocol import Projection
 
-NEAR = 0.01  # scene units; nearer centres are not drawn
-BLUR = 0.3  # px^2 added to the variances: a low-pass filter, and it keeps covariances regular
-GUARD = 0.3  # part of the field of view beyond the image's edges where the linearised projection stops changing
-MAX_SIGMA = 1e4  # px; larger Gaussians are flat over any image
+NEAR = 0.01
+"""Depth below which centres are not drawn, scene units: the near plane."""
+BLUR = 0.3
+"""Added to the variances, pixel^2: a low-pass filter as in 3DGS, and it keeps covariances regular."""
+GUARD = 0.3
+"""Fraction of the field of view beyond the image's edges where the linearised projection stops changing, as in 3DGS."""
+MAX_SIGMA = 1e4
+"""Largest standard deviation, pixels: larger Gaussians are flat over any image."""
 MIN_ALPHA = 1 / 255
-MAX_EXTENT = 128  # squared, in sigmas; an opacity that reaches farther is no number to draw with
+"""Alpha below which a Gaussian is not drawn: one step of an 8-bit image."""
+MAX_EXTENT = 128
+"""Largest squared distance, in standard deviations, to where alpha falls below MIN_ALPHA; beyond it the opacity is
+broken (1e25 or more) and the Gaussian is not drawn."""
 
 
 def project(
@@ -24,11 +31,23 @@ def project(
     width: int,
     height: int,
 ) -> Projection:
-    """Project means (N, 3), quats (N, 4) wxyz of any length, scales (N, 3) with viewmat (4, 4) and K (3, 3).
+    """Project 3D Gaussians onto the image plane, with gradients by the camera and through the depths, too.
 
-    Gaussians that are behind the near plane, off screen, fainter than 1/255 or not finite get radius 0 and no gradient.
-    `opacities` (N,) bound the radii, `channels` (N, C) are only looked at for numbers that are not finite. Beyond the
-    guard band x/z and y/z are held, with zero derivative, in the Jacobian (not in the centre).
+    Beyond the guard band x/z and y/z are held, with zero derivative, in the Jacobian (not in the centre).
+
+    Args:
+        means: (N, 3) centres, scene units.
+        quats: (N, 4) rotations wxyz, of any length.
+        scales: (N, 3) standard deviations, scene units.
+        opacities: (N,) in 0..1.
+        channels: (N, C) values to blend.
+        viewmat: (4, 4) world to camera.
+        K: (3, 3) intrinsics, pixels.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+
+    Returns:
+        The projected Gaussians, as `Kernels.project` describes them.
     """
     rotation, translation = viewmat[:3, :3], viewmat[:3, 3]
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
@@ -36,7 +55,7 @@ def project(
     with torch.no_grad():
         finite = torch.isfinite(camera.sum(1) + quats.sum(1) + scales.sum(1) + channels.sum(1))
         usable = finite & (camera[:, 2] > NEAR)
-    # Stand-ins go in before anything is computed: a where() after it would turn inf * 0 into a NaN gradient. All is
+    # Replacements go in before anything is computed: a where() after it would turn inf * 0 into a NaN gradient. All is
     # written out by component: a batch of small matrix products is slow.
     keep = usable[:, None]
     x, y, z = torch.where(keep, camera, camera.new_tensor([0.0, 0, 1])).unbind(1)
@@ -82,7 +101,7 @@ def project(
 
 
 def _rotation_columns(quats: Tensor) -> list[tuple[Tensor, Tensor, Tensor]]:
-    """The columns of the rotation matrices of `quats` (N, 4), which are normalised here; a zero quaternion is safe."""
+    """Columns of the rotation matrices of `quats` (N, 4), which are normalised here; a zero quaternion is safe."""
     w, x, y, z = (quats * torch.rsqrt((quats * quats).sum(1, keepdim=True).clamp(min=1e-12))).unbind(1)
     return [
         (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),

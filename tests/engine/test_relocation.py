@@ -1,4 +1,4 @@
-"""Reallocation: what Gaussians are scored by, which move, and what that does to the picture."""
+"""Relocation: the scores of Gaussians, which of them are relocated, and what that does to the image."""
 
 from pathlib import Path
 
@@ -8,11 +8,10 @@ import torch
 from clouds import make_cloud
 
 from swag_engine.effects.scene_effects import SceneEffects
-from swag_engine.gaussians import relocate as module
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.densify import PER_GAUSSIAN, share_opacity
 from swag_engine.gaussians.init import gaussians_from_points
-from swag_engine.gaussians.relocate import divided, reallocate
+from swag_engine.gaussians.relocate import CLONE_OFFSET, parents_and_clones, relocate
 from swag_engine.rendering import importance
 from swag_engine.rendering.importance import scores
 from swag_engine.rendering.render import render
@@ -28,7 +27,7 @@ REEF = Path(__file__).resolve().parents[1] / "scenes" / "reef_wreck"
 
 @pytest.fixture(scope="module")
 def reef():
-    """A cloud trained a little on the demo scene, its cameras, and the loss of each picture."""
+    """A cloud trained a little on the demo scene, its cameras, and the loss of each image."""
     scene = load_scene(REEF)
     images = load_images(scene, scene.views[::4], 160)
     cloud = gaussians_from_points(scene.points, 6000, 0, 0, np.full(3, 0.4))
@@ -53,7 +52,7 @@ def reef_scores(reef):
 
 
 def change(reef, cloud):
-    """Absolute change of all pictures of the reef, in 1/255."""
+    """Absolute change of all images of the reef, in 1/255."""
     before, views = reef
     pairs = [(render(cloud, camera, 0).color, render(before, camera, 0).color) for camera, _ in views]
     return 255 * torch.cat([(a - b).abs().reshape(-1) for a, b in pairs])
@@ -63,7 +62,7 @@ def with_clones(cloud, parents, identical=False, **how):
     """The cloud with Gaussians `parents` (M,) cloned and none removed."""
     values = {name: getattr(cloud, name).clone() for name in PER_GAUSSIAN}
     chosen = GaussianCloud(**{name: t[parents] for name, t in values.items()}, background=cloud.background)
-    kept, clones = (chosen.parameters(), chosen.parameters()) if identical else divided(chosen, **how)
+    kept, clones = (chosen.parameters(), chosen.parameters()) if identical else parents_and_clones(chosen, **how)
     for name, t in values.items():
         t[parents] = kept[name]
     return GaussianCloud(
@@ -73,11 +72,11 @@ def with_clones(cloud, parents, identical=False, **how):
 
 @pytest.mark.parametrize("identical", [False, True])
 @pytest.mark.parametrize("n", [0, 1, 9, 10, 57])
-def test_the_number_stays_and_the_right_ones_move(n, identical):
+def test_the_number_stays_and_scores_decide(n, identical):
     cloud = make_cloud(n)
     S, E = torch.arange(n).double(), torch.arange(n).double() % 7  # ties in E: the first ones are cloned
     before = {name: t.clone() for name, t in cloud.parameters().items()}
-    moved, source = reallocate(cloud, S, E, 0.1, identical)
+    moved, source = relocate(cloud, S, E, 0.1, identical)
     count = n // 10
     assert len(moved) == len(source) == n
     assert all(torch.equal(t, before[name]) for name, t in cloud.parameters().items())
@@ -94,13 +93,13 @@ def test_the_number_stays_and_the_right_ones_move(n, identical):
     if not identical and count:
         chosen = GaussianCloud(**{name: before[name][parents] for name in PER_GAUSSIAN}, background=cloud.background)
         for name in PER_GAUSSIAN:
-            pair = torch.cat([part[name] for part in divided(chosen)])
+            pair = torch.cat([part[name] for part in parents_and_clones(chosen)])
             assert torch.equal(getattr(moved, name)[source < 0], pair)
 
 
-def test_halves_are_those_of_mcmc():
+def test_equal_halves_are_those_of_mcmc():
     cloud = make_cloud(20)
-    parents, clones = divided(cloud, opacity=1.0, offset=0.0)
+    parents, clones = parents_and_clones(cloud, opacity=1.0, offset=0.0)
     opacity, shrink = share_opacity(cloud.opacities, torch.full((20,), 2))
     for part in (parents, clones):
         torch.testing.assert_close(part["opacity_logits"].sigmoid(), opacity)
@@ -108,23 +107,23 @@ def test_halves_are_those_of_mcmc():
         torch.testing.assert_close(part["means"], cloud.means)
 
 
-def test_a_clone_takes_its_share_and_lies_inside():
+def test_a_clone_and_its_parent_are_as_opaque_as_before():
     cloud = make_cloud(50)
-    parents, clones = divided(cloud)
+    parents, clones = parents_and_clones(cloud)
     together = 1 - (1 - parents["opacity_logits"].sigmoid()) * (1 - clones["opacity_logits"].sigmoid())
     torch.testing.assert_close(together, cloud.opacities)
     assert torch.equal(parents["means"], cloud.means)
     offset = (clones["means"] - cloud.means).norm(dim=1)
-    torch.testing.assert_close(offset, module.CLONE_OFFSET * cloud.scales.amax(1))
+    torch.testing.assert_close(offset, CLONE_OFFSET * cloud.scales.amax(1))
     for name in ("quats", "sh0", "shN"):
         assert torch.equal(clones[name], getattr(cloud, name))
     for value in (-30.0, 30.0):
         cloud.opacity_logits[:] = value
-        assert all(t.isfinite().all() for part in divided(cloud) for t in part.values())
+        assert all(t.isfinite().all() for part in parents_and_clones(cloud) for t in part.values())
 
 
-def test_clones_do_not_show(reef, reef_scores):
-    """Each clone alone changes no pixel by 1/255, all of an event no more than one in a thousand."""
+def test_clones_hardly_change_the_image(reef, reef_scores):
+    """Each clone alone changes no pixel by 1/255, all of a relocation change at most one in a thousand."""
     cloud, _ = reef
     parents = torch.sort(reef_scores[1], descending=True, stable=True).indices[: len(cloud) // 10]
     ours, halves, copies = (
@@ -137,24 +136,24 @@ def test_clones_do_not_show(reef, reef_scores):
     assert len(alone) >= 20 and 0.1 < max(alone) < 1
 
 
-def test_what_shows_least_is_hardly_missed(reef, reef_scores):
+def test_removing_the_least_important_hardly_changes_the_image(reef, reef_scores):
     cloud, _ = reef
     lowest = torch.sort(reef_scores[0], stable=True).indices
-    anyhow = torch.randperm(len(cloud), generator=torch.Generator().manual_seed(0))
-    missed = []
-    for order in (lowest, anyhow):
+    random_order = torch.randperm(len(cloud), generator=torch.Generator().manual_seed(0))
+    changes = []
+    for order in (lowest, random_order):
         rest = {name: getattr(cloud, name)[order[len(cloud) // 10 :]] for name in PER_GAUSSIAN}
-        missed.append(change(reef, GaussianCloud(**rest, background=cloud.background)).mean())
-    assert missed[0] < 0.3 and missed[0] < 0.15 * missed[1]
+        changes.append(change(reef, GaussianCloud(**rest, background=cloud.background)).mean())
+    assert changes[0] < 0.3 and changes[0] < 0.15 * changes[1]
 
 
-def test_clones_go_where_the_error_is(reef):
-    """Where one half of the pictures counts alone, clones are of that half alone."""
+def test_clones_are_where_the_error_is(reef):
+    """Where the loss is of one half of the image, clones are in that half."""
     cloud, views = reef
     camera = views[0][0]
     half = camera.width // 2
     S, E = scores(cloud, [(camera, lambda color: (color[:, :half] - 0.5).square().mean())], 0)
-    _, source = reallocate(cloud, S, E)
+    _, source = relocate(cloud, S, E)
     survivors = torch.sort(torch.sort(S, stable=True).indices[len(cloud) // 10 :]).values
     parents = survivors[source[: len(survivors)] < 0]
     x = render(cloud, camera, 0).rendering.means2d[parents, 0]
@@ -163,8 +162,8 @@ def test_clones_go_where_the_error_is(reef):
 
 
 @pytest.mark.parametrize("water", [None, "linear", "srgb"])
-def test_scores_are_the_changes_of_the_picture(water):
-    """Against autograd: for Gaussians as wide as the picture g is 1, so dC/dg is o dC/do."""
+def test_scores_are_the_changes_of_the_image(water):
+    """Against autograd: for Gaussians wider than the image g is 1, so dC/dg is o dC/do."""
     cloud = make_cloud(4)
     cloud.means[:] = torch.tensor([[0.0, 0, 4], [0, 0, 5], [0, 0, 6], [0, 0, 7]])
     cloud.log_scales[:] = 4.0
@@ -197,7 +196,7 @@ def test_scores_are_the_changes_of_the_picture(water):
 
 
 def near_and_far():
-    """400 small Gaussians at the range 2 or 6 each, spread over the picture so that they hide nothing, and water."""
+    """400 small Gaussians at the range 2 or 6 each, spread over the image so that they hide nothing, and water."""
     cloud = make_cloud(400, seed=2)
     side = torch.arange(20).double() / 10 - 0.95
     grid = torch.cartesian_prod(side, side)
@@ -211,7 +210,7 @@ def near_and_far():
     return cloud, ranges > 4, Medium(*(t.double() for t in medium.parameters().values()), 3.0, "srgb")
 
 
-def test_far_structure_is_not_deleted_first_for_being_dimmed(monkeypatch):
+def test_structure_that_water_dims_is_not_removed_first(monkeypatch):
     cloud, far, medium = near_and_far()
     camera = Camera("a", 200, 200, 200.0, 200.0, 100.0, 100.0, np.eye(4))
     views = [(camera, lambda color: color.square().mean())]

@@ -1,38 +1,40 @@
-"""Blending of projected Gaussians in plain torch, for any dtype and device, by autograd: the truth for the kernels."""
+"""Blending of projected Gaussians in plain torch, for any dtype and device, by autograd."""
 
 from collections.abc import Iterator
 
 import torch
 from torch import Tensor
 
+from ..protocol import Projection
 from .projection import MIN_ALPHA
 
 MAX_ALPHA = 0.99
+"""Largest alpha: the backward pass divides by 1 - alpha. As in 3DGS."""
 MIN_TRANSMITTANCE = 1e-4
+"""Transmittance at which a pixel ends: less than a step of an 8-bit image is behind. As in 3DGS."""
 TILE = 32
+"""Width and height of a tile, pixels: limits the memory of one step."""
 
 
 def blend(
-    means2d: Tensor,
-    conics: Tensor,
-    opacities: Tensor,
-    channels: Tensor,
-    background: Tensor,
-    depths: Tensor,
-    radii: Tensor,
-    width: int,
-    height: int,
+    projected: Projection, opacities: Tensor, channels: Tensor, background: Tensor, width: int, height: int
 ) -> tuple[Tensor, Tensor]:
-    """Blend front to back; returns channels (H, W, C) and alpha (H, W).
+    """Blend projected Gaussians front to back; `Kernels.blend` has the formula.
 
-    Each pixel centre p sees alpha_i = min(.99, o_i exp(-(p - mean_i)^T conic_i (p - mean_i) / 2)) of the Gaussians by
-    depth (equal depths by index); those with alpha < 1/255 are skipped, and the pixel ends before the Gaussian that
-    would take the transmittance T to 1e-4 or less. out = sum_i T_i alpha_i channel_i + T_end background.
-    The choices (order, skipping, end) and the clamp at .99 have no gradient.
+    Args:
+        projected: The N Gaussians.
+        opacities: (N,) in 0..1.
+        channels: (N, C) values to blend.
+        background: (C,) values behind all Gaussians.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+
+    Returns:
+        The image (height, width, C) and alpha (height, width).
     """
     tiles, rows = [], []
-    for window, meets, pixels in _tiles(means2d, depths, radii, width, height):
-        samples = _Samples(means2d[meets], conics[meets], opacities[meets], pixels)
+    for window, meets, pixels in tiles_of(projected, width, height):
+        samples = Samples(projected.means2d[meets], projected.conics[meets], opacities[meets], pixels)
         blended = samples.weights.T @ channels[meets] + samples.behind[-1][:, None] * background
         tile = torch.cat([blended, 1 - samples.behind[-1][:, None]], 1)
         tiles.append(tile.reshape(window[0].stop - window[0].start, window[1].stop - window[1].start, -1))
@@ -44,26 +46,34 @@ def blend(
 
 
 def contributions(
-    means2d: Tensor,
-    conics: Tensor,
+    projected: Projection,
     opacities: Tensor,
     channels: Tensor,
     background: Tensor,
-    depths: Tensor,
-    radii: Tensor,
     width: int,
     height: int,
     weights: Tensor,
     image_gradient: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """weighted (N, R), importance (N,) and error (N,) of api.Contributions; no gradient.
+    """Sum over all pixels what each Gaussian does to the image; `Kernels.contributions` has the formulas.
 
-    weights (H, W, R), image_gradient (H, W, C).
+    Args:
+        projected: The N Gaussians.
+        opacities: (N,) in 0..1.
+        channels: (N, C) values to blend.
+        background: (C,) values behind all Gaussians.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+        weights: (height, width, R) weight images.
+        image_gradient: (height, width, C) gradient of a loss by the image.
+
+    Returns:
+        Weighted sums (N, R), importance (N,) and error (N,), without gradients.
     """
     weighted = channels.new_zeros(len(channels), weights.shape[2])
     importance, error = channels.new_zeros(len(channels)), channels.new_zeros(len(channels))
-    for window, meets, pixels in _tiles(means2d, depths, radii, width, height):
-        samples = _Samples(means2d[meets], conics[meets], opacities[meets], pixels)
+    for window, meets, pixels in tiles_of(projected, width, height):
+        samples = Samples(projected.means2d[meets], projected.conics[meets], opacities[meets], pixels)
         weighted[meets] += samples.weights @ weights[window].reshape(len(pixels), -1)
         added = samples.weights[..., None] * channels[meets, None]  # (n, P, C)
         seen = torch.cat([added, (samples.behind[-1][:, None] * background)[None]]).flip(0).cumsum(0).flip(0)
@@ -75,11 +85,18 @@ def contributions(
     return weighted, importance, error
 
 
-def _tiles(
-    means2d: Tensor, depths: Tensor, radii: Tensor, width: int, height: int
-) -> Iterator[tuple[tuple[slice, slice], Tensor, Tensor]]:
-    """Of each tile, row by row: its window (rows, columns), the Gaussians that it may see, by depth, and its pixel
-    centres (P, 2)."""
+def tiles_of(projected: Projection, width: int, height: int) -> Iterator[tuple[tuple[slice, slice], Tensor, Tensor]]:
+    """Go through the tiles of an image, row by row.
+
+    Args:
+        projected: The N Gaussians.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+
+    Yields:
+        Rows and columns of the tile, the Gaussians that it may meet, by depth, and its pixel centres (P, 2).
+    """
+    means2d, depths, radii = projected.means2d, projected.depths, projected.radii
     with torch.no_grad():
         order = torch.nonzero(radii > 0)[:, 0]
         order = order[torch.argsort(depths[order], stable=True)]
@@ -98,9 +115,21 @@ def _tiles(
             yield (slice(top, bottom), slice(left, right)), meets, torch.stack([x.reshape(-1), y.reshape(-1)], 1)
 
 
-class _Samples:
-    """n Gaussians in depth order at P pixels (P, 2): alpha (n, P), 0 where not drawn; weights (n, P) = T alpha; behind
-    (n + 1, P), the transmittance before each and after the last; varies (n, P), drawn and not clamped."""
+class Samples:
+    """Alpha and transmittance of n Gaussians, in depth order, at P pixels.
+
+    Args:
+        means2d: (n, 2) centres, pixels.
+        conics: (n, 3) inverse covariances, 1 / pixel^2.
+        opacities: (n,) in 0..1.
+        pixels: (P, 2) pixel centres.
+
+    Attributes:
+        alpha: (n, P), 0 where a Gaussian is not drawn.
+        weights: (n, P) = T alpha.
+        behind: (n + 1, P) transmittance before each Gaussian and after the last.
+        varies: (n, P) whether a Gaussian is drawn and its alpha is not clamped.
+    """
 
     def __init__(self, means2d: Tensor, conics: Tensor, opacities: Tensor, pixels: Tensor) -> None:
         dx, dy = (means2d[:, None] - pixels).unbind(-1)

@@ -1,0 +1,858 @@
+"""Write the tables of the documentation from the figures in benchmarks/results.
+
+Run: `python docs/scripts/tables.py [--check]`
+
+A page holds a table between the lines `<!-- table: NAME -->` and `<!-- end -->`, NAME being a function below. With
+--check nothing is written: stale pages are named, and the exit code is 1.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from generated import ROOT, filled, names_in, pages, update
+
+TABLES: dict[str, Callable[[], str]] = {}
+"""Name -> function that makes the table."""
+SCENES = {
+    "demo": "demo (rendered)",
+    "japanese_gardens": "japanese_gardens (rendered by a NeRF)",
+    "aqualoc_amphorae": "aqualoc_amphorae (photos)",
+}
+"""Scenes of the benchmarks, and what they are called in tables."""
+STATES = {"unknown": "undetermined"}
+"""States of a decision that are stored under another name than the text uses."""
+
+
+def table(make: Callable[[], str]) -> Callable[[], str]:
+    """Register a function under its name."""
+    TABLES[make.__name__] = make
+    return make
+
+
+def results(name: str) -> Any:
+    """Return the contents of benchmarks/results/NAME.json."""
+    return json.loads((ROOT / "benchmarks" / "results" / f"{name}.json").read_text("utf-8"))
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a table of Markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
+
+
+def mean_and_deviation(row: Mapping[str, Any], name: str) -> str:
+    """Return a mean over seeds with its standard deviation."""
+    return f"{row['mean'][name]:.2f} ± {row['standard_deviation'][name]:.2f}"
+
+
+def percent(fraction: float | None) -> str:
+    """Return a fraction as a percentage, "none" where there is none."""
+    return "none" if fraction is None else f"{fraction:.0%}".replace("%", " %")
+
+
+def of(count: int, total: int) -> str:
+    """Return "19 of 28", "-" where there is nothing to count."""
+    return f"{count} of {total}" if total else "-"
+
+
+def triple(values: Sequence[float] | None, digits: int = 3) -> str:
+    """Return three numbers, those of red, green and blue."""
+    return "-" if values is None else ", ".join(f"{value:.{digits}f}" for value in values)
+
+
+# Accuracy and time
+
+
+def scene_rows(iterations: int | None = None) -> list[dict[str, Any]]:
+    """Return the runs of benchmarks/train_scenes.py, those of one length or all."""
+    return [run for run in results("train_scenes")["runs"] if iterations in (None, run["iterations"])]
+
+
+@table
+def readme() -> str:
+    """Time and quality of a run of 1500 iterations."""
+    return markdown(
+        ["scene", "training time", "test PSNR", "test SSIM", "PSNR of the median image"],
+        [
+            [
+                run["scene"].replace("photographs", "photos"),
+                f"{run['seconds'] / 60:.1f} min",
+                f"{run['test_psnr']:.1f} dB",
+                f"{run['test_ssim']:.3f}",
+                f"{run['control_psnr']:.1f} dB",
+            ]
+            for run in scene_rows(1500)
+        ],
+    )
+
+
+@table
+def train_scenes() -> str:
+    """Quality of runs of three lengths."""
+    return markdown(
+        ["scene", "iterations", "minutes", "Gaussians", "test PSNR", "test SSIM", "PSNR of the median image"],
+        [
+            [
+                run["scene"].replace("photographs", "photos"),
+                run["iterations"],
+                f"{run['seconds'] / 60:.1f}",
+                run["gaussians"],
+                f"{run['test_psnr']:.2f} dB",
+                f"{run['test_ssim']:.3f}",
+                f"{run['control_psnr']:.2f} dB",
+            ]
+            for run in scene_rows()
+        ],
+    )
+
+
+def tradeoff(scene: str) -> str:
+    """Return the runs of benchmarks/tradeoff.py on a scene, sorted by time."""
+    rows = sorted(results(f"tradeoff_{scene}")["rows"], key=lambda row: row["seconds"])
+    return markdown(
+        ["run", "seconds", "Gaussians", "test PSNR", "SSIM", "LPIPS (AlexNet)", "fraction of the best gain"],
+        [
+            [
+                row["name"].replace("water=off", "without water"),
+                f"{row['seconds']:.0f}",
+                row["gaussians"],
+                f"{row['psnr']:.2f} dB",
+                f"{row['ssim']:.3f}",
+                f"{row['lpips_alex']:.3f}",
+                percent(row["gain"]),
+            ]
+            for row in rows
+        ],
+    )
+
+
+@table
+def tradeoff_demo() -> str:
+    """Presets on the demo scene."""
+    return tradeoff("demo")
+
+
+@table
+def tradeoff_japanese_gardens() -> str:
+    """Presets on japanese_gardens."""
+    return tradeoff("japanese_gardens")
+
+
+@table
+def draft_and_high() -> str:
+    """Draft against high at 480 pixels."""
+    rows = []
+    for scene in ("demo", "japanese_gardens"):
+        document = results(f"tradeoff_{scene}")
+        draft, high = (
+            next(row for row in document["rows"] if row["name"] == f"{preset}, 480 px") for preset in ("draft", "high")
+        )
+        control = document["control_psnr"]
+        rows.append(
+            [
+                scene,
+                *(f"{row['psnr']:.2f} dB in {row['seconds']:.0f} s" for row in (draft, high)),
+                percent((draft["psnr"] - control) / (high["psnr"] - control)),
+                percent(draft["seconds"] / high["seconds"]),
+            ]
+        )
+    return markdown(["scene", "draft", "high", "fraction of the gain", "fraction of the time"], rows)
+
+
+@table
+def raster() -> str:
+    """Time of the CPU kernels and of torch code."""
+    document = results("raster")
+    rasterise = document["rasterise 50 000 at 640x360, ms"]
+    iteration = document["iteration 50 000 at 640x360, ms"]
+    reference = "gsplat, torch implementation"
+    large = document["500 000 at 1280x720, ms"]
+    return markdown(
+        ["work", "CPU kernels", "torch reference inside gsplat 1.5.3", "torch backend of this project"],
+        [
+            [
+                "rasterise 50 000 Gaussians at 640x360",
+                f"{rasterise['kernels']:.1f} ms",
+                f"{rasterise[reference]:.0f} ms",
+                f"{rasterise['torch']:.0f} ms",
+            ],
+            [
+                "whole iteration, 50 000 Gaussians at 640x360",
+                f"{iteration['kernels']:.1f} ms",
+                "-",
+                f"{iteration['torch']:.0f} ms",
+            ],
+            ["rasterise 500 000 Gaussians at 1280x720", f"{large['rasterise']:.0f} ms", "-", "-"],
+            ["whole iteration, 500 000 Gaussians at 1280x720", f"{large['iteration']:.0f} ms", "-", "-"],
+        ],
+    )
+
+
+@table
+def raster_sizes() -> str:
+    """Time of the CPU kernels by number of Gaussians, width and threads."""
+    document = results("raster")
+    groups = (
+        ("ms by Gaussians at 640x360", "{} Gaussians at 640x360, 2 threads"),
+        ("ms by width, 100 000 Gaussians", "100000 Gaussians at {} pixels, 2 threads"),
+        ("ms by threads, 50 000 at 640x360", "50000 Gaussians at 640x360, {} threads"),
+    )
+    return markdown(
+        ["case", "rasterise, ms", "whole iteration, ms"],
+        [
+            [words.format(size).replace(" 1 threads", " 1 thread"), times["rasterise"], times["iteration"]]
+            for name, words in groups
+            for size, times in document[name].items()
+        ],
+    )
+
+
+IDEAS = {
+    "full size from the start": (
+        "full-size images from the first iteration instead of reduced ones until 10 and 30 % of the run",
+        "reduced images stay",
+    ),
+    "coarse until 20 and 50 %": ("reduced images until 20 and 50 % of the run", "not decided"),
+    "Gaussians at once": (
+        "all Gaussians as soon as densification asks for them, instead of evenly over its time",
+        "the even increase stays",
+    ),
+    "all SH from the start": (
+        "all spherical harmonics from the first iteration instead of degrees 1 to 3 from 20, 35 and 50 %",
+        "no difference, the later start stays",
+    ),
+    "higher SH every fourth iteration": (
+        "spherical harmonics above degree 0 updated in one iteration of four",
+        "gain too small",
+    ),
+    "sparse Adam": ("Adam for the visible Gaussians only", "not used"),
+    "SSIM every second iteration": ("SSIM in every second iteration with twice its weight", "not used"),
+    "SSIM of half of the picture": ("SSIM of a random half of the image", "not used"),
+    "views by error": ("half of the images drawn by their last loss instead of each once an epoch", "not used"),
+}
+"""Variants of benchmarks/results/speed_ideas.json: what they change, and what was decided."""
+
+
+@table
+def speed_ideas() -> str:
+    """What each idea for speed changed, against the default."""
+    document = results("speed_ideas")
+    scenes = ("demo", "japanese_gardens")
+    quality = {(row["scene"], row["variant"]): row["validation_psnr"] for row in document["quality"]}
+
+    def time(scene: str, variant: str) -> str:
+        times = document["ms_per_iteration"][scene]
+        if variant not in times:
+            return "not measured"
+        default = (times["default"] + times["default again"]) / 2
+        return f"{100 * (times[variant] / default - 1):+.0f} %"
+
+    def psnr(scene: str, variant: str) -> str:
+        value = quality.get((scene, variant))
+        return "not measured" if value is None else f"{value - quality[scene, 'default']:+.2f} dB"
+
+    return markdown(
+        ["change", *(f"time, {scene}" for scene in scenes), *(f"PSNR, {scene}" for scene in scenes), "decision"],
+        [
+            [
+                words,
+                *(time(scene, variant) for scene in scenes),
+                *(psnr(scene, variant) for scene in scenes),
+                decision,
+            ]
+            for variant, (words, decision) in IDEAS.items()
+        ],
+    )
+
+
+@table
+def long_runs() -> str:
+    """Stability and memory of long runs."""
+    rows = []
+    for name, run in results("long_runs").items():
+        if name == "machine":
+            continue
+        recipe, rest = name.split(", ", 1)
+        scene, length = rest.rsplit(", ", 1)
+        drift = run["restored colours, change in stage two (display values)"]
+        rows.append(
+            [
+                recipe,
+                scene.split(" (")[0],
+                length.split()[0],
+                run["skipped"],
+                run["put_back"],
+                f"{run['MB when the number of Gaussians was settled']:.0f}",
+                f"{run['MB at the end']:.0f}",
+                f"{drift['mean_change']:.3f}" if drift else "no stage two",
+                f"{max(drift['shift_rgb'], key=abs):+.4f}" if drift else "-",
+            ]
+        )
+    return markdown(
+        [
+            *("recipe", "scene", "iterations", "steps skipped", "rollbacks", "MB after densification", "MB at the end"),
+            *("restored color: mean change in stage two", "largest mean shift of a channel"),
+        ],
+        rows,
+    )
+
+
+# Recipes
+
+
+def ablation(scene: str) -> str:
+    """Return the rows of `ablate` on a scene."""
+    rows = results(f"ablation_{scene}")["rows"]
+    colored = "delta_e" in rows[0]["mean"] and rows[0]["mean"]["delta_e"] is not None
+    return markdown(
+        ["method", "validation PSNR", "test PSNR", "test SSIM", *(["delta E"] if colored else []), "floaters"],
+        [
+            [
+                row["name"],
+                mean_and_deviation(row, "psnr"),
+                mean_and_deviation(row, "test_psnr"),
+                f"{row['mean']['test_ssim']:.3f}",
+                *([f"{row['mean']['delta_e']:.1f}"] if colored else []),
+                f"{100 * row['mean']['floater_mass']:.1f} %",
+            ]
+            for row in rows
+        ],
+    )
+
+
+@table
+def ablation_demo() -> str:
+    """Methods on the demo scene."""
+    return ablation("demo")
+
+
+@table
+def ablation_japanese_gardens() -> str:
+    """Methods on japanese_gardens."""
+    return ablation("japanese_gardens")
+
+
+@table
+def ablation_aqualoc_amphorae() -> str:
+    """Methods on aqualoc_amphorae."""
+    return ablation("aqualoc_amphorae")
+
+
+# Effects
+
+
+def confusion() -> dict[str, dict[str, Any]]:
+    """Return decisions by effect on the final set of benchmarks/effects_matrix.py."""
+    return results("effects_matrix")["sets"]["final"]["summary"]["confusion"]
+
+
+def detection(names: Iterable[str]) -> tuple[str, str]:
+    """Return "19 of 28" visible effects of these names that were switched on, and the same of absent ones."""
+    chosen = [confusion()[name] for name in names]
+    visible, absent = (
+        of(sum(effect[truth]["on"] for effect in chosen), sum(sum(effect[truth].values()) for effect in chosen))
+        for truth in ("present", "absent")
+    )
+    return visible, absent
+
+
+@table
+def readme_effects() -> str:
+    """A sentence on the decisions."""
+    visible, absent = detection(confusion())
+    scenes = results("effects_matrix")["sets"]["final"]["summary"]["scenes"]
+    return (
+        f"On {scenes} generated scenes the plan switched on {visible} visible effects, and {absent} absent ones\n"
+        "([effects](docs/effects.md))."
+    )
+
+
+@table
+def effects_rates() -> str:
+    """Sentences on detection, false alarms and what counts as right."""
+    summary = results("effects_matrix")["sets"]["final"]["summary"]
+    counted = sum(effect["counted"] for effect in confusion().values())
+    return (
+        f"**Of absent effects, {detection(confusion())[1]} were switched on. Of visible effects, "
+        f"{detection(confusion())[0]}.**\nVisible attenuation was switched on in {detection(['attenuation'])[0]} "
+        f"scenes, a visible lamp in {detection(['lamp'])[0]}.\n\n"
+        f"The last column, {percent(summary['right'])} of {counted} decisions in all, counts differently and looks "
+        "better than the detection rate:\noff or undetermined is right where an effect is absent, and undetermined is "
+        "right for water and lamp in a survey\nstraight down. Slight effects are not counted."
+    )
+
+
+@table
+def effects_matrix() -> str:
+    """Detection rate and false alarms of each effect, and what the decisions were."""
+
+    def cells(decisions: Mapping[str, int]) -> str:
+        return " / ".join(str(decisions[state]) for state in ("on", "off", "unknown"))
+
+    rows = [
+        [
+            name,
+            *detection([name]),
+            *(cells(effect[truth]) for truth in ("present", "slight", "absent")),
+            f"{percent(effect['right'])} of {effect['counted']}",
+        ]
+        for name, effect in confusion().items()
+    ]
+    rows.append(["all", *detection(confusion()), "", "", "", ""])
+    return markdown(
+        [
+            *("effect", "visible and switched on", "absent and switched on (false alarm)"),
+            *("visible: on / off / undetermined", "slight: the same", "absent: the same", "right"),
+        ],
+        rows,
+    )
+
+
+@table
+def effects_surveys() -> str:
+    """How many of the undetermined visible effects were in surveys at constant height."""
+    return markdown(
+        ["effect", "visible and undetermined", "of these in surveys straight down"],
+        [
+            [name, effect["present"]["unknown"], effect["present_in_surveys"]["unknown"]]
+            for name, effect in confusion().items()
+            if effect["present"]["unknown"]
+        ],
+    )
+
+
+@table
+def effects_wrong() -> str:
+    """The wrong decisions of the final set."""
+    return markdown(
+        ["scene", "cameras", "effect", "decision"],
+        [
+            [case["scene"], case["pattern"], case["effect"], STATES.get(case["state"], case["state"])]
+            for case in results("effects_matrix")["sets"]["final"]["summary"]["wrong"]
+        ],
+    )
+
+
+@table
+def effects_air() -> str:
+    """False alarms on scenes in air."""
+    document = results("effects_matrix")["sets"]
+    sets = {"final set": document["final"]["summary"], "second set, in air only": document["land"]["summary"]}
+    effects = list(confusion())
+    return markdown(
+        ["scenes in air", "number", *(f"{effect} on" for effect in effects)],
+        [
+            [name, summary["in_air"]["scenes"], *(summary["in_air"]["falsely_on"][effect] for effect in effects)]
+            for name, summary in sets.items()
+        ],
+    )
+
+
+@table
+def water_errors() -> str:
+    """Errors of the fitted coefficients of water."""
+    summary = results("effects_matrix")["sets"]["final"]["summary"]
+    return markdown(
+        ["coefficient", "scenes", "median relative error", "90th percentile"],
+        [
+            [name, errors["scenes"], percent(errors["median"]), percent(errors["p90"])]
+            for name, errors in summary["relative_error"].items()
+        ],
+    )
+
+
+@table
+def water_colors() -> str:
+    """Color difference of images with water and with the water removed."""
+    delta_e = results("effects_matrix")["sets"]["final"]["summary"]["delta_e"]
+    return markdown(
+        ["image", "delta E against the truth without water"],
+        [["as taken", delta_e["seen"]], ["water removed by the fitted values", delta_e["restored"]]],
+    )
+
+
+@table
+def effects_volume() -> str:
+    """Decisions and coefficients in scattering water."""
+    rows = []
+    for row in results("effects_volume")["rows"]:
+        truth, states, found = row["truth"], row["states"], row.get("fit")
+        beam = [a + b for a, b in zip(truth["absorption"], truth["scattering"], strict=True)]
+        delta_e = row.get("delta_e")
+        rows.append(
+            [
+                row["scene"],
+                row["pattern"],
+                triple(truth["absorption"]),
+                triple(beam),
+                triple(found and found["beta_D"]),
+                *(STATES.get(state, state) for state in states.values()),
+                f"{delta_e['seen']:.1f}" if delta_e else "-",
+                f"{delta_e['restored']:.1f}" if delta_e else "-",
+            ]
+        )
+    states = results("effects_volume")["rows"][0]["states"]
+    return markdown(
+        [
+            *("water", "cameras", "absorption", "beam attenuation", "beta_D found"),
+            *states,
+            *("delta E as taken", "delta E restored"),
+        ],
+        rows,
+    )
+
+
+def decisions(states: Mapping[str, Mapping[str, str]], effects: Sequence[str]) -> str:
+    """Return a table of decisions by scene."""
+    return markdown(
+        ["scene", *(effect.replace("_", " ") for effect in effects)],
+        [[scene, *(STATES.get(state[name], state[name]) for name in effects)] for scene, state in states.items()],
+    )
+
+
+@table
+def effects_real() -> str:
+    """Decisions on real scenes."""
+    plans = {
+        scene: {name: effect["state"] for name, effect in entry["plan"]["effects"].items()}
+        for scene, entry in results("effects_real").items()
+        if "plan" in entry
+    }
+    return decisions(plans, ("attenuation", "backscatter", "lamp", "exposure", "caustics", "semantics", "depth_prior"))
+
+
+@table
+def effects_flsea() -> str:
+    """Coefficients of single images with metric depth."""
+    return markdown(
+        ["image", "ranges, metres", "beta_D per metre: red, green, blue", "beta_B per metre"],
+        [
+            [
+                name,
+                f"{frame['metres'][0]:.1f} to {frame['metres'][1]:.1f}",
+                triple(frame["beta_D"], 2),
+                triple(frame["beta_B"], 2),
+            ]
+            for name, frame in results("effects_real")["flsea_rgbd"]["frames"].items()
+        ],
+    )
+
+
+@table
+def effects_land() -> str:
+    """Decisions on photos taken on land."""
+    scenes = results("effects_land")
+    return decisions(
+        {
+            f"{name} ({scene['images']} photos, {scene['points']} points)": scene["states"]
+            for name, scene in scenes.items()
+        },
+        list(next(iter(scenes.values()))["states"]),
+    )
+
+
+@table
+def effects_training() -> str:
+    """Time of an iteration and test PSNR with each effect."""
+    scenes = results("effects_training")["scenes"]
+    names = list(next(iter(scenes.values()))["rows"])
+    return markdown(
+        ["effects", *(f"{scene}: {figure}" for scene in scenes for figure in ("ms", "test PSNR"))],
+        [
+            [
+                "as planned" if name == "planned" else name,
+                *(
+                    cell
+                    for scene in scenes.values()
+                    for cell in (f"{scene['rows'][name]['ms']:.1f}", f"{scene['rows'][name]['test_psnr']:.2f} dB")
+                ),
+            ]
+            for name in names
+        ],
+    )
+
+
+@table
+def effects_forecast() -> str:
+    """Cost of each effect as the plan states it."""
+    scenes = results("effects_training")["scenes"]
+    names = [name for name in next(iter(scenes.values()))["plan_ms"]]
+    return markdown(
+        ["effect", *scenes],
+        [
+            [name.replace("_", " "), *(f"{scene['plan_ms'][name]:.1f} ms" for scene in scenes.values())]
+            for name in names
+            if any(scene["plan_ms"][name] for scene in scenes.values())
+        ],
+    )
+
+
+@table
+def effects_street() -> str:
+    """A street in air as planned and with all effects."""
+    return markdown(
+        ["effects", "processor ms per iteration", "test PSNR"],
+        [
+            ["as planned (none)" if name == "planned" else name, f"{run['cpu_ms']:.0f}", f"{run['test_psnr']:.1f} dB"]
+            for name, run in results("effects_training")["street in air"].items()
+        ],
+    )
+
+
+@table
+def moving_objects() -> str:
+    """Painted fish with and without masks."""
+    runs = results("moving_objects")["rows"]
+    rows = []
+    for scene in dict.fromkeys(run["scene"] for run in runs):
+        with_fish = {run["way"]: run for run in runs if run["scene"] == scene and run["fish"]}
+        without = next(run for run in runs if run["scene"] == scene and not run["fish"] and run["way"] == "planned")
+        masked, unmasked = with_fish["planned"], with_fish["never"]
+        rows.append(
+            [
+                scene.replace("photographs", "photos"),
+                f"{unmasked['test_psnr']:.2f} dB",
+                f"{masked['test_psnr']:.2f} dB",
+                percent(masked["fish_masked"]),
+                percent(masked["mask_is_fish"]),
+                percent(without["masked"]),
+            ]
+        )
+    return markdown(
+        [
+            *("scene", "test PSNR without masks", "test PSNR with masks", "fish pixels masked"),
+            *("mask pixels that are fish", "pixels masked where there are no fish"),
+        ],
+        rows,
+    )
+
+
+@table
+def caustics() -> str:
+    """Three ways to treat caustics."""
+    document = results("caustics")["psnr"]
+    ways = list(next(iter(document.values())))
+    return markdown(
+        ["strength of the caustics", *ways],
+        [[strength, *(f"{figures[way]:.2f} dB" for way in ways)] for strength, figures in document.items()],
+    )
+
+
+# Labels
+
+PARTS = ("salient_densification", "salient_pixels", "open_water", "class_pruning", "reallocation")
+"""Switches by which regions act on training."""
+
+
+@table
+def region_switches() -> str:
+    """What the switches of regions are worth."""
+    scenes = {scene: {row["name"]: row for row in results(f"ablation_{scene}")["rows"]} for scene in SCENES}
+
+    def cells(name: str) -> list[str]:
+        return [
+            cell
+            for rows in scenes.values()
+            for cell in (
+                mean_and_deviation(rows[name], "psnr"),
+                mean_and_deviation(rows[name], "test_psnr"),
+                f"{100 * rows[name]['mean']['floater_mass']:.1f} %",
+            )
+        ]
+
+    header = [f"{scene}: {figure}" for scene in scenes for figure in ("validation", "test", "floaters")]
+    rows = [["none", *cells("swag")], *([f"`{part}`", *cells(f"swag with {part.replace('_', ' ')}")] for part in PARTS)]
+    return markdown(["switch", *header], rows)
+
+
+@table
+def label_accuracy() -> str:
+    """IoU of rendered labels by view and label."""
+    demo = results("semantics")["demo"]
+    names = list(demo["held-out"])
+    views = {
+        "the test views": demo["held-out"],
+        "reef_000 (test)": demo["views"]["reef_000.jpg"],
+        "reef_008 (test)": demo["views"]["reef_008.jpg"],
+        "reef_016 (test)": demo["views"]["reef_016.jpg"],
+        "the validation views": demo["validation"],
+        "the truth of the test views, shifted by one pixel": demo["truth one pixel aside"],
+    }
+    return markdown(
+        ["views", *("mean IoU" if name == "miou" else name for name in names)],
+        [
+            [view, *(f"{figures[name]:.3f}" if name == "miou" else f"{figures[name]:.2f}" for name in names)]
+            for view, figures in views.items()
+        ],
+    )
+
+
+@table
+def label_saliency() -> str:
+    """IoU of the provider saliency on SUIM."""
+    return markdown(
+        ["region", "IoU"], [[name, f"{iou:.2f}"] for name, iou in results("semantics")["suim"]["mean"].items()]
+    )
+
+
+@table
+def label_costs() -> str:
+    """Time and memory of labels."""
+    demo = results("semantics")["demo"]
+    return markdown(
+        ["work", "cost"],
+        [
+            ["an iteration without labels, processor time", f"{demo['cpu_ms_iteration']:.0f} ms"],
+            ["learning features, in one iteration of four", f"{demo['cpu_ms_semantics']:.0f} ms more"],
+            ["regions of 18 images from masks", f"{demo['cpu_seconds']['regions']:.1f} s"],
+            ["a label for every Gaussian", f"{demo['cpu_seconds']['assignment']:.1f} s"],
+            ["features with gradients and Adam's moments", f"{demo['mb_per_100000']:.0f} MB for 100 000 Gaussians"],
+        ],
+    )
+
+
+# Formats and Blender
+
+
+@table
+def format_costs() -> str:
+    """Time and memory of reading and writing files."""
+    document = results("formats")
+    return markdown(
+        ["one million splats of SH degree 3", "seconds", "memory held, bytes per byte of the file", "size of the file"],
+        [
+            [
+                name,
+                f"{figures['seconds']:.2f}",
+                f"{figures['held_per_file_byte']:.2f}",
+                f"{figures['file_bytes'] / 1e6:.0f} MB",
+            ]
+            for name, figures in document.items()
+            if isinstance(figures, dict)
+        ],
+    )
+
+
+@table
+def blender_preview() -> str:
+    """PSNR of Blender's renders against the engine's."""
+    figures = results("blender_preview")["psnr"]
+    ways = {
+        "as trained": "Cycles, As Trained",
+        "in light": "Cycles, in linear light",
+        "ellipsoids as trained": "Cycles, ellipsoids, As Trained",
+        "EEVEE as trained": "EEVEE, As Trained",
+    }
+    return markdown(
+        ["render", "without water", "with water"],
+        [
+            [words, f"{figures[f'{way}, water 0']:.1f} dB", f"{figures[f'{way}, water 1']:.1f} dB"]
+            for way, words in ways.items()
+        ],
+    )
+
+
+@table
+def blender_load() -> str:
+    """Time of a million splats in Blender."""
+    document = results("blender_preview")["into blender"]
+    rows = [["load into Blender", document["seconds"]]]
+    rows += [[name, value["seconds"]] for name, value in document.items() if isinstance(value, dict)]
+    return markdown(["one million splats", "seconds"], rows)
+
+
+@table
+def live_preview() -> str:
+    """Frame times of Blender's window during training."""
+    document = results("live_preview")
+    words = {
+        "empty": "empty viewport",
+        "still": "200 000 splats that do not change",
+        "arriving": "200 000 new splats every second",
+    }
+    return markdown(
+        ["viewport", "median, ms", "95th percentile, ms"],
+        [
+            *([f"frame: {words[name]}", document[name]["median"], document[name]["95 %"]] for name in words),
+            ["work of the extension for 200 000 new splats", f"{document['attributes'] + document['nodes']:.1f}", "-"],
+        ],
+    )
+
+
+# Stability
+
+
+@table
+def backends_agree() -> str:
+    """Largest differences between the backends."""
+    document = results("backends_agree")
+    errors = document["largest error"]
+    tolerance = document["tolerance"]
+
+    def largest(backend: str, kinds: Iterable[str], chosen: Callable[[str], bool]) -> str:
+        found = [error for kind in kinds for name, error in errors[backend][kind].items() if chosen(name)]
+        return f"{max(found):.1e}"
+
+    scores = ("weighted", "importance", "error")
+    rows = (
+        (
+            "images, alpha, range, loss",
+            ("blended", "trained"),
+            lambda name: not name.startswith("gradient") and name not in scores,
+            "of all others",
+        ),
+        ("contributions, importance, error", ("blended",), lambda name: name in scores, "of all others"),
+        ("gradients without water", ("blended",), lambda name: name.startswith("gradient"), "of all others"),
+        (
+            "gradients through water, range and SSIM",
+            ("trained",),
+            lambda name: name.startswith("gradient"),
+            "of gradients, trained",
+        ),
+    )
+    return markdown(
+        ["compared", "tolerance", "CPU kernels", "CUDA kernels", "torch, float32"],
+        [
+            [words, f"{tolerance[key]:g}", *(largest(backend, kinds, chosen) for backend in ("cpu", "cuda", "torch"))]
+            for words, kinds, chosen, key in rows
+        ],
+    )
+
+
+@table
+def guard() -> str:
+    """Time of the guard."""
+    document = results("guard")
+    return markdown(
+        ["50 000 Gaussians at 640x360", "cost"],
+        [
+            ["an iteration", f"{document['iteration']} ms"],
+            ["the check of each iteration", f"{document['guard, every iteration']} ms"],
+            ["the full check, once in 100 iterations", f"{document['guard, every 100 iterations']} ms"],
+            ["both", f"{document['guard, per cent of an iteration']} % of an iteration"],
+        ],
+    )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write or check the tables of all pages and return the exit code."""
+    texts = {path: path.read_text("utf-8") for path in pages()}
+    used = {name for text in texts.values() for name in names_in(text)}
+    made = {name: TABLES[name]() for name in sorted(used & set(TABLES))}
+    if unused := sorted(set(TABLES) - used):
+        print(f"No page shows the tables {', '.join(unused)}: show or remove them.")
+        return 1
+    return update(
+        {path: filled(text, made) for path, text in texts.items()},
+        "--check" in arguments,
+        "python docs/scripts/tables.py",
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

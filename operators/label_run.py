@@ -1,0 +1,48 @@
+"""Label the run of the splats."""
+
+from typing import Any
+
+import bpy
+
+from ..swag_blender import labels
+from ..swag_blender.blender_types import present, with_properties
+from ..swag_blender.engine_process import Engine
+from ..swag_blender.job import Job
+from ..swag_blender.labelling import label_request, take_run_labels
+from ..swag_blender.operator_base import splats_are_active
+
+
+@with_properties
+class SWAG_OT_label_run(Job):
+    """Give every splat of the run a label: from your masks, from words or from salient regions; Escape stops"""
+
+    bl_idname = "swag.label_run"
+    bl_label = "Label"
+    bl_options = {"REGISTER", "UNDO"}
+    job = "Labelling"
+
+    source: labels.Source
+    words: labels.Words
+    masks: labels.Masks
+    download: labels.Download
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the active object has splats and no job runs."""
+        return super().poll(context) and splats_are_active(cls, context)
+
+    def start(self, context: bpy.types.Context) -> Engine:
+        """Start the engine."""
+        obj = present(context.active_object)
+        request = label_request(context, obj, self.source, self.words, self.masks, self.download)
+        self._object, self._run = obj.name, request["run"]
+        engine = Engine()
+        engine.send(request)
+        return engine
+
+    def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
+        """Give the splats their labels."""
+        return take_run_labels(self._object, self._run, event)
+
+
+CLASSES = (SWAG_OT_label_run,)

@@ -1,0 +1,37 @@
+"""Look up the size of the engine's Python environment without downloading it."""
+
+from typing import Any
+
+import bpy
+
+from ..swag_blender.blender_types import OperatorResult
+from ..swag_blender.engine_process import Engine
+from ..swag_blender.installation import start_installer
+from ..swag_blender.job import Job
+
+
+class SWAG_OT_look_up_engine(Job):
+    """Look up which build of torch would be installed and how much would be downloaded, without downloading it"""
+
+    bl_idname = "swag.look_up_engine"
+    bl_label = "Look Up Size of Engine"
+    job = "Look-up"
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Run without blocking the window."""
+        return self.run(context)
+
+    def start(self, context: bpy.types.Context) -> Engine:
+        """Start the installer in its mode that only looks up."""
+        return start_installer(look_only=True)
+
+    def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
+        """Describe the packages."""
+        left = max(0, event["bytes"] - event["present"]) / 1e6
+        return (
+            f"torch {event['torch']} and {event['packages'] - 1} other packages, {event['bytes'] / 1e6:.0f} MB; "
+            f"{left:.0f} MB of them are to be downloaded."
+        )
+
+
+CLASSES = (SWAG_OT_look_up_engine,)

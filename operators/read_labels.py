@@ -1,0 +1,35 @@
+"""List the labels of the splats."""
+
+from typing import Annotated
+
+import bpy
+from bpy.props import StringProperty
+
+from ..swag_blender import labels
+from ..swag_blender.blender_types import with_properties
+from ..swag_blender.operator_base import SplatOperator
+from ..swag_blender.properties import swag_of
+from ..swag_blender.runs import RUN_KEY
+
+
+@with_properties
+class SWAG_OT_read_labels(SplatOperator):
+    """List the labels of the splats, with the names of the run they are from"""
+
+    bl_idname = "swag.read_labels"
+    bl_label = "Read Labels"
+
+    directory: Annotated[
+        str,
+        StringProperty(
+            name="Run", description="Run folder; empty: the folder of the run of the splats", subtype="DIR_PATH"
+        ),
+    ]
+
+    def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
+        """List them."""
+        folder = bpy.path.abspath(self.directory or obj.get(RUN_KEY, "")) or swag_of(context.scene).run_path
+        return f"{labels.read_labels(obj, folder)} labels."
+
+
+CLASSES = (SWAG_OT_read_labels,)

@@ -1,0 +1,67 @@
+"""The engine's Python environment: how it is made, described and removed."""
+
+import json
+import shutil
+import sys
+from typing import Any
+
+import bpy
+
+from ..swag_engine.base.errors import InputError
+from . import EXTENSION, engine_process
+from .engine_process import Engine
+from .preferences import preferences
+from .properties import status_of
+
+
+def start_installer(look_only: bool) -> Engine:
+    """Start make_environment.py with the user's preferences.
+
+    Args:
+        look_only: only look up what would be downloaded.
+
+    Raises:
+        InputError: online access is off and no folder of wheels is set.
+        EngineError: the process cannot be started.
+    """
+    own = preferences()
+    wheels = bpy.path.abspath(own.wheels_folder)
+    if not wheels and not bpy.app.online_access:
+        raise InputError(
+            "Online access is off: allow it in Preferences > System > Network, or set a folder of wheels or a Python "
+            "with the engine."
+        )
+    task = {
+        "folder": bpy.utils.extension_path_user(EXTENSION, path="engine", create=True),
+        "root": str(engine_process.ROOT),
+        "index": own.package_index,
+        "wheels": wheels,
+        "look_only": look_only,
+    }
+    script = engine_process.ROOT / "swag_blender" / "make_environment.py"
+    return Engine([sys.executable, str(script), json.dumps(task)])
+
+
+def remember_doctor(context: bpy.types.Context, found: dict[str, Any]) -> None:
+    """Store what `swag_engine.app.doctor` found, for the preferences to show.
+
+    Raises InputError when packages are missing.
+    """
+    status_of(context).doctor = json.dumps(found)
+    missing = [name for name, version in found["packages"].items() if version is None]
+    if missing:
+        raise InputError(f"This Python lacks {', '.join(missing)}: install them, or use Install Engine.")
+
+
+def remove_environment(context: bpy.types.Context) -> None:
+    """Delete the environment. Raises InputError when a file of it cannot be deleted."""
+    folder = engine_process.environment_folder()
+    # First, so that a removal that fails leaves no environment that looks complete.
+    (folder / "installed.json").unlink(missing_ok=True)
+    try:
+        shutil.rmtree(folder)
+    except OSError as error:
+        raise InputError(
+            f"{folder} could not be removed: {error.strerror}. Close the programs that use it and try again."
+        ) from error
+    status_of(context).doctor = ""

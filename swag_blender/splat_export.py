@@ -1,0 +1,209 @@
+"""Splat objects as files for other programs."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..swag_engine.base.errors import InputError
+from ..swag_engine.formats.cameras import PosedImage, transform_camera, write_cameras
+from ..swag_engine.formats.export import cameras_folder, with_water
+from ..swag_engine.formats.gltf import COLMAP_UP
+from ..swag_engine.formats.registry import find_format
+from ..swag_engine.formats.run_folder import RunFolder, read_json, write_json
+from ..swag_engine.formats.select import SplatSelection, label_ids, require_splats
+from ..swag_engine.formats.water import transform_water
+from ..swag_engine.scene.cameras import Camera
+from ..swag_engine.splats.splats import Splats, concatenate
+from ..swag_engine.splats.transform import rotation_to_y_up, transformed
+from . import scene_import, splats
+from .blender_types import present
+from .cameras import cameras_of
+from .runs import RUN_KEY
+
+FRAMES = {
+    "UPRIGHT": splats.FILE_FRAME,
+    "Y_UP": Matrix.Rotation(np.radians(90), 4, "X"),
+    "Z_UP": Matrix.Identity(4),
+}
+"""Axes that the user chooses for a file: the matrix from file to Blender world."""
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """What the export dialog asks.
+
+    Attributes:
+        use: "SELECTED" or "VISIBLE" splat objects.
+        frame: a key of FRAMES, or "SCENE" for the COLMAP frame; a format with fixed axes has "UPRIGHT" or "SCENE".
+        metres_per_unit: length of a Blender unit in metres; the file is in metres.
+        water: fraction of the fitted water in the colours, 0 to 1.
+        labels: names or numbers of the labels to write, separated by commas; "" for all.
+        crop_object: name of the object whose bounding box crops the splats; "" for none.
+        min_opacity: lowest opacity to write, 0 to 1.
+        sh_degree: highest degree of spherical harmonics, 0 to 3.
+        extras: whether to write labels and other properties of the splats.
+        cameras: whether to write the cameras too.
+    """
+
+    use: str
+    frame: str
+    metres_per_unit: float
+    water: float
+    labels: str
+    crop_object: str
+    min_opacity: float
+    sh_degree: int
+    extras: bool
+    cameras: bool
+
+
+def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings) -> tuple[int, list[str]]:
+    """Write splat objects as one file, and their cameras beside it where `settings` ask for them.
+
+    Returns:
+        The number of splats, and sentences about what a format cannot hold.
+
+    Raises:
+        InputError: nothing to save, wrong settings, or a file that cannot be written.
+    """
+    format = find_format(path)
+    objects = _chosen_objects(context, settings)
+    to_file, up = _file_frame(objects, path, settings)
+    parts = []
+    for obj, placement, part in _selected_splats(context, objects, settings):
+        if settings.water and len(part):
+            part = _add_water(context, obj, part, settings.water)
+        parts.append(transformed(part, to_file @ placement))
+    joined = require_splats(concatenate(parts))
+    cameras = []
+    if settings.cameras:
+        cameras = [transform_camera(camera, to_file) for camera in cameras_of(context, _roots(objects))]
+        if not cameras:
+            raise InputError("There are no cameras to save: import the scene, add a camera, or turn Cameras off.")
+    format.write(path, joined, up, cameras)
+    if not cameras:
+        return len(joined), []
+    turn = np.eye(4)
+    if "up" not in format.options:
+        turn[:3, :3] = rotation_to_y_up(up)
+    folder = cameras_folder(path)
+    notes = _save_cameras(folder, [transform_camera(camera, turn) for camera in cameras])
+    _save_water(objects[0], turn @ to_file, folder / "water.json", settings.metres_per_unit)
+    return len(joined), notes
+
+
+def expected_size(context: bpy.types.Context, path: Path, settings: ExportSettings) -> str:
+    """Number of splats and size of the file that save_splats would write, or why it would refuse, in words."""
+    try:
+        objects = _chosen_objects(context, settings)
+        _, up = _file_frame(objects, path, settings)
+        # Frame and water change values, not their number: the size is found without them, which is quick.
+        joined = require_splats(concatenate([part for _, _, part in _selected_splats(context, objects, settings)]))
+        size = find_format(path).size(path, joined, up, ())
+    except InputError as error:
+        return str(error)
+    return f"{len(joined)} splats, {size / 1e6:.1f} MB"
+
+
+def _chosen_objects(context: bpy.types.Context, settings: ExportSettings) -> list[bpy.types.Object]:
+    visible = settings.use == "VISIBLE"
+    candidates = context.visible_objects if visible else context.selected_objects
+    chosen = [obj for obj in candidates if splats.is_splats(obj)]
+    if not chosen:
+        raise InputError(
+            "No splats are visible: show the splat objects to save."
+            if visible
+            else "No splats are selected: select the splat objects to save."
+        )
+    return chosen
+
+
+def _file_frame(objects: list[bpy.types.Object], path: Path, settings: ExportSettings) -> tuple[np.ndarray, np.ndarray]:
+    """The matrix (4, 4) from Blender's world to the file, and the up vector (3,) of the splats."""
+    up = np.array(COLMAP_UP)
+    if settings.frame == "SCENE":
+        root = scene_import.find_root(objects[0])
+        if root is None:
+            raise InputError(f"{objects[0].name} belongs to no imported scene: choose the axes Upright.")
+        frame, up = root.matrix_world, scene_import.up_of(root)
+    else:
+        frame = FRAMES[settings.frame if "up" in find_format(path).options else "UPRIGHT"]
+    return np.diag([settings.metres_per_unit] * 3 + [1.0]) @ np.linalg.inv(np.array(frame, np.float64)), up
+
+
+def _selected_splats(
+    context: bpy.types.Context, objects: list[bpy.types.Object], settings: ExportSettings
+) -> Iterator[tuple[bpy.types.Object, np.ndarray, Splats]]:
+    """Each object with its matrix (4, 4) to Blender's world and, in its own frame, the splats to write of it."""
+    depsgraph = context.evaluated_depsgraph_get()
+    words = [word.strip() for word in settings.labels.split(",") if word.strip()]
+    for obj in objects:
+        # The evaluated matrix has parents, constraints and animation in it.
+        placement = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)
+        names = Path(bpy.path.abspath(obj.get(RUN_KEY, ""))) / "labels.json"
+        labels = label_ids(words, names) if words else None
+        box = _crop_box(context, settings.crop_object) @ placement if settings.crop_object else None
+        selection = SplatSelection(labels, box, settings.min_opacity, settings.sh_degree, settings.extras)
+        yield obj, placement, selection.apply(splats.read_modified_splats(obj))
+
+
+def _add_water(context: bpy.types.Context, obj: bpy.types.Object, dry: Splats, amount: float) -> Splats:
+    """The splats of an object with that fraction of its run's water in their colours."""
+    roots = _roots([obj])
+    if not roots:
+        raise InputError(f"{obj.name} belongs to no imported scene, so its water is not known.")
+    from_root = np.linalg.inv(np.array(roots[0].matrix_world, np.float64))
+    cameras = [transform_camera(camera, from_root) for camera in cameras_of(context, roots)]
+    if not cameras:
+        raise InputError(f"The scene of {obj.name} has no cameras left, so its water cannot be shown.")
+    medium, metres_per_unit = _water_of_run(obj)
+    return with_water(dry, medium, cameras, amount, metres_per_unit)
+
+
+def _save_cameras(folder: Path, cameras: list[Camera]) -> list[str]:
+    """Write cameras without sparse points to `folder`; returns sentences about what a format cannot hold."""
+    images = [PosedImage.from_camera(camera) for camera in cameras]
+    return write_cameras(folder, images, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))[1]
+
+
+def _save_water(obj: bpy.types.Object, to_file: np.ndarray, path: Path, metres_per_unit: float) -> None:
+    """Write the coefficients of the object's water, where it has one, in the file's axes and scale."""
+    medium, metres = _water_of_run(obj)
+    if medium:
+        training_to_file = (to_file @ np.array(obj.matrix_world, np.float64))[:3, :3]
+        scale = float(np.cbrt(np.linalg.det(training_to_file)))
+        in_metres = bool(metres) or metres_per_unit != 1.0
+        write_json(path, transform_water(medium, training_to_file / scale, scale, metres, in_metres))
+
+
+def _roots(objects: list[bpy.types.Object]) -> list[bpy.types.Object]:
+    """The roots of the imported scenes that the objects belong to, each once."""
+    return list(dict.fromkeys(root for obj in objects if (root := scene_import.find_root(obj))))
+
+
+def _water_of_run(obj: bpy.types.Object) -> tuple[dict[str, Any] | None, float]:
+    """The water of the run that the object is the result of, None where there is none, and its metres per unit."""
+    run = RunFolder(Path(bpy.path.abspath(obj.get(RUN_KEY, ""))))
+    if obj.get(RUN_KEY) is None or not run.water.exists():
+        return None, 0.0
+    return read_json(run.water, ""), run.read_config()[1].metres_per_unit
+
+
+def _crop_box(context: bpy.types.Context, name: str) -> np.ndarray:
+    """Matrix (4, 4) from Blender's world to a space in which the object's bounding box reaches from -1 to 1."""
+    obj = present(context.scene).objects.get(name)
+    if obj is None:
+        raise InputError(f"There is no object {name} to crop by: choose another or none.")
+    corners = np.array(obj.bound_box)
+    if obj.type == "EMPTY":
+        corners = np.array([[-1.0] * 3, [1.0] * 3]) * obj.empty_display_size
+    lower, upper = corners.min(axis=0), corners.max(axis=0)
+    # A flat object has no extent along an axis; the matrix must be invertible.
+    half = np.diag([*np.maximum((upper - lower) / 2, 1e-9), 1.0])
+    half[:3, 3] = (lower + upper) / 2
+    return np.linalg.inv(np.array(obj.matrix_world, np.float64) @ half)

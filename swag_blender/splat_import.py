@@ -1,0 +1,49 @@
+"""Splat files as objects."""
+
+from pathlib import Path
+
+import bpy
+
+from ..swag_engine.base.errors import InputError
+from ..swag_engine.formats.gltf import COLMAP_UP
+from ..swag_engine.formats.registry import find_format
+from . import scene_import, splats
+from .blender_types import present
+
+
+def open_splats(
+    context: bpy.types.Context, paths: list[Path], in_scene: bool, sh_degree: int
+) -> tuple[list[bpy.types.Object], list[str]]:
+    """Make an object of each splat file, select the new objects and make the last one active.
+
+    Args:
+        context: where the objects go: its collection.
+        paths: files of any format of the engine's registry.
+        in_scene: whether the files are in the COLMAP frame of the imported scene; else they are placed upright.
+        sh_degree: highest degree of spherical harmonics to keep, 0 to 3.
+
+    Returns:
+        The objects, and a sentence for each file that could not be opened.
+    """
+    opened, failed = [], []
+    for path in paths:
+        try:
+            opened.append(_open_file(context, path, in_scene, sh_degree))
+        except InputError as error:
+            failed.append(str(error))
+    if opened:
+        splats.select_only(context, opened)
+    return opened, failed
+
+
+def _open_file(context: bpy.types.Context, path: Path, in_scene: bool, sh_degree: int) -> bpy.types.Object:
+    format = find_format(path)
+    root = scene_import.active_root(context) if in_scene else None
+    if in_scene and root is None:
+        raise InputError(f"{path.name} needs an imported scene: import its COLMAP scene, or place it upright.")
+    loaded = format.read(path, scene_import.up_of(root) if root else COLMAP_UP)
+    loaded.sh = loaded.sh[:, : (sh_degree + 1) ** 2]
+    obj = splats.new_splat_object(path.stem, loaded, present(context.collection), root)
+    if root is None:
+        obj.matrix_world = splats.FILE_FRAME
+    return obj

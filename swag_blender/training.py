@@ -1,0 +1,87 @@
+"""A training as the Blender scene sees it: its request, the splats of its previews, its result."""
+
+import contextlib
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..swag_engine.base.errors import InputError
+from ..swag_engine.formats.ply import read_ply
+from ..swag_engine.formats.run_folder import RunFolder
+from ..swag_engine.splats.splats import Splats
+from . import splats, water
+from .blender_types import present
+from .job import chosen_scene
+from .properties import swag_of, time_text
+from .runs import free_run_folder, remember_training, show_splats
+
+_reader = ThreadPoolExecutor(1)
+
+
+class Training:
+    """One training of the images that the Blender scene has chosen.
+
+    Args:
+        context: its scene gets the splats, and gives the settings.
+        resume: continue the run in the run folder instead of starting a new one.
+
+    Raises:
+        InputError: no images are chosen.
+    """
+
+    def __init__(self, context: bpy.types.Context, resume: bool) -> None:
+        scene = present(context.scene)
+        swag = swag_of(scene)
+        self._images = chosen_scene(swag)
+        if not resume:
+            swag.run_folder = str(free_run_folder(Path(swag.run_path)))
+        self._scene, self._run = scene.name, swag.run_path
+        self._preview: tuple[Future[Splats], dict[str, Any] | None] | None = None
+        self.request: dict[str, Any] = {
+            "request": "train",
+            "scene": self._images,
+            "out": self._run,
+            # A run continues with the settings it was started with.
+            "settings": {} if resume else swag.train_settings(),
+            "resume": resume,
+        }
+
+    def read_preview(self, event: dict[str, Any]) -> None:
+        """Start to read the splats of a `preview` event; does nothing while others are read.
+
+        A thread reads them: reading takes longer than all other work on a preview, and would block the window.
+        """
+        if self._preview is None:
+            self._preview = _reader.submit(read_ply, Path(event["path"])), event.get("water")
+
+    def show_preview(self) -> None:
+        """Show the splats of the preview in the scene once they are read."""
+        if self._preview is None or not self._preview[0].done():
+            return
+        (reading, values), self._preview = self._preview, None
+        # A window that was busy reads late: the run has ended and its preview file is gone.
+        with contextlib.suppress(InputError):
+            if scene := bpy.data.scenes.get(self._scene):
+                obj = show_splats(scene, reading.result(), self._run, self._images)
+                water.remember_water(obj, values, 0.0)
+
+    def show_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
+        """Show the result of a `result` event in the scene and select it; returns what to tell the user.
+
+        Raises:
+            InputError: the scene was removed, or the result cannot be read.
+        """
+        scene = bpy.data.scenes.get(self._scene)
+        if not scene:
+            raise InputError(f"The scene {self._scene} was removed; the trained splats are in {event['ply']}.")
+        metrics = event["metrics"]
+        obj = show_splats(scene, read_ply(Path(event["ply"])), self._run, self._images)
+        remember_training(obj, RunFolder(Path(self._run)), metrics)
+        if context.mode == "OBJECT" and present(context.view_layer).objects.get(obj.name):
+            splats.select_only(context, [obj])
+        swag_of(scene).show_metrics(event)
+        quality = f", {metrics['test_psnr']:.1f} dB on held-out photos" if metrics.get("test_psnr") else ""
+        how = "Stopped; kept" if event["interrupted"] else "Trained"
+        return f"{how} {metrics['gaussians']} Gaussians in {time_text(metrics['seconds'])}{quality}."

@@ -1,0 +1,58 @@
+"""What a command answers: text, or one JSON document with --json. Standard library only."""
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from ..base.strict_json import to_json
+
+UNUSABLE = 2
+"""Exit code of bad input or usage."""
+
+
+def show(document: dict[str, Any], as_json: bool, text: str) -> None:
+    """Print the answer of a command on stdout.
+
+    Args:
+        document: The answer for machines.
+        as_json: Whether to print the document.
+        text: The answer for people.
+    """
+    print(to_json(document, indent=2) if as_json else text)
+
+
+def refuse(sentence: str, arguments: Sequence[str], code: int = UNUSABLE, **more: Any) -> int:
+    """Say on stderr why a command gave no answer, and with --json as a document on stdout too.
+
+    Args:
+        sentence: What is wrong and what to do.
+        arguments: Words of the command line.
+        code: Exit code.
+        **more: Further fields of the document.
+
+    Returns:
+        The exit code.
+    """
+    if "--json" in arguments:
+        print(to_json({"error": sentence} | more))
+    print(sentence, file=sys.stderr)
+    return code
+
+
+def refuse_missing(error: ModuleNotFoundError, arguments: Sequence[str]) -> int:
+    """Name a package that this Python lacks, as `refuse` does.
+
+    Args:
+        error: What the import raised.
+        arguments: Words of the command line.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        ModuleNotFoundError: Where a module of the engine itself is missing, which is a bug.
+    """
+    own = __package__.partition(".")[0]
+    if not error.name or error.name.partition(".")[0] == own:
+        raise error
+    return refuse(f"{sys.executable} lacks the package {error.name}; see requirements.txt.", arguments)

@@ -1,0 +1,82 @@
+"""Settings: one field gives validation, command line and Blender property."""
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from swag_engine.base.errors import InputError
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.settings.field import check_settings, setting, settings_of
+from swag_engine.settings.settings import BACKENDS, TrainSettings
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Example:
+    count: int = setting(0, "Count", "How many", least=2, most=9, unit="px", zero="automatic")
+    scale: float = setting(1.0, "Scale", "How large", least=0.5, most=2.0)
+    kind: str = setting("a", "Kind", "Which", choices={"a": "First", "b": "Second"})
+    text: str = setting("", "Text", "What")
+    flag: bool = setting(False, "Flag", "Whether")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@pytest.mark.parametrize(
+    "values", [{}, {"count": 0}, {"count": 9}, {"scale": 2}, {"kind": "b"}, {"text": "x"}, {"flag": True}]
+)
+def test_values_within_the_range_are_accepted(values):
+    example = Example(**values)
+    assert all(getattr(example, name) == value for name, value in values.items())
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"count": 1}, "a whole number from 2 to 9 px, or 0 (automatic), not 1"),
+        ({"count": 10}, "from 2 to 9 px"),
+        ({"count": 3.0}, "a whole number"),
+        ({"count": True}, "a whole number"),
+        ({"scale": float("nan")}, "a number from 0.5 to 2.0, not nan"),
+        ({"scale": 0.0}, "from 0.5 to 2.0, not 0.0"),
+        ({"scale": "1"}, "a number"),
+        ({"kind": "c"}, "one of a, b, not 'c'"),
+        ({"kind": 1}, "one of a, b"),
+        ({"text": 5}, "a text, not 5"),
+        ({"flag": 1}, "true or false, not 1"),
+    ],
+)
+def test_a_wrong_value_is_refused_with_the_allowed_ones(values, words):
+    with pytest.raises(InputError) as refused:
+        Example(**values)
+    assert words in str(refused.value) and next(iter(values)) in str(refused.value)
+
+
+def test_every_setting_is_described():
+    names = []
+    for name, default, described in settings_of(TrainSettings):
+        names.append(name)
+        assert described.label and described.help and not described.help.endswith("."), name
+        assert not isinstance(default, int | float) or isinstance(default, bool) or described.range, name
+        described.check(name, default, default)
+    assert names == list(TrainSettings().to_json())
+
+
+def test_the_command_line_shows_every_setting_with_its_help():
+    printed = subprocess.run(
+        [sys.executable, "-m", "swag_engine", "train", "--help"],
+        cwd=ROOT, capture_output=True, text=True, timeout=120, check=True,
+    ).stdout  # fmt: skip
+    words = " ".join(printed.replace("│", " ").split())
+    for name, _, described in settings_of(TrainSettings):
+        assert f"--{name.replace('_', '-')}" in words and described.description in words, name
+        assert all(f"{choice}: {text}." in words for choice, text in described.choices.items()), name
+
+
+def test_the_setting_backend_offers_every_backend():
+    assert set(BACKENDS) == {"auto", *KERNELS}

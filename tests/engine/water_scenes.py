@@ -1,0 +1,29 @@
+"""Water and light for tests: a camera, a random medium, and gains with their gradients."""
+
+import torch
+
+from swag_engine.water.light import apply_gain
+from swag_engine.water.medium import Medium
+
+CAMERA = torch.eye(4, dtype=torch.float64), torch.tensor([[20.0, 0, 11], [0, 21, 8], [0, 0, 1]], dtype=torch.float64)
+
+
+def make_water(n=40, light="linear", seed=0, dtype=torch.float64):
+    """Colors (n, 3), offsets (n, 3) and a medium whose background light changes with direction."""
+    generator = torch.Generator().manual_seed(seed)
+    colors = torch.rand(n, 3, generator=generator, dtype=torch.float64)
+    offsets = torch.randn(n, 3, generator=generator, dtype=torch.float64) * 2
+    medium = Medium(*(torch.randn(size, generator=generator).double() for size in ((3,), (3,), (9, 3))), 2.5, light)
+    medium.veil *= 0.5
+    return colors.to(dtype), offsets.to(dtype), Medium(*(t.to(dtype) for t in medium.parameters().values()), 2.5, light)
+
+
+def gain_and_gradients(shape, backend, dtype, device="cpu"):
+    """Apply gains to colors around the toe of the sRGB curve and beyond 1; return the colors and the gradients."""
+    generator = torch.Generator().manual_seed(1)
+    display = torch.rand(45, 17, 3, generator=generator, dtype=torch.float64) ** 4 * 1.3
+    log_gain = torch.randn(shape, generator=generator, dtype=torch.float64)
+    leaves = [t.to(device, dtype, copy=True).requires_grad_() for t in (display, log_gain)]
+    shown = apply_gain(*leaves, backend)
+    weights = torch.randn(shown.shape, generator=generator, dtype=torch.float64).to(shown)
+    return [t.detach().double().cpu() for t in (shown, *torch.autograd.grad((shown * weights).sum(), leaves))]
