@@ -6,6 +6,7 @@ searches, which `make search` runs.
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 
 # With several workers each has one core: threads of numpy and torch would only wait for one another.
@@ -18,7 +19,7 @@ import swag_engine.base.threads  # noqa: F401
 
 MAIN_VERSION = "5.0"
 """The Blender version that the quick tests run in: it is the package of this Python."""
-QUICK_BLENDER = ("test_scene_import", "test_extension", "test_panels")
+QUICK_BLENDER = ("test_scene_import", "test_extension", "test_panels", "test_server", "test_export")
 """Files of tests/blender that belong to `make test`."""
 NOT_QUICK = (
     "test_sanitizer", "test_command_line", "test_batch", "test_worker", "test_semantics_training", "test_demo_scene",
@@ -44,7 +45,7 @@ def missing():
 
     The test is skipped; where the environment variable CI is set, it fails.
     """
-    return pytest.fail if os.environ.get("CI") else pytest.skip
+    return partial(pytest.fail, pytrace=False) if os.environ.get("CI") else pytest.skip
 
 
 @pytest.fixture(scope="session")

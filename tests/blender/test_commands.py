@@ -16,13 +16,6 @@ def test_import_writes_a_blend_of_a_scene_and_of_its_run(blender, tiny_scene, tm
     assert "Traceback" not in blender.printed
 
 
-@pytest.mark.main_version
-def test_sigterm_is_passed_on_and_keeps_what_exists(blender, tiny_scene, tmp_path):
-    code = blender.run("command_line.train_until_sigterm", tiny_scene, tmp_path, SWAG_ENGINE_PYTHON=sys.executable)
-    assert code == 143
-    assert (tmp_path / "run" / "result.ply").exists() and "Traceback" not in blender.printed
-
-
 def test_import_reports_what_is_wrong_and_writes_nothing(blender, fake_engine, tmp_path):
     (tmp_path / "stopped").mkdir()
     (tmp_path / "stopped" / "config.json").write_text("{}")
@@ -43,3 +36,11 @@ def test_a_command_runs_the_engine_with_the_same_arguments_and_exit_code(blender
 def test_a_command_without_an_engine_is_refused_in_one_sentence(blender):
     assert blender.run("command_line.run", "doctor", SWAG_ENGINE_PYTHON="/no/such/python") == 2
     assert "/no/such/python cannot be run" in blender.printed and "Traceback" not in blender.printed
+
+
+@pytest.mark.main_version
+def test_sigterm_is_passed_on_and_keeps_what_exists(blender, tiny_scene, tmp_path):
+    assert (
+        blender.run("command_line.train_and_terminate", tiny_scene, tmp_path, SWAG_ENGINE_PYTHON=sys.executable) == 143
+    )
+    assert (tmp_path / "run" / "result.ply").exists() and "Traceback" not in blender.printed

@@ -128,8 +128,8 @@ def test_each_option_selects_or_converts_the_splats(blender, tmp_path):
     np.testing.assert_allclose(read["metres"].scales, 3 * made.scales, rtol=1e-4)
     np.testing.assert_allclose(read["y_up"].positions.T, [x, -y, -z], atol=1e-6)
     size = (tmp_path / "plain.ply").stat().st_size
-    assert found["forecasts"][0] == f"{len(read['plain'])} splats, {size / 1e6:.1f} MB"
-    assert found["forecasts"][1].startswith("No splat is left")
+    assert found["expected sizes"][0] == f"{len(read['plain'])} splats, {size / 1e6:.1f} MB"
+    assert found["expected sizes"][1].startswith("No splat is left")
     for words, message in found["messages"].items():
         assert words in message and message.endswith("."), (words, message)
     assert not list(tmp_path.glob("refused*"))

@@ -23,7 +23,8 @@ def npm_packages(missing):
     try:
         install()
     except (OSError, subprocess.SubprocessError) as error:
-        missing(f"tests/interop needs Node and npm packages: run `make .venv/ready` and {HERE}/install.py ({error}).")
+        commands = "`make .venv/ready` and `.venv/bin/python tests/interop/install.py`"
+        missing(f"Node or the npm packages of tests/interop are missing ({error}): run {commands}.")
 
 
 @pytest.fixture(scope="session")

@@ -21,9 +21,11 @@ def install() -> None:
     """Install what is missing or older than package-lock.json.
 
     Raises:
-        OSError: Node is not installed.
+        FileNotFoundError: Node is not installed.
         subprocess.SubprocessError: npm or the unpacking failed, or took longer than 5 minutes.
     """
+    if not NODE.exists():
+        raise FileNotFoundError(f"{NODE} does not exist")
     lock, done = HERE / "package-lock.json", HERE / "node_modules" / ".installed"
     with FileLock(Path(tempfile.gettempdir(), "swag-splatting-interop.lock")):
         if done.exists() and done.read_text() == lock.read_text():

@@ -33,18 +33,6 @@ def import_scene_and_run(scene, folder):
     return {"codes": codes, "cameras": cameras, "path": path, "trained": trained}
 
 
-def train_until_sigterm(scene, folder):
-    """The exit code of a training during which Blender gets SIGTERM."""
-
-    def stop():
-        while not Path(folder, "run", "config.json").exists():
-            time.sleep(0.1)
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    threading.Thread(target=stop).start()
-    return run("train", scene, "--out", folder + "/run", "--iterations", "100000", "--width", "64")
-
-
 def wrong_imports(folder):
     """Exit codes of wrong uses of `import`, and of the two help pages."""
     wrong = [
@@ -54,3 +42,15 @@ def wrong_imports(folder):
         run("import", folder + "/stopped", "--out", folder + "/a.blend", "--json"),
     ]
     return {"wrong": wrong, "import help": run("import", "--help"), "help": run("--help")}
+
+
+def train_and_terminate(scene, folder):
+    """The exit code of a training during which this process gets a SIGTERM."""
+
+    def terminate():
+        while not Path(folder, "run", "config.json").exists():
+            time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=terminate).start()
+    return run("train", scene, "--out", folder + "/run", "--iterations", "100000", "--width", "64")

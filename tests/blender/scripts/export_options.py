@@ -64,7 +64,7 @@ def delete_in_edit_mode(folder):
 
 
 def options(folder):
-    """Export a file per option; returns the crop box, forecasts of file sizes and messages of refusals."""
+    """Export a file per option; returns the crop box, expected sizes and messages of refusals."""
     path = Path(folder)
 
     def refused(**arguments):
@@ -90,7 +90,7 @@ def options(folder):
     export_splats(path / "y_up.ply", frame="Y_UP")
 
     settings = ExportSettings("SELECTED", "UPRIGHT", 1.0, 0.0, "", "", 0.5, 1, False, False)
-    forecasts = [
+    sizes = [
         expected_size(bpy.context, Path("plain.ply"), settings),
         expected_size(bpy.context, Path("plain.glb"), replace(settings, min_opacity=1.0)),
     ]
@@ -107,7 +107,7 @@ def options(folder):
     second.hide_set(True)
     messages["select"] = refused()
     to_box = [list(row) for row in box.matrix_world.inverted() @ splats.FILE_FRAME]
-    return {"to_box": to_box, "forecasts": forecasts, "messages": messages}
+    return {"to_box": to_box, "expected sizes": sizes, "messages": messages}
 
 
 def water_and_cameras(folder, suffix):

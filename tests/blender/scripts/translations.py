@@ -15,7 +15,7 @@ KINDS = (
 
 
 def subclasses(kind):
-    """Yield the classes below a class."""
+    """All classes below a class."""
     for cls in kind.__subclasses__():
         yield cls
         yield from subclasses(cls)
@@ -27,7 +27,7 @@ def shown_words():
     found = set()
     for cls in classes:
         # SwagStatus is for scripts: panels show its values alone.
-        if "swag_splatting" not in cls.__module__ or "bl_rna" not in vars(cls) or cls.__name__ == "SwagStatus":
+        if "swag_splatting" not in cls.__module__ or not cls.is_registered or cls.__name__ == "SwagStatus":
             continue
         rna = cls.bl_rna
         if issubclass(cls, bpy.types.Operator):
