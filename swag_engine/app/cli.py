@@ -150,6 +150,7 @@ class Train:
 
     def run(self) -> int:
         """Run the command and return its exit code."""
+        from ..experiments.forecast import time_text
         from ..experiments.train_and_report import train_and_report
         from .progress import training_progress
 
@@ -167,7 +168,7 @@ class Train:
             )
         lines = [
             f"{'Interrupted' if result['interrupted'] else 'Done'} after {metrics['iteration']} iterations, "
-            f"{metrics['seconds'] / 60:.1f} minutes, {metrics['gaussians']} Gaussians.",
+            f"{time_text(metrics['seconds'])}, {metrics['gaussians']} Gaussians.",
             quality,
             metrics["water"] or "No water was modelled: the colours are as photographed.",
             *(trial["sentence"] for trial in metrics["trials"]),

@@ -22,6 +22,7 @@ from .evaluation_page import machine_line, metric_rows, view_table_html
 from .page import (
     BLUE,
     INK,
+    NONE,
     ViewComparison,
     bars_html,
     new_plots,
@@ -316,7 +317,7 @@ def _shown(value: Any) -> str:
         return ", ".join(f"{name} {_shown(entry)}" for name, entry in value.items())
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return "not known" if value is None else str(value)
+    return "not known" if value is None else str(value) or NONE
 
 
 def _optional(path: Path) -> dict[str, Any]:
