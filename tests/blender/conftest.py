@@ -41,7 +41,7 @@ class Blender:
 
     def _start(self):
         self.user = self._make_folder()
-        self._log = self.user.with_suffix(".log")
+        self._log = self.user.with_name(self.user.name + ".log")
         newest = self.version == "5.2"
         own = {
             "BLENDER_USER_RESOURCES": str(self.user),
@@ -99,12 +99,15 @@ class Blender:
 
     def quit(self):
         """End the process as a user ends Blender; the next call starts another one."""
-        if self._process is not None:
-            with contextlib.suppress(BrokenPipeError):
-                self._process.stdin.close()
-            self._process.wait(60)
-            self._process.stdout.close()
-            self._process = None
+        process, self._process = self._process, None
+        if process is not None:
+            try:
+                with contextlib.suppress(BrokenPipeError):
+                    process.stdin.close()
+                process.wait(60)
+            finally:
+                process.kill()
+                process.stdout.close()
 
 
 @pytest.fixture(scope="session")

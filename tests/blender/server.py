@@ -6,6 +6,7 @@ folder. Each line of standard input is a request, a JSON object: `script` (a mod
 `result`, what the function returned, or `error`, the traceback. Whatever is printed goes to standard error.
 """
 
+import atexit
 import contextlib
 import ctypes
 import importlib
@@ -106,6 +107,9 @@ def main():
             sys.stdout.flush()
         ctypes.CDLL(None).fflush(None)
         print(answered, file=answers, flush=True)
+    # Blender 4.5 can hang in a destructor after its own exit functions: end without the C library's.
+    atexit._run_exitfuncs()
+    os._exit(0)
 
 
 main()
