@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
 from swag_engine.evaluation.ssim import ssim
@@ -27,6 +26,7 @@ from swag_engine.training.objective import Objective
 from swag_engine.training.step import GEOMETRY
 from swag_engine.training.targets import Target
 from swag_engine.training.trainer import Trainer, train
+from tests.scenes.tiny import make_tiny_scene
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
 SETTINGS = TrainSettings(iterations=60, width=64, max_gaussians=400, sh_degree=1)

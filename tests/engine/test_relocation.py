@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from clouds import make_cloud
 
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians.cloud import GaussianCloud
@@ -21,6 +20,7 @@ from swag_engine.scene.images import load_images
 from swag_engine.training.optimizer import Optimizer
 from swag_engine.water.medium import Medium
 from swag_engine.water.network import WaterNetwork
+from tests.scenes.clouds import make_cloud
 
 REEF = Path(__file__).resolve().parents[1] / "scenes" / "reef_wreck"
 

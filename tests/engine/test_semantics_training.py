@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from clouds import make_cloud
-from tiny import make_tiny_scene
 
 from swag_engine.experiments.label_run import search_run
 from swag_engine.formats.ply import read_ply
@@ -28,6 +26,8 @@ from swag_engine.training.guidance import Guidance, find_guidance, is_pruned, op
 from swag_engine.training.objective import Objective
 from swag_engine.training.targets import Target
 from swag_engine.training.trainer import train
+from tests.scenes.clouds import make_cloud
+from tests.scenes.tiny import make_tiny_scene
 
 SETTINGS = TrainSettings(iterations=100, width=64, max_gaussians=400, sh_degree=1)
 ALL_ON = "salient-densification=on,salient-pixels=on,open-water=on,class-pruning=on,reallocation=on"

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from runs import training_times
 from safetensors.torch import save_file
 
 from swag_engine.app.cli import main
@@ -21,6 +20,7 @@ from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.settings.presets import PRESETS
 from swag_engine.settings.settings import TrainSettings
+from tests.scenes.runs import training_times
 
 GRID = Grid(presets=("draft",), iterations=(4, 24), widths=(32, 64), max_gaussians=(320,), effects=("water=off",))
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
 from swag_engine.formats.ply import read_ply
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import checkpoints, load_checkpoint
 from swag_engine.training.trainer import train
+from tests.scenes.tiny import make_tiny_scene
 
 SETTINGS = TrainSettings(iterations=150, width=64, max_gaussians=500, sh_degree=1)
 

@@ -25,11 +25,10 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
+sys.path.insert(0, str(ROOT))
 
 import torch
 from safetensors import safe_open
-from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
 from swag_engine.base.files import LOCK, TEMPORARY_NAMES, locked_folder
@@ -40,6 +39,7 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import checkpoints, load_checkpoint
 from swag_engine.training.schedule import Schedule
 from swag_engine.training.trainer import make_trainer
+from tests.scenes.tiny import make_tiny_scene
 
 SETTINGS = TrainSettings(iterations=40, width=48, max_gaussians=400, sh_degree=1)
 SCHEDULE = Schedule(checkpoint_seconds=0.01, preview_seconds=0.03)

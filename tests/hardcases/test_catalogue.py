@@ -16,8 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hard import CLOUDS, SCENES, WATER, make_hard_scene
-from runs import train_with
 
 from swag_engine.experiments import evaluate_run as evaluation
 from swag_engine.formats.export import export_run
@@ -30,6 +28,8 @@ from swag_engine.planning.plan import plan_scene
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import InitialCloud
+from tests.scenes.hard import CLOUDS, SCENES, WATER, make_hard_scene
+from tests.scenes.runs import train_with
 
 SETTINGS = TrainSettings(iterations=120, width=32, max_gaussians=150, backend="cpu")
 FEW = {"torch": 6, "cuda": 3}

@@ -8,7 +8,6 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tiny import make_tiny_scene
 
 from swag_engine.app.protocol import parse_request
 from swag_engine.base.errors import InputError
@@ -21,6 +20,7 @@ from swag_engine.scene.inspect import describe, inspect_scene
 from swag_engine.training.losses import photometric
 from swag_engine.water.medium import Medium
 from swag_engine.weights.onnx import Network
+from tests.scenes.tiny import make_tiny_scene
 
 ANY = st.floats(width=32, allow_nan=True, allow_infinity=True)
 CAMERA = {"width": 16, "height": 12, "cx": 8.0, "cy": 6.0}

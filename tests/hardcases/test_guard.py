@@ -8,8 +8,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from clouds import make_cloud
-from runs import train_with
 
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.formats.ply import read_ply
@@ -19,6 +17,8 @@ from swag_engine.training.guard import MOST_SKIPPED, Guard, GuardedState, step_p
 from swag_engine.training.optimizer import Optimizer
 from swag_engine.training.schedule import LearningRates, Schedule
 from swag_engine.training.trainer import Trainer, train
+from tests.scenes.clouds import make_cloud
+from tests.scenes.runs import train_with
 
 SETTINGS = TrainSettings(iterations=100, width=64, max_gaussians=500, sh_degree=1)
 

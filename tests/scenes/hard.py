@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from tiny import make_tiny_scene
 
 from swag_engine.gaussians.cloud import GaussianCloud
+from tests.scenes.tiny import make_tiny_scene
 
 
 def _model(folder: Path, name: str) -> Path:
