@@ -26,7 +26,7 @@ import torch
 from benchmarks.common import PICTURES, RESULTS, WEBP_QUALITY, processor, write_results
 from benchmarks.formats import make_splats
 from demo.run import blender_with_extension
-from swag_engine.experiments.evaluate_run import newest
+from swag_engine.experiments.evaluate_run import load_newest
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.rendering.render import render
@@ -50,10 +50,10 @@ def engine_pictures(run: RunFolder) -> tuple[dict, dict[float, np.ndarray]]:
     scene = load_scene(scene_folder)
     views = [view for view in scene.views if view.name == held_out[len(held_out) // 2]]
     camera = load_images(scene, views, settings.width)[0].camera
-    cloud, simulated, _ = newest(run.path)
+    cloud, effects, _ = load_newest(run.path)
     with torch.no_grad():
         pictures = {
-            amount: render(cloud, camera, 3, simulated.medium, amount=amount).color.numpy() for amount in (0.0, 1.0)
+            amount: render(cloud, camera, 3, effects.medium, amount=amount).color.numpy() for amount in (0.0, 1.0)
         }
     pinhole = {name: getattr(camera, name) for name in ("name", "width", "height", "fx", "fy", "cx", "cy")}
     return pinhole | {"world_to_camera": camera.world_to_camera.tolist()}, pictures

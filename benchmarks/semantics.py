@@ -29,7 +29,7 @@ from swag_engine.rendering.model import cloud_from_checkpoint
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
-from swag_engine.scene.images import TrainingImage, load_images, read_picture
+from swag_engine.scene.images import TrainingImage, load_images, read_image
 from swag_engine.scene.split import split_views
 from swag_engine.semantics.assign import assign, label_weights, render_labels, semantic_loss, targets_in_view
 from swag_engine.semantics.embed import Descriptor
@@ -165,9 +165,9 @@ def suim(provider: RegionProvider) -> dict[str, Any]:
     """Measure, per image, the IoU of open water with SUIM's background and of everything else with its objects."""
     scores = {}
     for path in sorted((SUIM / "images").iterdir()):
-        pixels = read_picture(path)[0]
+        pixels = read_image(path)[0]
         height, width = pixels.shape[:2]
-        drawn = read_picture(SUIM / "masks" / f"{path.stem}.png")[0]
+        drawn = read_image(SUIM / "masks" / f"{path.stem}.png")[0]
         truth = cv2.resize(drawn, (width, height), interpolation=cv2.INTER_NEAREST).max(-1) > 127
         camera = Camera(path.name, width, height, width, width, width / 2, height / 2, np.eye(4))
         found = provider.regions(TrainingImage(camera, pixels, np.ones((height, width), bool)), [])

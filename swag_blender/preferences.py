@@ -127,7 +127,7 @@ def draw_doctor(layout: bpy.types.UILayout, found: dict[str, Any]) -> None:
         column.label(text=f"Graphics card: {card['device']}, {card['memory_gb']} GB")
     else:
         column.label(text=f"No graphics card is used: {card['reason']}")
-    column.label(text=f"Training takes {found['auto']}.")
+    column.label(text=f"Training uses {found['auto']}.")
 
 
 def register() -> None:

@@ -29,7 +29,7 @@ Exit codes: 0 done, 1 a bug, 2 bad input or usage; with what exists kept, 130 in
 Progress and errors go to stderr; with --json stdout carries one JSON document and nothing else."""
 STOPPING = "Stopping after this iteration; press Ctrl-C again to stop at once."
 STARTED = time.monotonic()
-"""What a time budget counts from: starting Python and its packages is the user's time too."""
+"""Time that a time budget counts from: loading Python and its packages belongs to the run."""
 
 
 def describe_options(options: type) -> None:
@@ -46,14 +46,15 @@ describe_options(TrainSettings)
 
 @dataclass(frozen=True)
 class Inspect:
-    """Say what a COLMAP scene holds: photographs, registered share, points, ranges, warnings."""
+    """Print what a COLMAP scene contains: photos with a camera, points, ranges, and warnings."""
 
     scene: tyro.conf.Positional[Path]
-    """Folder of the scene: photographs and a COLMAP model."""
+    """Folder of the scene: photos and a COLMAP model."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..scene.colmap import load_scene
         from ..scene.inspect import describe, inspect_scene
 
@@ -64,23 +65,24 @@ class Inspect:
 
 @dataclass(frozen=True)
 class Sfm:
-    """Find the cameras of photographs or of a video with COLMAP, and make a scene of them."""
+    """Find the cameras of photos or of a video with COLMAP, and make a scene."""
 
     photos: tyro.conf.Positional[Path]
-    """Folder of photographs, or a video."""
+    """Folder of photos, or a video."""
     out: Path
-    """Folder of the scene to make; must not exist or be empty."""
+    """Folder of the new scene; it must not exist or be empty."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..scene.sfm import reconstruct
         from .progress import stage_progress
 
         with stage_progress() as progress:
             summary = reconstruct(self.photos, self.out, progress)
         text = (
-            f"{summary['registered']} of {summary['images']} photographs registered, {summary['points']} points, "
+            f"{summary['registered']} of {summary['images']} photos have a camera, {summary['points']} points, "
             f"reprojection error {summary['reprojection_error']:.2f} px.\nScene: {self.out}"
         )
         show(summary, self.json, text)
@@ -89,18 +91,19 @@ class Sfm:
 
 @dataclass(frozen=True)
 class Plan:
-    """Say which effects a scene calls for, why, and what each costs; writes plan.json, which training goes by."""
+    """Decide which effects a scene has, with reasons and costs; write plan.json, which training follows."""
 
     scene: tyro.conf.Positional[Path]
-    """Folder of the scene: photographs and a COLMAP model."""
+    """Folder of the scene: photos and a COLMAP model."""
     out: Path | None = None
-    """Folder for plan.json; the scene's own without it."""
+    """Folder for plan.json; the folder of the scene without it."""
     effects: str = ""
-    """Effects that you decide yourself, as in attenuation=off,lamp=on."""
+    """Effects that you switch yourself, as in attenuation=off,lamp=on."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..planning.plan import describe, plan_and_keep
 
         plan, written = plan_and_keep(self.scene, self.out, self.effects)
@@ -110,15 +113,16 @@ class Plan:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Say how long each preset will take here and how good it will be, from a first look of some seconds."""
+    """Predict how long each preset takes on this machine and how good it is, from two short probe runs."""
 
     scene: tyro.conf.Positional[Path]
-    """Folder of the scene: photographs and a COLMAP model."""
+    """Folder of the scene: photos and a COLMAP model."""
     settings: tyro.conf.OmitArgPrefixes[TrainSettings] = field(default_factory=TrainSettings)
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..experiments.forecast import describe, forecast_scene
         from .progress import stage_progress
 
@@ -130,21 +134,22 @@ class Forecast:
 
 @dataclass(frozen=True)
 class Train:
-    """Train a scene; the run folder holds result.ply, result.glb, metrics and checkpoints."""
+    """Train a scene; the folder of the run gets result.ply, result.glb, metrics, a report and checkpoints."""
 
     scene: tyro.conf.Positional[Path]
-    """Folder of the scene: photographs and a COLMAP model."""
+    """Folder of the scene: photos and a COLMAP model."""
     out: Path
     """Folder of the run."""
     settings: tyro.conf.OmitArgPrefixes[TrainSettings] = field(default_factory=TrainSettings)
     resume: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Go on with the run in --out where it stopped."""
+    """Continue the run in --out where it stopped."""
     weights_dir: Path | None = None
     """Folder of pretrained networks, for depth priors and interpolated frames; the user's cache folder without it."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..experiments.train_and_report import train_and_report
         from .progress import training_progress
 
@@ -154,27 +159,29 @@ class Train:
                 weights_dir=self.weights_dir, started=STARTED,
             )  # fmt: skip
         metrics = result["metrics"]
-        quality = (
-            f"Held-out views: PSNR {metrics['test_psnr']:.2f} dB, SSIM {metrics['test_ssim']:.3f} "
-            f"(median training image: {metrics['control_psnr']:.2f} dB)."
-        )
-        text = (
+        quality = "No test views: the scene has too few photos to keep some out of training."
+        if metrics["views"]:
+            quality = (
+                f"Test views: PSNR {metrics['test_psnr']:.2f} dB, SSIM {metrics['test_ssim']:.3f} "
+                f"(median-image baseline: {metrics['control_psnr']:.2f} dB)."
+            )
+        lines = [
             f"{'Interrupted' if result['interrupted'] else 'Done'} after {metrics['iteration']} iterations, "
-            f"{metrics['seconds'] / 60:.1f} minutes, {metrics['gaussians']} Gaussians.\n"
-            f"{quality if metrics['views'] else 'Too few photographs to hold any out for a figure.'}\n"
-            f"{metrics['water'] or 'The water is left in the colours.'}\n"
-            f"{''.join(trial['sentence'] + chr(10) for trial in metrics['trials'])}"
-            f"{''.join(note + chr(10) for note in metrics['notes'])}"
-            f"Result: {result['ply']}"
-            f"{chr(10) + 'Report: ' + result['report'] if result['report'] else ''}"
-        )
-        show(result, self.json, text)
+            f"{metrics['seconds'] / 60:.1f} minutes, {metrics['gaussians']} Gaussians.",
+            quality,
+            metrics["water"] or "No water was modelled: the colours are as photographed.",
+            *(trial["sentence"] for trial in metrics["trials"]),
+            *metrics["notes"],
+            f"Result: {result['ply']}",
+            *([f"Report: {result['report']}"] if result["report"] else []),
+        ]
+        show(result, self.json, "\n".join(lines))
         return interrupts.exit_code if result["interrupted"] else 0
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Score the result of a run on its held-out views; writes evaluation.json and evaluation.html to the run."""
+    """Score the result of a run on its test views; write evaluation.json and evaluation.html to its folder."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
@@ -184,6 +191,7 @@ class Evaluate:
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..experiments.evaluate_run import describe, evaluate_run
 
         evaluation = evaluate_run(self.run_folder, self.weights_dir)
@@ -193,7 +201,7 @@ class Evaluate:
 
 @dataclass(frozen=True)
 class Report:
-    """Write report.html to a run: quality against time, where the time went, held-out views, how to repeat it."""
+    """Write report.html to a run: quality against time, time by part, test views, effects, settings."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
@@ -201,6 +209,7 @@ class Report:
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..experiments.report import write_report
 
         path = str(write_report(self.run_folder))
@@ -210,65 +219,67 @@ class Report:
 
 @dataclass(frozen=True)
 class Ablate:
-    """Train every method, and ours with each part switched, over several seeds, and print what each is worth.
+    """Train every recipe, and the default one with each effect switched, over several seeds; print their metrics.
 
-    Started again, it goes on where it stopped.
+    Started again, it continues where it stopped.
     """
 
     scene: tyro.conf.Positional[Path]
-    """Folder of the scene: photographs and a COLMAP model."""
+    """Folder of the scene: photos and a COLMAP model."""
     out: Path
     """Folder of the runs and of the table, ablation.md and ablation.json."""
     seeds: int = 3
-    """Runs of each row."""
+    """Number of runs of each row."""
     iterations: int = 1500
     """Number of optimisation steps of each run."""
     width: int = 320
-    """Width in pixels that the photographs are trained at."""
+    """Width in pixels of the training images."""
     max_gaussians: int = 30_000
-    """Most Gaussians that the scene may grow to."""
+    """Largest number of Gaussians."""
     weights_dir: Path | None = None
     """Folder of pretrained networks; the user's cache folder without it."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
-        from ..experiments.ablate import ablate, table
+        """Run the command and return its exit code."""
+        from ..experiments.ablate import ablate, format_table
 
         settings = TrainSettings(iterations=self.iterations, width=self.width, max_gaussians=self.max_gaussians)
 
         def print_run(name: str, seed: int, figures: dict[str, Any]) -> None:
-            quality = "not a number" if figures["test_psnr"] is None else f"{figures['test_psnr']:.2f} dB"
+            quality = "unknown" if figures["test_psnr"] is None else f"{figures['test_psnr']:.2f} dB"
             print(f"{name}, seed {seed}: test PSNR {quality}, {figures['seconds']:.0f} s", file=sys.stderr, flush=True)
 
         with interrupts.deferred(STOPPING):
             document = ablate(
                 self.scene, self.out, self.seeds, settings, self.weights_dir, print_run, interrupts.should_stop
             )
-        show(document, self.json, table(document))
+        show(document, self.json, format_table(document))
         return interrupts.exit_code if document["interrupted"] else 0
 
 
 @dataclass(frozen=True)
 class Tradeoff:
-    """Train presets x sizes x effects, score all at one width, and draw which of them no other beats.
+    """Train all combinations of presets, sizes and effects, score them at one width, and draw the Pareto front.
 
-    Writes tradeoff.png, .csv, .html and .json. Started again, it goes on where it stopped.
+    Writes tradeoff.png, .csv, .html and .json. Started again, it continues where it stopped.
     """
 
     scene: tyro.conf.Positional[Path]
-    """Folder of the scene: photographs and a COLMAP model."""
+    """Folder of the scene: photos and a COLMAP model."""
     out: Path
     """Folder of the runs and of the charts."""
     grid: tyro.conf.OmitArgPrefixes[Grid] = field(default_factory=Grid)
     score_width: int = 0
-    """Width in pixels that all runs are scored at; 0: the widest that is trained at."""
+    """Width in pixels at which all runs are scored; 0: the largest training width."""
     weights_dir: Path | None = None
     """Folder of lpips-alex.safetensors and other pretrained networks; the user's cache folder without it."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..experiments.tradeoff import describe, tradeoff
 
         def print_run(name: str, row: dict[str, Any]) -> None:
@@ -281,7 +292,7 @@ class Tradeoff:
         text = (
             f"{describe(document)}\nPage: {self.out / 'tradeoff.html'}"
             if document["rows"]
-            else "Nothing has ended yet."
+            else "No run is finished yet."
         )
         show(document, self.json, text)
         return interrupts.exit_code if document["interrupted"] else 0
@@ -289,20 +300,21 @@ class Tradeoff:
 
 @dataclass(frozen=True)
 class Render:
-    """Render the views of a run to PNG files."""
+    """Render views of a run to PNG files."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
     out: Path
-    """Folder for the pictures."""
+    """Folder of the PNG files."""
     camera: str | None = None
-    """Name of one photograph; all held-out views without it."""
+    """Name of one photo; all test views without it."""
     water: float = 1.0
-    """How much water to show, from 0 (taken away) to 1 (as photographed)."""
+    """Amount of water, from 0 (removed) to 1 (as photographed)."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..experiments.evaluate_run import render_run
 
         files = [str(path) for path in render_run(self.run_folder, self.out, self.camera, self.water)]
@@ -325,6 +337,7 @@ class Export:
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         result = export_run(self.run_folder, self.format, self.out, self.options)
         show(result, self.json, describe_export(result))
         return 0
@@ -332,7 +345,7 @@ class Export:
 
 @dataclass(frozen=True)
 class Label:
-    """Give every Gaussian of a run a label: by words, by mask images, or by what stands out."""
+    """Label every Gaussian of a run: by words, by mask images, or by saliency."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
@@ -341,18 +354,19 @@ class Label:
     masks: Path | None = None
     """Folder of mask images, one folder a label: MASKS/coral/NAME.png."""
     provider: Literal["auto", "masks", "grounded-sam", "saliency"] = "auto"
-    """Whose regions: masks where a folder is given, grounded-sam where there are words, else masks again where the
-    scene has some in its folder labels, else saliency."""
+    """Source of the regions. auto: masks where --masks is given, grounded-sam where --words are given, else the masks
+    in the folder labels of the scene where it has one, else saliency."""
     features: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Write the 32 numbers of each Gaussian's feature into the splat files too."""
+    """Write the feature of each Gaussian, 32 numbers, into the splat files, too."""
     weights_dir: Path | None = None
     """Folder of pretrained networks; the user's cache folder without it."""
     download: tyro.conf.FlagCreatePairsOff[bool] = False
-    """Fetch networks that are not on this machine from their authors."""
+    """Download networks that are not on this machine."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..experiments.label_run import describe, label_run
         from .progress import stage_progress
 
@@ -374,7 +388,7 @@ class Label:
 
 @dataclass(frozen=True)
 class Search:
-    """Say how near the Gaussians of a labelled run are to words; --out writes the number of each."""
+    """Compare the Gaussians of a labelled run with words; --out writes the similarity of each."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
@@ -388,17 +402,18 @@ class Search:
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..experiments.label_run import search_run, write_similarity
 
-        similarity, names = search_run(self.run_folder, self.words, self.weights_dir)
+        similarity, labels = search_run(self.run_folder, self.words, self.weights_dir)
         if self.out:
             write_similarity(self.out, similarity)
         alike = int((similarity > 0.5).sum())
-        text = f"{alike} of {len(similarity)} Gaussians are more than half alike."
-        text += f"\nLabels of that name: {', '.join(names)}." if names else ""
+        text = f"{alike} of {len(similarity)} Gaussians have a similarity above 0.5."
+        text += f"\nLabels with that name: {', '.join(labels)}." if labels else ""
         text += f"\n{self.out}" if self.out else ""
         show(
-            {"gaussians": len(similarity), "alike": alike, "labels": names, "out": self.out and str(self.out)},
+            {"gaussians": len(similarity), "alike": alike, "labels": labels, "out": self.out and str(self.out)},
             self.json,
             text,
         )
@@ -407,18 +422,19 @@ class Search:
 
 @dataclass(frozen=True)
 class Extract:
-    """Write the Gaussians of one label of a run to a file of their own."""
+    """Write the Gaussians of one label of a run to a file."""
 
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
     label: str
     """Name or number of the label."""
     out: Path
-    """File to write; its ending says the format, as .ply does."""
+    """File to write; its suffix, such as .ply, gives the format."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..experiments.label_run import extract_run
 
         count = extract_run(self.run_folder, self.label, self.out)
@@ -428,21 +444,22 @@ class Extract:
 
 @dataclass(frozen=True)
 class Batch:
-    """Run one command for every scene, or every run, in a folder; one that fails stops no other. Ends with a table.
+    """Run one command for every scene, or every run, in a folder, and print a table. A failure does not stop the rest.
 
-    All further options are the command's own: batch train SCENES --out RUNS --preset draft
+    All further options are those of the command: batch train SCENES --out RUNS --preset draft
     """
 
     command: tyro.conf.Positional[Literal["inspect", "plan", "train", "evaluate", "render", "label", "export"]]
-    """What to run."""
+    """The command."""
     folder: tyro.conf.Positional[Path]
     """Folder whose folders are scenes (inspect, plan, train) or runs (the others)."""
     out: Path | None = None
-    """Folder in which each gets a folder, or a file where that is exported, of its own name."""
+    """Folder in which each scene or run gets a folder of its name, for export a file."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self, options: Sequence[str] = ()) -> int:
+        """Run the command with its options for each folder and return the exit code."""
         from .batch import batch, describe
 
         with interrupts.deferred(STOPPING):
@@ -453,12 +470,13 @@ class Batch:
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say what this machine has, which backend a run would take, and why not another."""
+    """Print what this machine has, which backend training would use, and why others cannot run."""
 
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
+        """Run the command and return its exit code."""
         from ..kernels.machine import examine
         from .doctor import describe
 
@@ -487,7 +505,7 @@ def main(arguments: list[str] | None = None) -> int:
     union: Any = functools.reduce(operator.or_, named)
     interrupts.install()
     try:
-        # Blender's own command line has the same words behind other ones.
+        # Within Blender the same words follow others.
         prog = os.environ.get("SWAG_PROG", "python -m swag_engine")
         parse = functools.partial(tyro.cli, union, prog=prog, description=DESCRIPTION, args=arguments)
         if arguments[:1] == ["batch"]:
@@ -504,7 +522,7 @@ def main(arguments: list[str] | None = None) -> int:
         return refuse(TOO_LITTLE, arguments)
     except ModuleNotFoundError as error:
         return refuse_missing(error, arguments)
-    except SystemExit as usage:  # tyro has said what is wrong
+    except SystemExit as usage:  # tyro has printed what is wrong
         if usage.code and "--json" in arguments:
             return refuse("The command line is not valid; the lines before this one say why.", arguments)
         raise

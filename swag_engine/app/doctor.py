@@ -1,5 +1,7 @@
-"""What this machine has, and which backend a run would take. `python -m swag_engine.app.doctor` gives it as an event of
-the worker's protocol, also where the engine's packages are missing."""
+"""What this machine has, and which backend training would use.
+
+`python -m swag_engine.app.doctor` prints it as an event of the worker's protocol, also where packages are missing.
+"""
 
 import json
 from typing import Any
@@ -8,7 +10,14 @@ from ..kernels.machine import examine
 
 
 def describe(found: dict[str, Any]) -> str:
-    """The findings in lines for people."""
+    """Format the result of `examine` as text.
+
+    Args:
+        found: What `examine` returned.
+
+    Returns:
+        The lines that `doctor` prints.
+    """
     lines = [f"SWAG Splatting {found['engine']}, {found['system']}, Python {found['python']}, {found['cores']} cores"]
     lines += [f"  {name} {version or 'is missing'}" for name, version in found["packages"].items()]
     if "backends" not in found:
@@ -22,7 +31,7 @@ def describe(found: dict[str, Any]) -> str:
     for name, detail in details.items():
         backend = found["backends"][name]
         lines.append(f"backend {name}: {detail if backend['runs'] else 'does not run here: ' + backend['reason']}")
-    lines.append(f"Training takes {found['auto']}.")
+    lines.append(f"Training uses {found['auto']}.")
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""The messages between the worker and whoever started it: one JSON object a line."""
+"""Requests to the worker: one JSON object a line."""
 
 from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
@@ -12,7 +12,12 @@ from ..settings.settings import TrainSettings
 
 @dataclass(frozen=True)
 class InspectRequest:
-    """Read a scene; `arrays` is the folder for the arrays of the answer."""
+    """Read a scene.
+
+    Attributes:
+        scene: Folder of the scene.
+        arrays: Folder for the arrays of the answer.
+    """
 
     scene: Path
     arrays: Path
@@ -20,7 +25,14 @@ class InspectRequest:
 
 @dataclass(frozen=True)
 class TrainRequest:
-    """Train `scene` to the run folder `out`."""
+    """Train a scene.
+
+    Attributes:
+        scene: Folder of the scene.
+        out: Folder of the run.
+        settings: Settings of the run.
+        resume: Continue the run in `out`.
+    """
 
     scene: Path
     out: Path
@@ -30,7 +42,12 @@ class TrainRequest:
 
 @dataclass(frozen=True)
 class ForecastRequest:
-    """Say what each preset would take and reach on `scene`."""
+    """Predict time and quality of each preset.
+
+    Attributes:
+        scene: Folder of the scene.
+        settings: Settings of the run.
+    """
 
     scene: Path
     settings: TrainSettings = field(default_factory=TrainSettings)
@@ -38,8 +55,13 @@ class ForecastRequest:
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """Say which effects `scene` calls for; `settings` are those of a run that would follow. The plan goes to plan.json
-    in the folder `out`, or in the scene's."""
+    """Decide which effects a scene has.
+
+    Attributes:
+        scene: Folder of the scene.
+        out: Folder for plan.json, None for that of the scene.
+        settings: Settings of the run that the plan is for.
+    """
 
     scene: Path
     out: Path | None = None
@@ -48,7 +70,13 @@ class PlanRequest:
 
 @dataclass(frozen=True)
 class ExportRequest:
-    """Write the result of the run folder `run` to the file `out`."""
+    """Export the result of a run.
+
+    Attributes:
+        run: Folder of the run.
+        format: Format of the file.
+        out: The file.
+    """
 
     run: Path
     format: FormatName
@@ -57,8 +85,15 @@ class ExportRequest:
 
 @dataclass(frozen=True)
 class LabelRequest:
-    """Label the Gaussians of the run `run` by `words` (between commas), by the folder `masks`, by what stands out
-    (`saliency`), or as the command `label` does by itself; `download`: networks may be fetched."""
+    """Label the Gaussians of a run, without words, masks and saliency as the command `label` does.
+
+    Attributes:
+        run: Folder of the run.
+        words: What to look for, separated by commas.
+        masks: Folder of mask images.
+        saliency: Label by saliency.
+        download: Whether networks may be downloaded.
+    """
 
     run: Path
     words: str = ""
@@ -69,7 +104,13 @@ class LabelRequest:
 
 @dataclass(frozen=True)
 class SearchRequest:
-    """Write how near each Gaussian of the labelled run `run` is to `words` to the .npy file `path`."""
+    """Compare the Gaussians of a labelled run with words.
+
+    Attributes:
+        run: Folder of the run.
+        words: The words.
+        path: File (.npy) for the similarity of each Gaussian.
+    """
 
     run: Path
     words: str
@@ -78,17 +119,17 @@ class SearchRequest:
 
 @dataclass(frozen=True)
 class CancelRequest:
-    """Stop what is running; what exists is kept."""
+    """Stop the request at hand; what exists is kept."""
 
 
 @dataclass(frozen=True)
 class PauseRequest:
-    """Wait before the next iteration until `go_on`, `cancel` or the end of the stream."""
+    """Pause the training before the next iteration until `go_on`, `cancel` or the end of the stream."""
 
 
 @dataclass(frozen=True)
 class GoOnRequest:
-    """Go on after `pause`."""
+    """Continue after `pause`."""
 
 
 Request = (
@@ -118,7 +159,17 @@ REQUESTS: dict[str, type[Request]] = {
 
 
 def parse_request(line: str) -> Request:
-    """The request in one line. Raises InputError that names what is wrong with it."""
+    """Parse one line.
+
+    Args:
+        line: A JSON object with the name of the request and its fields.
+
+    Returns:
+        The request.
+
+    Raises:
+        InputError: When it is not a request; the message says what is wrong.
+    """
     try:
         message = from_json(line)
     except ValueError as error:
@@ -132,7 +183,7 @@ def parse_request(line: str) -> Request:
     known = {entry.name: entry for entry in fields(kind)}
     unknown = sorted(set(message) - set(known))
     if unknown:
-        raise InputError(f"The request {name} knows no {', '.join(unknown)}.")
+        raise InputError(f"The request {name} has no field {', '.join(unknown)}; it has {', '.join(known)}.")
     values = {key: parse_value(name, key, known[key].type, value) for key, value in message.items()}
     try:
         return kind(**values)
@@ -142,7 +193,20 @@ def parse_request(line: str) -> Request:
 
 
 def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
-    """One field of a request as the type that the dataclass gives it."""
+    """Convert one field of a request to its type.
+
+    Args:
+        request: Name of the request.
+        key: Name of the field.
+        kind: Type of the field.
+        value: Value from JSON.
+
+    Returns:
+        The value of that type.
+
+    Raises:
+        InputError: When the value does not fit.
+    """
     if kind in (Path, Path | None) and isinstance(value, str) and value:
         return Path(value)
     if kind is str and isinstance(value, str) and value:
@@ -153,10 +217,16 @@ def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
         return TrainSettings.from_json(value)
     if kind is FormatName and value in get_args(FormatName):
         return value
-    raise InputError(f"The request {request} has {key} = {value!r}, which is no {describe(kind)}.")
+    raise InputError(f"The request {request} has {key} = {value!r}, which is not {describe(kind)}.")
 
 
 def describe(kind: Any) -> str:
-    words: dict[Any, str] = {Path: "path", str: "text", bool: "true or false", TrainSettings: "object of settings"}
+    """Return a name for the type of a field."""
+    words: dict[Any, str] = {
+        Path: "a path",
+        str: "a text",
+        bool: "true or false",
+        TrainSettings: "an object of settings",
+    }
     words[Path | None] = words[Path]
     return words.get(kind) or f"one of {', '.join(get_args(kind))}"

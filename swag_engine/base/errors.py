@@ -1,9 +1,9 @@
-"""The one exception that is meant for the user's eyes."""
+"""The exception whose message is shown to the user."""
 
 
 class InputError(Exception):
-    """What the user gave cannot be used.
+    """Input that cannot be used.
 
-    The message is one sentence in plain words: what is wrong, in which file, what to do. Every door (command line,
-    worker, Blender) shows it as it is and ends with exit code 2; no traceback, nothing half-written.
+    The message is one sentence: what is wrong, in which file or setting, what to do. Command line, worker and Blender
+    show it without a traceback; the exit code is 2, and no file is left incomplete.
     """

@@ -1,4 +1,4 @@
-"""Files that are either whole or absent, and folders that one process at a time writes to."""
+"""Files that are written completely or not at all, and folders that one process at a time writes to."""
 
 import os
 import sys
@@ -10,17 +10,23 @@ from typing import BinaryIO
 from .errors import InputError
 
 LOCK = ".lock"
-HALF = (".*.part", ".tmp??????")
-"""What killed processes leave: our temporary files, and those of safetensors."""
+"""Name of the file whose lock a process holds while it writes to a folder."""
+TEMPORARY_NAMES = (".*.part", ".tmp??????")
+"""Patterns of the files that killed processes leave: temporary files of `atomic_path` and of safetensors."""
 
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary sibling of `path` to write to; flush it and rename it over `path` when the block succeeds.
+    """Yield a temporary sibling of a file to write to; flush it and rename it over the file when the block succeeds.
 
-    The parent folder is made. When the block fails, the temporary file is removed and an existing `path` is untouched.
-    After a power cut there is the old file or the new one: the bytes reach the disk before the name does.
-    Raises InputError when the disk is full or the folder cannot be written to.
+    When the block fails, the temporary file is removed and an existing file is untouched. After a power cut there is
+    the old file or the new one: the bytes reach the disk before the name does.
+
+    Args:
+        path: The file; its parent folder is made.
+
+    Raises:
+        InputError: When the disk is full or the folder cannot be written to.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -38,7 +44,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def _flush_names(folder: Path) -> None:
-    """Let the disk have what a folder lists, where the system has a way to ask for it."""
+    """Flush the names that a folder lists to the disk, on systems that can."""
     if os.name != "posix":
         return
     with suppress(OSError):
@@ -50,23 +56,28 @@ def _flush_names(folder: Path) -> None:
 
 
 @contextmanager
-def claimed(folder: Path) -> Iterator[None]:
-    """Hold `folder`, which is made, against other processes that claim it; what a killed one left half is cleared.
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Lock a folder against other processes while the block runs, and remove temporary files of killed ones.
 
-    The system lets go of a claim when its process dies. A folder that stays empty is taken away again. Raises
-    InputError when another process holds it, or it cannot be written to.
+    The system releases the lock when the process dies. A folder that stays empty is removed again.
+
+    Args:
+        folder: The folder; it is made.
+
+    Raises:
+        InputError: When another process holds the lock, or the folder cannot be written to.
     """
     lock = folder / LOCK
     try:
         folder.mkdir(parents=True, exist_ok=True)
         held = _locked(lock, folder)
         while not (lock.exists() and os.path.samestat(os.fstat(held.fileno()), lock.stat())):
-            held.close()  # whoever had it took the file away in between
+            held.close()  # the process that had it has removed the file in between
             held = _locked(lock, folder)
     except OSError as error:
         raise InputError(f"Cannot write {folder}: {error.strerror or error}.") from error
     try:
-        for left in [path for pattern in HALF for path in folder.glob(pattern)]:
+        for left in [path for pattern in TEMPORARY_NAMES for path in folder.glob(pattern)]:
             left.unlink(missing_ok=True)
         yield
     finally:
@@ -80,7 +91,7 @@ def claimed(folder: Path) -> Iterator[None]:
 
 
 def _locked(path: Path, folder: Path) -> BinaryIO:
-    """The file, open and locked. A file system that knows no locks is taken as it is."""
+    """Open and lock a file; without a lock on file systems that have none."""
     file = open(path, "ab")  # noqa: SIM115 (stays open as long as the lock is held)
     try:
         if sys.platform == "win32":
@@ -93,7 +104,7 @@ def _locked(path: Path, folder: Path) -> BinaryIO:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):
         file.close()
-        raise InputError(f"Another process is working in {folder}: let it end, or choose another folder.") from None
+        raise InputError(f"Another process is working in {folder}: wait for its end or choose another one.") from None
     except OSError:
         pass
     return file

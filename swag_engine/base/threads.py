@@ -1,11 +1,13 @@
-"""How threads share the cores with other work, Blender's own above all. Import it before numpy and torch, which read
-the environment once."""
+"""How threads share the cores with other work, above all with Blender's.
+
+Import this module before numpy and torch, which read the environment once.
+"""
 
 import os
 
 # Waiting threads sleep instead of spin: spinning halves the speed of training where cores are shared.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-# The matrices of numpy and scipy are small here: where cores are shared, threads spend ten times as long on waiting.
+# The matrices of numpy and scipy are small here: on shared cores, threads wait ten times as long as they work.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 

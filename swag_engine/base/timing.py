@@ -1,19 +1,24 @@
-"""Where the time of a training goes: seconds by part, each part without those inside it."""
+"""Time of a training by part: seconds of each part, without those of the parts inside it."""
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ContextDecorator, contextmanager
 
 Synchronise = Callable[[], None]
-SAMPLED = 16
-"""On a device that works ahead of the program only one iteration in so many waits for it and is counted."""
+SAMPLE_EVERY = 16
+"""Iterations of which one is timed on a device that works asynchronously, as each timed one has to wait for it."""
 
 
 class Ledger:
-    """Seconds by part of the iterations that were counted.
+    """Seconds by part of the iterations that were timed.
 
-    synchronise: waits for a device that works ahead of the program; None where none does, and every iteration counts.
-    clock: the time in seconds.
+    Args:
+        synchronise: Waits for a device that works asynchronously; None where there is none, and all are timed.
+        clock: Returns the time in seconds.
+
+    Attributes:
+        seconds: Seconds by name of the part.
+        iterations: Number of iterations that were timed.
     """
 
     def __init__(self, synchronise: Synchronise | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -26,15 +31,17 @@ class Ledger:
         self._seen = 0
 
     def enter(self, part: str) -> None:
+        """Begin a part inside the current one."""
         self._settle()
         self._open.append(part)
 
     def leave(self) -> None:
+        """End the innermost part."""
         self._settle()
         self._open.pop()
 
     def _settle(self) -> None:
-        """What passed since the last change belongs to the innermost part."""
+        """Add the time since the last change to the innermost part."""
         if self.synchronise:
             self.synchronise()
         now = self.clock()
@@ -45,10 +52,10 @@ class Ledger:
 
     @contextmanager
     def iteration(self) -> Iterator[None]:
-        """Count what `part` names meanwhile, under "other" what none names."""
+        """Time one iteration: the parts inside the block, and the rest as "other"."""
         global _active
         self._seen += 1
-        if self.synchronise and self._seen % SAMPLED:
+        if self.synchronise and self._seen % SAMPLE_EVERY:
             yield
             return
         _active = self
@@ -61,7 +68,7 @@ class Ledger:
             _active = None
 
     def milliseconds(self) -> dict[str, float]:
-        """Mean ms per iteration by part, the dearest first."""
+        """Return the mean ms per iteration by part, the slowest first."""
         count = max(1, self.iterations)
         parts = sorted(self.seconds.items(), key=lambda entry: -entry[1])
         return {name: round(1000 * seconds / count, 4) for name, seconds in parts}
@@ -71,8 +78,13 @@ _active: Ledger | None = None
 
 
 class part(ContextDecorator):
-    """`with part("water"):`, or `@part("water")` on a function, counts its body in the ledger of the iteration that
-    runs; nothing where none does."""
+    """Times its body as a part of the iteration that runs: `with part("water"):`, or `@part("water")` on a function.
+
+    Outside a timed iteration it does nothing.
+
+    Args:
+        name: Name of the part.
+    """
 
     def __init__(self, name: str) -> None:
         self.name = name

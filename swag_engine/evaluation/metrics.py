@@ -1,4 +1,4 @@
-"""How near a rendered picture is to its photograph, and to the truth where it is known."""
+"""Metrics of rendered images: against the images of the scene, and against the true image without water."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,14 +17,22 @@ from ..scene.images import TrainingImage
 from .ssim import ssim
 
 FLOATER_GAP = 0.05
-"""How far in front of a surface a floater is, in median ranges."""
-SHELLS = 160
+"""Distance of a floater in front of the surface, at least, in median ranges."""
+RANGE_STEPS = 160
 """Steps of range, half a FLOATER_GAP each, that `floater_mass` sorts Gaussians into: up to 4 median ranges."""
 
 
 @dataclass(frozen=True)
 class ViewScore:
-    """PSNR in dB and SSIM of one view over its valid pixels; mse: mean square error over those `pixels`."""
+    """Scores of one view over its valid pixels.
+
+    Attributes:
+        name: Name of the image.
+        psnr: PSNR in dB.
+        ssim: SSIM.
+        mse: Mean square error of display values 0..1.
+        pixels: Number of valid pixels.
+    """
 
     name: str
     psnr: float
@@ -33,8 +41,8 @@ class ViewScore:
     pixels: int
 
 
-def psnr_of(mse: float) -> float:
-    """Peak signal-to-noise ratio in dB of a mean square error of values in 0..1; 100 dB at most."""
+def psnr_from_mse(mse: float) -> float:
+    """Return the peak signal-to-noise ratio in dB, at most 100, of a mean square error of values in 0..1."""
     return float(-10 * np.log10(max(mse, 1e-10)))
 
 
@@ -43,51 +51,95 @@ def score_views(
     images: Sequence[TrainingImage],
     sh_degree: int,
     backend: str = "auto",
-    simulated: SceneEffects | None = None,
+    effects: SceneEffects | None = None,
 ) -> list[ViewScore]:
-    """Render every image's view and compare, at the size of the images, in 8 bits as both would be stored."""
-    return [score_picture(image, picture(cloud, image.camera, sh_degree, backend, simulated)) for image in images]
+    """Render the view of each image at its size and score it, in 8 bits as both would be stored.
+
+    Args:
+        cloud: The Gaussians.
+        images: Images to compare with.
+        sh_degree: Degree of the spherical harmonics.
+        backend: Name of the backend.
+        effects: Effects to render with, none without.
+
+    Returns:
+        One score for each image.
+    """
+    return [score_image(image, render_image(cloud, image.camera, sh_degree, backend, effects)) for image in images]
 
 
 @torch.no_grad()
-def picture(
+def render_image(
     cloud: GaussianCloud,
     camera: Camera,
     sh_degree: int,
     backend: str = "auto",
-    simulated: SceneEffects | None = None,
+    effects: SceneEffects | None = None,
     amount: float = 1.0,
 ) -> Tensor:
-    """What `camera` sees through `amount` (0..1) of all that is simulated: (H, W, 3) on the CPU in 0..1, rounded as in
-    8 bits. A photograph that nothing was learned of gets the gain that its neighbours let expect, and even light."""
-    simulated = simulated or SceneEffects()
-    color = render(
-        cloud, camera, sh_degree, simulated.medium, amount=amount, backend=backend, lamp=simulated.lamp
-    ).color
-    color = simulated.apply_to_image(color, camera.name, amount).cpu()
+    """Render one view as it would be stored, in 8 bits.
+
+    An image that was not trained on gets the gain interpolated from its neighbours, and no caustics.
+
+    Args:
+        cloud: The Gaussians.
+        camera: The camera.
+        sh_degree: Degree of the spherical harmonics.
+        backend: Name of the backend.
+        effects: Effects to render with, none without.
+        amount: Strength of all effects: 0 leaves them away, 1 is as trained.
+
+    Returns:
+        Image (H, W, 3) on the CPU, display values 0..1 in steps of 1/255.
+    """
+    effects = effects or SceneEffects()
+    color = render(cloud, camera, sh_degree, effects.medium, amount=amount, backend=backend, lamp=effects.lamp).color
+    color = effects.apply_to_image(color, camera.name, amount).cpu()
     return (color.clamp(0, 1) * 255).round() / 255
 
 
-def comparable(image: TrainingImage, color: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Picture and photograph (H, W, 3) in 0..1, alike where the photograph is not valid, and valid (H, W) bool."""
+def mask_invalid(image: TrainingImage, color: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Prepare a rendered image for a comparison over the valid pixels alone.
+
+    Args:
+        image: The image to compare with.
+        color: Rendered image (H, W, 3), display values 0..1.
+
+    Returns:
+        The rendered image (H, W, 3) with the pixels of the other where these are not valid, the other (H, W, 3), and
+        the valid pixels (H, W) bool.
+    """
     target = torch.from_numpy(image.pixels).to(color.dtype) / 255
     valid = torch.from_numpy(image.valid)
     return torch.where(valid[..., None], color, target), target, valid
 
 
-def score_picture(image: TrainingImage, color: Tensor) -> ViewScore:
-    """PSNR and SSIM of one picture (H, W, 3) in 0..1 against its photograph; not a number without valid pixels."""
-    compared, target, valid = comparable(image, color)
+def score_image(image: TrainingImage, color: Tensor) -> ViewScore:
+    """Score a rendered image.
+
+    Args:
+        image: The image to compare with.
+        color: Rendered image (H, W, 3), display values 0..1.
+
+    Returns:
+        The scores, NaN without valid pixels.
+    """
+    compared, target, valid = mask_invalid(image, color)
     if not valid.any():
         return ViewScore(image.camera.name, float("nan"), float("nan"), float("nan"), 0)
     mse = float(((compared - target)[valid] ** 2).mean())
-    return ViewScore(image.camera.name, psnr_of(mse), float(ssim(compared, target)), mse, int(valid.sum()))
+    return ViewScore(image.camera.name, psnr_from_mse(mse), float(ssim(compared, target)), mse, int(valid.sum()))
 
 
-def median_control(training: Sequence[TrainingImage], test: Sequence[TrainingImage]) -> float:
-    """Mean test PSNR in dB of the pixel-wise median of the training images: what knows nothing of geometry reaches.
+def median_image_psnr(training: Sequence[TrainingImage], test: Sequence[TrainingImage]) -> float:
+    """Compute the median-image baseline: the test PSNR of the pixel-wise median of the training images.
 
-    Not a number where there are no test images, or no training image of the size of the first.
+    Args:
+        training: Training images.
+        test: Test images.
+
+    Returns:
+        Mean PSNR in dB; NaN without test images, or without a training image of the size of the first.
     """
     if not test:
         return float("nan")
@@ -97,46 +149,62 @@ def median_control(training: Sequence[TrainingImage], test: Sequence[TrainingIma
         return float("nan")
     median = torch.from_numpy(np.median(np.stack(same), axis=0).astype(np.float32) / 255)
     matching = [image for image in test if image.pixels.shape == shape]
-    return mean_score([score_picture(image, median) for image in matching])[0]
+    return mean_score([score_image(image, median) for image in matching])[0]
 
 
 def mean_score(scores: Sequence[ViewScore]) -> tuple[float, float]:
-    """Mean PSNR and mean SSIM over views; not a number without any."""
+    """Return the mean PSNR in dB and the mean SSIM over views, NaN without any."""
     return mean([score.psnr for score in scores]), mean([score.ssim for score in scores])
 
 
 def mean(values: Sequence[float]) -> float:
-    """Mean of those values that are numbers; not a number without any."""
+    """Return the mean of the values that are not NaN, NaN without any."""
     known = [value for value in values if not np.isnan(value)]
     return float(np.mean(known)) if known else float("nan")
 
 
 def joint_psnr(scores: Sequence[ViewScore]) -> float:
-    """PSNR in dB of the mean square error over the valid pixels of all views together.
+    """Compute the PSNR of the mean square error over the valid pixels of all views together.
 
-    Never above the mean of the views' PSNR when they have equally many pixels: a view that fails weighs more.
+    With equally many pixels in each view it is never above the mean PSNR: a view with large errors weighs more.
+
+    Args:
+        scores: Scores of the views.
+
+    Returns:
+        PSNR in dB, NaN without valid pixels.
     """
     seen = [score for score in scores if score.pixels]
     if not seen:
         return float("nan")
-    return psnr_of(float(np.average([score.mse for score in seen], weights=[score.pixels for score in seen])))
+    return psnr_from_mse(float(np.average([score.mse for score in seen], weights=[score.pixels for score in seen])))
 
 
 @torch.no_grad()
 def floater_mass(cloud: GaussianCloud, cameras: Sequence[Camera], median_range: float, backend: str = "auto") -> float:
-    """The share, 0..1, of all that is drawn in these views which hangs in front of what is seen there.
+    """Compute the fraction of the blending weights that lies in front of the visible surface.
 
-    A Gaussian adds T alpha to a pixel (T the transmittance before it). Let W(r) be what the Gaussians nearer than r to
-    the camera add to the pixel, r the Euclidean distance of their centres. The pixel's surface is where W reaches .5;
-    its floaters add W(surface - FLOATER_GAP median_range), nothing where W stays below .5. The result is the floaters'
-    sum over all pixels and views over the sum of all T alpha; not a number when nothing is drawn.
+    A Gaussian adds the weight T alpha to a pixel (T is the transmittance before it). W(r) is the sum of the weights of
+    the Gaussians nearer than r to the camera, where r is the range of their centres. The pixel's surface is at the
+    range where W reaches 0.5; the weight of its floaters is W(surface - FLOATER_GAP * median_range), and 0 where W
+    stays below 0.5.
 
-    The threshold differs from pixel to pixel, and a render has one value a Gaussian; so W is rendered itself, one
-    channel for each of SHELLS ranges with 1 for the Gaussians nearer than it, and taken as linear between two. That
-    is within 3 % of the sum over single Gaussians (demo scene). Surfaces farther than 4 median ranges count as there.
+    The surface differs from pixel to pixel and a render has one value a Gaussian, so W itself is rendered: one channel
+    for each of RANGE_STEPS ranges, with 1 for the Gaussians nearer than it, and linear between two. The result is
+    within 3 % of the sum over single Gaussians (demo scene). Surfaces farther than 4 median ranges count as at that.
+
+    Args:
+        cloud: The Gaussians.
+        cameras: Cameras of the views.
+        median_range: Median range of the scene, scene units.
+        backend: Name of the backend.
+
+    Returns:
+        Weight of the floaters over the weight of all Gaussians, summed over pixels and views, 0..1; NaN when nothing
+        is rendered.
     """
     step = FLOATER_GAP / 2
-    edges = (torch.arange(1, SHELLS + 1) * step * median_range).to(cloud.means)
+    edges = (torch.arange(1, RANGE_STEPS + 1) * step * median_range).to(cloud.means)
     edges[-1] = torch.inf
     front = total = 0.0
     for camera in cameras:
@@ -160,18 +228,24 @@ def floater_mass(cloud: GaussianCloud, cameras: Sequence[Camera], median_range: 
 
 
 def restored_error(restored: np.ndarray, clean: np.ndarray, valid: np.ndarray) -> tuple[float, float]:
-    """PSNR in dB and mean CIE delta E 2000 of a picture without water against the truth.
+    """Compare an image without water with the true one.
 
-    restored and clean (H, W, 3) sRGB in 0..1, valid (H, W) bool. Not numbers without valid pixels.
+    Args:
+        restored: Rendered image without water (H, W, 3), sRGB 0..1.
+        clean: True image without water (H, W, 3), sRGB 0..1.
+        valid: Pixels to compare (H, W) bool.
+
+    Returns:
+        PSNR in dB and mean CIE delta E 2000, NaN without valid pixels.
     """
     if not valid.any():
         return float("nan"), float("nan")
     ours, true = restored[valid].astype(np.float64), clean[valid].astype(np.float64)
-    return psnr_of(float(((ours - true) ** 2).mean())), float(delta_e_2000(lab(ours), lab(true)).mean())
+    return psnr_from_mse(float(((ours - true) ** 2).mean())), float(delta_e_2000(lab(ours), lab(true)).mean())
 
 
 def lab(srgb: np.ndarray) -> np.ndarray:
-    """CIE L*a*b* (..., 3), white D65, of sRGB (..., 3) in 0..1 (IEC 61966-2-1)."""
+    """Convert sRGB (..., 3) in 0..1 (IEC 61966-2-1) to CIE L*a*b* (..., 3) with white point D65."""
     linear = srgb_to_linear(srgb)
     xyz = linear @ np.array(
         [[0.4124564, 0.2126729, 0.0193339], [0.3575761, 0.7151522, 0.1191920], [0.1804375, 0.0721750, 0.9503041]]
@@ -183,9 +257,14 @@ def lab(srgb: np.ndarray) -> np.ndarray:
 
 
 def delta_e_2000(lab1: np.ndarray, lab2: np.ndarray) -> np.ndarray:
-    """CIEDE2000 colour difference (...) of L*a*b* colours (..., 3): Sharma, Wu, Dalal 2005, with k_L = k_C = k_H = 1.
+    """Compute the CIEDE2000 colour difference (Sharma, Wu, Dalal 2005, with k_L = k_C = k_H = 1).
 
-    A difference of 1 is about the least that an eye sees.
+    Args:
+        lab1: L*a*b* colors (..., 3).
+        lab2: L*a*b* colors (..., 3).
+
+    Returns:
+        Differences (...); 1 is about the smallest that people see.
     """
     (l1, a1, b1), (l2, a2, b2) = np.moveaxis(lab1, -1, 0), np.moveaxis(lab2, -1, 0)
 

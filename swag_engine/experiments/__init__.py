@@ -1,1 +1,1 @@
-"""Runs about runs: training with a report, forecasts, ablations, trade-offs, evaluation."""
+"""Experiments: training with a report, forecast, ablation, tradeoff, evaluation, labels of a run."""

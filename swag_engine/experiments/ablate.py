@@ -1,4 +1,4 @@
-"""What each method, and each part of ours, is worth on a scene: the same run many times with one thing changed."""
+"""Ablation: every recipe, and the default recipe with each effect switched, trained on one scene over several seeds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,10 +18,11 @@ from ..settings.settings import TrainSettings
 from ..training.trainer import train
 from .evaluate_run import evaluate_run
 
-OURS = "swag"
+DEFAULT_RECIPE = "swag"
+"""The recipe whose effects are switched."""
 ALL = ",".join(f"{name}=on" for name, effect in REGISTRY.items() if not effect.needs_network)
-"""Every effect that needs no network."""
-FIGURES = {
+"""The effects that need no network, all switched on."""
+METRICS = {
     "psnr": "validation PSNR",
     "test_psnr": "test PSNR",
     "test_ssim": "SSIM",
@@ -34,26 +35,38 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: what it is called, and the settings that make it."""
+    """One row of the table.
+
+    Attributes:
+        name: Name of the row.
+        recipe: Recipe of its runs.
+        effects: Effects that are switched by hand, as in the settings.
+    """
 
     name: str
     recipe: str
     effects: str = ""
 
 
-def rows(plan: Plan | None = None) -> list[Row]:
-    """Every recipe, and ours with each effect switched to what it is not for a scene with these effects.
+def ablation_rows(plan: Plan | None = None) -> list[Row]:
+    """List the rows: every recipe, and the default recipe with each effect switched to the opposite of the plan.
 
-    plan: the scene's, None where it is not known.
+    Args:
+        plan: The plan of the scene, None for the defaults of the recipe.
+
+    Returns:
+        The rows in the order of the table.
     """
-    ours = recipe_of(OURS, "", plan.switches() if plan else None)
+    default = recipe_of(DEFAULT_RECIPE, "", plan.switches() if plan else None)
     table = [Row(name, name) for name in RECIPES]
     for effect in (*TOGETHER, *EFFECTS, *SWITCHES):
-        on = has(ours, TOGETHER.get(effect, (effect,))[0])
+        on = has(default, TOGETHER.get(effect, (effect,))[0])
         state, word = ("off", "without") if on else ("on", "with")
-        if recipe_of(OURS, f"{effect}={state}", plan.switches() if plan else None) != ours:
-            table.append(Row(f"{OURS} {word} {effect.replace('_', ' ')}", OURS, f"{effect}={state}"))
-    table.append(Row(f"{OURS} with all", OURS, ALL))
+        if recipe_of(DEFAULT_RECIPE, f"{effect}={state}", plan.switches() if plan else None) != default:
+            table.append(
+                Row(f"{DEFAULT_RECIPE} {word} {effect.replace('_', ' ')}", DEFAULT_RECIPE, f"{effect}={state}")
+            )
+    table.append(Row(f"{DEFAULT_RECIPE} with all", DEFAULT_RECIPE, ALL))
     return table
 
 
@@ -66,15 +79,28 @@ def ablate(
     on_run: Callable[[str, int, dict[str, Any]], None] = lambda name, seed, figures: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any]:
-    """Train and evaluate every row with seeds 0 to seeds - 1; write ablation.json and ablation.md to the folder `out`.
+    """Train and evaluate every row with several seeds; write ablation.json and ablation.md.
 
-    `settings` gives size and length of the runs. A run that is there already is not made again, and one that was
-    stopped goes on, so that the same call after an interruption ends where an uninterrupted one would. on_run gets
-    the name of the row, the seed and the figures of each run. Returns the document in ablation.json: `rows` with
-    `mean` and `spread` (standard deviation over the seeds) of each of FIGURES, and `interrupted`.
-    Raises InputError as train does, and where `out` holds runs of another scene or size.
+    A run that exists is not trained again, and one that was stopped is continued, so that the same call after an
+    interrupt gives what an uninterrupted one would.
+
+    Args:
+        scene: Folder of the scene.
+        out: Folder of the runs and of the two files.
+        seeds: Number of runs of each row, with seeds from 0.
+        settings: Size and length of the runs.
+        weights_dir: Folder where networks are searched first.
+        on_run: Gets the name of the row, the seed and the metrics of each run.
+        should_stop: Asked between two iterations; when it returns true, the ablation ends.
+
+    Returns:
+        The document in ablation.json: `rows` with `mean` and `spread` (standard deviation over the seeds) of each of
+        METRICS, and `interrupted`.
+
+    Raises:
+        InputError: As `train`, and where `out` holds runs of another scene or of other settings.
     """
-    return compare_rows(rows(plan_scene(scene)), scene, out, seeds, settings, weights_dir, on_run, should_stop)
+    return compare_rows(ablation_rows(plan_scene(scene)), scene, out, seeds, settings, weights_dir, on_run, should_stop)
 
 
 def compare_rows(
@@ -87,7 +113,7 @@ def compare_rows(
     on_run: Callable[[str, int, dict[str, Any]], None] = lambda name, seed, figures: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any]:
-    """Train and evaluate these rows; everything else as of `ablate`."""
+    """Train and evaluate given rows; the other arguments, result and errors are those of `ablate`."""
     if seeds < 1:
         raise InputError(f"The number of seeds must be 1 or more, not {seeds}.")
     document: dict[str, Any] = {"scene": str(scene), "settings": settings.to_json(), "seeds": seeds, "rows": []}
@@ -97,7 +123,7 @@ def compare_rows(
         for seed in range(seeds):
             changed: dict[str, Any] = {"recipe": row.recipe, "effects": row.effects, "seed": seed}
             wanted = replace(settings, **changed)
-            found = _figures(scene, out / row.name.replace(" ", "-") / f"seed-{seed}", wanted, weights_dir, should_stop)
+            found = _metrics(scene, out / row.name.replace(" ", "-") / f"seed-{seed}", wanted, weights_dir, should_stop)
             if found is None:
                 document["interrupted"] = True
                 break
@@ -107,31 +133,42 @@ def compare_rows(
             document["rows"].append(_summary(row, figures))
             write_json(out / "ablation.json", document)
             with atomic_path(out / "ablation.md") as temporary:
-                temporary.write_text(table(document) + "\n", encoding="utf-8")
+                temporary.write_text(format_table(document) + "\n", encoding="utf-8")
         if document["interrupted"]:
             break
     return document
 
 
-def _figures(
+def _metrics(
     scene: Path, folder: Path, settings: TrainSettings, weights_dir: Path | None, should_stop: Callable[[], bool]
 ) -> dict[str, Any] | None:
-    """The figures of one run, made or found; None where it was stopped before its end."""
+    """Return the metrics of one run as METRICS has them, None where it was stopped before its end."""
     metrics = metrics_of_run(scene, folder, settings, weights_dir, should_stop)
     if metrics is None:
         return None
     stored = folder / "evaluation.json"
     evaluation = read_json(stored, "") if stored.exists() else evaluate_run(folder, weights_dir)
     values = metrics | {"floater_mass": evaluation["floater_mass"], "delta_e": evaluation["restored"]["delta_e"]}
-    return {name: values[name] for name in FIGURES} | {"water": metrics["water"], "notes": metrics["notes"]}
+    return {name: values[name] for name in METRICS} | {"water": metrics["water"], "notes": metrics["notes"]}
 
 
 def metrics_of_run(
     scene: Path, folder: Path, settings: TrainSettings, weights_dir: Path | None, should_stop: Callable[[], bool]
 ) -> dict[str, Any] | None:
-    """metrics.json of a run: made, gone on with, or found finished; None where it was stopped before its end.
+    """Return the metrics of a run; train it first, or continue it, where it is not finished.
 
-    Raises InputError as train does, and where the folder holds a run of another scene or of other settings.
+    Args:
+        scene: Folder of the scene.
+        folder: Folder of the run.
+        settings: Settings of the run.
+        weights_dir: Folder where networks are searched first.
+        should_stop: Asked between two iterations.
+
+    Returns:
+        The document in metrics.json, None where the run was stopped before its end.
+
+    Raises:
+        InputError: As `train`, and where the folder holds a run of another scene or of other settings.
     """
     run, settings = RunFolder(folder), settings.sized()
     if should_stop():
@@ -144,14 +181,14 @@ def metrics_of_run(
         result = train(scene, folder, settings, run.config.exists(), should_stop=should_stop, weights_dir=weights_dir)
         if result["interrupted"]:
             return None
-    return read_json(run.metrics, f"{folder} has no figures: delete it.")
+    return read_json(run.metrics, f"{folder} has no metrics.json: delete the folder and start again.")
 
 
 def _summary(row: Row, figures: list[dict[str, Any]]) -> dict[str, Any]:
-    """Mean and spread of each figure that is known; None where no run has it."""
+    """Return a row of the document: mean and standard deviation of each metric, None where too few runs have it."""
     mean: dict[str, float | None] = {}
     spread: dict[str, float | None] = {}
-    for name in FIGURES:
+    for name in METRICS:
         known = [f[name] for f in figures if f[name] is not None and np.isfinite(f[name])]
         mean[name] = float(np.mean(known)) if known else None
         spread[name] = float(np.std(known, ddof=1)) if len(known) > 1 else None
@@ -162,13 +199,20 @@ def _summary(row: Row, figures: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def table(document: dict[str, Any]) -> str:
-    """The rows as a Markdown table: mean, and spread over the seeds where there are several."""
-    lines = ["| method | " + " | ".join(FIGURES.values()) + " |", "|---" * (len(FIGURES) + 1) + "|"]
+def format_table(document: dict[str, Any]) -> str:
+    """Format the result of `ablate` as a Markdown table.
+
+    Args:
+        document: What `ablate` returned.
+
+    Returns:
+        The table: means, for PSNR with the standard deviation where there are several seeds.
+    """
+    lines = ["| method | " + " | ".join(METRICS.values()) + " |", "|---" * (len(METRICS) + 1) + "|"]
     digits = {"psnr": 2, "test_psnr": 2, "test_ssim": 3, "delta_e": 1, "gaussians": 0, "seconds": 0}
     for row in document["rows"]:
         cells = []
-        for name in FIGURES:
+        for name in METRICS:
             mean, spread = row["mean"][name], row["spread"][name]
             if mean is None:
                 cells.append("-")

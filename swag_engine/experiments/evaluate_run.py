@@ -1,4 +1,4 @@
-"""What a finished run shows: scores and pictures."""
+"""Evaluation of a finished run: scores on its test images, and rendered images."""
 
 from pathlib import Path
 from typing import Any
@@ -13,15 +13,15 @@ from ..base.files import atomic_path
 from ..effects.scene_effects import SceneEffects
 from ..evaluation.lpips import BACKBONES, load_lpips
 from ..evaluation.metrics import (
-    comparable,
     floater_mass,
     joint_psnr,
+    mask_invalid,
     mean,
     mean_score,
-    median_control,
-    picture,
+    median_image_psnr,
+    render_image,
     restored_error,
-    score_picture,
+    score_image,
 )
 from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud
@@ -29,32 +29,41 @@ from ..kernels.backends import device_for
 from ..kernels.machine import examine
 from ..rendering.model import SceneModel
 from ..scene.colmap import Scene, load_scene
-from ..scene.images import TrainingImage, load_images, read_picture
+from ..scene.images import TrainingImage, load_images, read_image
 from ..scene.inspect import inspect_scene
 from ..scene.split import split_views
 from ..training.checkpoint import load_checkpoint
 from ..training.inputs import median_range
 from .evaluation_page import write_evaluation_page
-from .page import Compared
+from .page import ViewComparison
 
 PAGE = "evaluation.html"
+"""Name of the page in the run's folder."""
 
 
 def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any]:
-    """Score a run's newest checkpoint on the held-out views; write evaluation.json and evaluation.html to its folder.
+    """Score the newest checkpoint of a run on its test images; write evaluation.json and evaluation.html.
 
-    weights_dir: where LPIPS weights are looked for first. Without water the pictures are compared with the scene's
-    clean/NAME.png or .webp, in the views that have one. Figures that cannot be had are not a number; `notes` are
-    sentences for the user.
+    Images without water are compared with clean/NAME.png or .webp of the scene, in the views that have one.
 
-    test_psnr (dB), test_ssim and test_lpips (by backbone) are means over the views, test_psnr_joint is of the error of
-    all views together; control_psnr is median_control's, floater_mass (0..1) as in metrics; restored has psnr (dB) and
-    delta_e; megabytes (10^6 bytes) are of the result's files, seconds those of training; machine is where this
-    evaluation ran. `views` has the figures of each. Raises InputError where there is no run, or a file is damaged.
+    Args:
+        folder: Folder of the run.
+        weights_dir: Folder where LPIPS weights are searched first.
+
+    Returns:
+        The document in evaluation.json. `test_psnr` (dB), `test_ssim` and `test_lpips` (by backbone) are means over
+        the views, `test_psnr_joint` is that of the error of all views together, `control_psnr` that of the
+        median-image baseline, `floater_mass` (0..1) is defined in metrics.py. `restored` has psnr (dB) and delta_e of
+        the images without water. `megabytes` (10^6 bytes) are those of the result files, `seconds` those of training.
+        `machine` is where the evaluation ran. `views` has the metrics of each view, `notes` sentences for the user.
+        Metrics that are not known are NaN.
+
+    Raises:
+        InputError: Where there is no run, or a file is damaged.
     """
     run = RunFolder(folder)
     scene_folder, settings, _ = run.read_config()
-    cloud, simulated, state = newest(folder)
+    cloud, effects, state = load_newest(folder)
     lpips, notes = load_lpips(weights_dir)
     scene = load_scene(scene_folder)
     split = split_views([view.name for view in scene.views])
@@ -63,12 +72,12 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
     training = [image for image in images if image.camera.name in split.train]
     test = [image for image in images if image.camera.name in split.test]
 
-    scores, views, shown = [], {}, []
+    scores, views, comparisons = [], {}, []
     for image in test:
-        color = picture(cloud, image.camera, settings.sh_degree, simulated=simulated)
-        restored = picture(cloud, image.camera, settings.sh_degree, simulated=simulated, amount=0)
-        shown_color, target, _ = comparable(image, color)
-        score = score_picture(image, color)
+        color = render_image(cloud, image.camera, settings.sh_degree, effects=effects)
+        restored = render_image(cloud, image.camera, settings.sh_degree, effects=effects, amount=0)
+        shown_color, target, _ = mask_invalid(image, color)
+        score = score_image(image, color)
         figures: dict[str, Any] = {"psnr": score.psnr, "ssim": score.ssim}
         figures["lpips"] = {name: network(shown_color, target) for name, network in lpips.items()}
         if truth := _clean_picture(scene, image):
@@ -76,7 +85,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
             figures["restored"] = {"psnr": psnr, "delta_e": delta_e}
         scores.append(score)
         views[score.name] = figures
-        shown.append(compared(image, color, restored if simulated.models else None))
+        comparisons.append(compare_view(image, color, restored if effects.models else None))
 
     test_psnr, test_ssim = mean_score(scores)
     summary = inspect_scene(scene)
@@ -92,7 +101,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
         "test_lpips": {name: mean([view["lpips"].get(name, float("nan")) for view in views.values()])
                        for name in BACKBONES},
         "restored": {name: mean([truth[name] for truth in truths]) for name in ("psnr", "delta_e")},
-        "control_psnr": median_control(training, test),
+        "control_psnr": median_image_psnr(training, test),
         "floater_mass": floater_mass(cloud, [image.camera for image in test], reference_range),
         "median_range": reference_range,
         "images": summary["images"],
@@ -106,27 +115,36 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
         "views": views,
     }  # fmt: skip
     write_json(folder / "evaluation.json", result)
-    write_evaluation_page(folder / PAGE, result, shown)
+    write_evaluation_page(folder / PAGE, result, comparisons)
     return result
 
 
-def compared(image: TrainingImage, color: Tensor, restored: Tensor | None) -> Compared:
-    """A view for a page, of its pictures (H, W, 3) in 0..1; restored: without the water, None where there is none."""
+def compare_view(image: TrainingImage, color: Tensor, restored: Tensor | None) -> ViewComparison:
+    """Make the comparison of one view for a page.
+
+    Args:
+        image: Image of the scene.
+        color: Rendered image (H, W, 3), display values 0..1.
+        restored: Rendered image without water (H, W, 3), None without a water model.
+
+    Returns:
+        The comparison.
+    """
 
     def in_8_bits(x: Tensor) -> np.ndarray:
         return (x * 255).round().byte().numpy()
 
     without = None if restored is None else in_8_bits(restored)
-    return Compared(image.camera.name, image.pixels, in_8_bits(color), image.valid, without)
+    return ViewComparison(image.camera.name, image.pixels, in_8_bits(color), image.valid, without)
 
 
 def describe(evaluation: dict[str, Any]) -> str:
-    """The lines that `evaluate RUN` prints."""
+    """Format an evaluation as the lines that `evaluate RUN` prints."""
     lines = [_scores(name, view["psnr"], view["ssim"], view["lpips"]) for name, view in evaluation["views"].items()]
     means = (evaluation[name] for name in ("test_psnr", "test_ssim", "test_lpips"))
     lines += [
         _scores("mean", *means),
-        f"joint PSNR {evaluation['test_psnr_joint']:.2f} dB, of the median photograph "
+        f"joint PSNR {evaluation['test_psnr_joint']:.2f} dB, median-image baseline "
         f"{evaluation['control_psnr']:.2f} dB, floater mass {evaluation['floater_mass']:.1%}",
         f"{evaluation['gaussians']} Gaussians, {evaluation['seconds']:.0f} s of training",
         *evaluation["notes"],
@@ -141,7 +159,11 @@ def _scores(name: str, psnr: float, ssim: float, lpips: dict[str, float]) -> str
 
 
 def _clean_picture(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarray] | None:
-    """Truth without water for a view: (H, W, 3) sRGB in 0..1, and where it holds: on surfaces, which have a range."""
+    """Read the true image without water of a view, None where the scene has none.
+
+    Returns:
+        The image (H, W, 3), sRGB 0..1, and the valid pixels (H, W) bool: those of surfaces, which have a range.
+    """
     name = Path(image.camera.name)
     pictures = [(scene.folder / "clean" / name).with_suffix(suffix) for suffix in (".png", ".webp")]
     clean = next((path for path in pictures if path.is_file()), None)
@@ -149,18 +171,18 @@ def _clean_picture(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.n
         return None
     ranges = (scene.folder / "range" / name).with_suffix(".png")
     height, width = image.valid.shape
-    pixels = cv2.resize(read_picture(clean)[0], (width, height), interpolation=cv2.INTER_AREA)
+    pixels = cv2.resize(read_image(clean)[0], (width, height), interpolation=cv2.INTER_AREA)
     valid = image.valid
     if ranges.is_file():
         range_mm = cv2.imdecode(np.fromfile(ranges, np.uint8), cv2.IMREAD_UNCHANGED)
         if range_mm is None:
-            raise InputError(f"{ranges} cannot be read as a picture: it may be cut short; copy it again.")
+            raise InputError(f"{ranges} cannot be read as an image, perhaps because it was cut short: copy it again.")
         valid = valid & (cv2.resize(range_mm, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
     return pixels / np.float32(255), valid
 
 
 def machine(device: torch.device) -> dict[str, Any]:
-    """Where this runs and with which versions."""
+    """Describe the machine: device, backend, system and versions."""
     found = examine()
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU, {found['cores']} cores"
     return {
@@ -174,26 +196,36 @@ def machine(device: torch.device) -> dict[str, Any]:
 
 
 def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) -> list[Path]:
-    """Write one PNG a view at the training size and return the files: the held-out views, or the one named `camera`.
+    """Render views of a run at the training size to PNG files.
 
-    water: how much of it, from 0 (taken away) to 1 (as photographed). Raises InputError for another amount or name.
+    Args:
+        folder: Folder of the run.
+        out: Folder of the files.
+        camera: Name of one image; all test images without it.
+        water: Amount of water, from 0 (removed) to 1 (as photographed).
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: For another amount or name, and where the run has no checkpoint.
     """
     if not 0 <= water <= 1:
         raise InputError(f"The amount of water must be from 0 to 1, not {water}.")
     scene_folder, settings, _ = RunFolder(folder).read_config()
-    cloud, simulated, _ = newest(folder)
+    cloud, effects, _ = load_newest(folder)
     scene = load_scene(scene_folder)
     names = [view.camera.name for view in scene.views]
     wanted = split_views(names).test if camera is None else [camera]
     if not set(wanted) <= set(names):
-        raise InputError(f"{scene.folder} has no photograph named {camera}; the first is {names[0]}.")
+        raise InputError(f"{scene.folder} has no photo named {camera}; the first is {names[0]}.")
     files = []
     for view in scene.views:
         if view.camera.name not in wanted:
             continue
         sized = view.camera.resized(min(settings.width, view.camera.width))
         pixels = (
-            (picture(cloud, sized, settings.sh_degree, simulated=simulated, amount=water) * 255).round().byte().numpy()
+            (render_image(cloud, sized, settings.sh_degree, effects=effects, amount=water) * 255).round().byte().numpy()
         )
         path = (out / view.camera.name).with_suffix(".png")
         with atomic_path(path) as temporary:
@@ -202,8 +234,18 @@ def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) 
     return files
 
 
-def newest(folder: Path) -> tuple[GaussianCloud, SceneEffects, dict[str, Any]]:
-    """Gaussians and effects of a run's newest checkpoint, where they are rendered fastest, and its state."""
+def load_newest(folder: Path) -> tuple[GaussianCloud, SceneEffects, dict[str, Any]]:
+    """Load the newest checkpoint of a run to the device of the fastest backend.
+
+    Args:
+        folder: Folder of the run.
+
+    Returns:
+        Gaussians, effects, and the stored state.
+
+    Raises:
+        InputError: Where the run has no checkpoint, or it is damaged.
+    """
     loaded = load_checkpoint(folder)
     if loaded is None:
         raise InputError(f"The run {folder} has no checkpoint yet; continue it with train --resume.")

@@ -1,8 +1,8 @@
-"""What a run will take and reach, before it begins: from a first look of some seconds, and from earlier runs here.
+"""Forecast of the time, memory and quality of a run, from two short probe runs and from earlier runs on the machine.
 
-forecast = forecast_scene(Path("SCENE"))       time, memory and quality of each preset, with ranges
-expectation(Path("SCENE"), settings)           the same for one run, from the last forecast of its scene
-record(Path("RUN"), expected, seconds)         the outcome beside it, kept for the next forecast
+forecast_scene(Path("SCENE"))                     # of each preset, with ranges
+expected_outcome(Path("SCENE"), settings)         # of one run, from the last forecast of its scene
+record_outcome(Path("RUN"), expected, seconds)    # keep the outcome for the next forecast
 """
 
 import math
@@ -32,40 +32,59 @@ from ..training.pacing.speed import Extent, Speed, measure_speed, predicted_seco
 from ..training.trainer import train
 
 Progress = Callable[[str, float], None]
-FIRST_LOOK, SECOND_LOOK = Size(60, 240, 5_000), Size(170, 340, 12_000)
-"""Two small runs: what the second gains over the first says how much there is to gain."""
-GAIN, GAIN_EXPONENT = 1.5, 0.25
-"""PSNR after T iterations = second + GAIN * slope * ln(T / 170)^GAIN_EXPONENT, with the slope in dB per ln of
-iterations between the two looks: fitted to 500 to 9000 iterations of three scenes at 480 pixels (train_scenes.json and
-tradeoff_*.json in benchmarks/results), where it is off by .4 dB at the median and by 1.2 dB at most."""
-SPREAD_DB, SPREAD_OF_GAIN = 0.3, 0.2
-LEAST, MOST = 0.75, 1.5
-"""Of the time that a first look promises, where no run on this machine has told more."""
+"""A function of the stage and its fraction (0..1)."""
+FIRST_PROBE = Size(60, 240, 5_000)
+"""Size of the first probe run, which takes seconds."""
+SECOND_PROBE = Size(170, 340, 12_000)
+"""Size of the second probe run; its gain in PSNR over the first predicts that of longer runs."""
+GAIN = 1.5
+"""Factor in PSNR after T iterations = second probe + GAIN * slope * ln(T / 170)^GAIN_EXPONENT, with the slope in dB per
+ln of iterations between the probes. Fitted to 500 to 9000 iterations of three scenes at 480 pixels (train_scenes.json
+and tradeoff_*.json in benchmarks/results): the median error is 0.4 dB, the largest 1.2 dB."""
+GAIN_EXPONENT = 0.25
+"""Exponent in the same formula."""
+ERROR_DB = 0.3
+"""Half the range of the predicted PSNR, dB, before what grows with the gain."""
+ERROR_OF_GAIN = 0.2
+"""Half the range of the predicted PSNR as a fraction of the predicted gain."""
+LEAST = 0.75
+"""Shortest time as a fraction of the predicted one, while fewer than ENOUGH runs are known on the machine."""
+MOST = 1.5
+"""Longest time as a fraction of the predicted one, while fewer than ENOUGH runs are known on the machine."""
 ENOUGH = 3
-"""Runs that tell how far time strays."""
-REMEMBERED = 200
-"""Outcomes that are kept."""
+"""Runs on the machine from which on their own times give the range."""
+KEPT_OUTCOMES = 200
+"""Outcomes of runs that are kept in the cache, at most."""
 BASE_MB = 500
+"""Memory of Python, torch and the kernels, MB."""
 
 
 def forecast_scene(
     scene_folder: Path, settings: TrainSettings | None = None, progress: Progress = lambda stage, fraction: None
 ) -> dict[str, Any]:
-    """Time, memory and quality of each preset, with the settings' own numbers where they have some.
+    """Predict time, memory and quality of each preset, and keep the forecast for `expected_outcome`.
 
-    Returns {"presets": {name: {"iterations", "width", "max_gaussians", "seconds": [least, likely, most], "psnr": the
-    same in dB on validation views or None, "memory_mb"}}, ...} and remembers it for `expectation`. progress gets
-    (stage, fraction 0..1). Raises InputError for anything wrong with the scene.
+    Args:
+        scene_folder: Folder of the scene.
+        settings: Settings of the run; sizes in them replace those of the presets.
+        progress: Gets the stage and its fraction.
+
+    Returns:
+        {"presets": {name: {"iterations", "width", "max_gaussians", "seconds": [least, likely, most], "psnr": the same
+        in dB on validation images, or None, "memory_mb"}}, ...}.
+
+    Raises:
+        InputError: For anything wrong with the scene.
     """
     settings = settings or TrainSettings()
     scene = load_scene(scene_folder)
     progress("Speed", 0.0)
     speed, extent = measure_speed(scene, settings), Extent.of(scene)
     looks = []
-    for number, size in enumerate((FIRST_LOOK, SECOND_LOOK)):
-        progress("First looks", number / 2)
+    for number, size in enumerate((FIRST_PROBE, SECOND_PROBE)):
+        progress("Probe runs", number / 2)
         sized = replace(settings, preset="draft", time_budget="", **size.numbers())
-        psnr, training, seconds = _look(scene_folder, sized)
+        psnr, training, seconds = _probe(scene_folder, sized)
         looks.append(psnr)
     speed, beside = corrected_speed(speed, _predicted(speed, extent, sized), training, seconds)
     document: dict[str, Any] = {
@@ -78,44 +97,64 @@ def forecast_scene(
     }
     with atomic_path(_remembered(scene)) as temporary:
         temporary.write_text(to_json(document))
-    past = [entry for entry in history() if entry["machine"] == document["machine"]]
+    past = [entry for entry in past_outcomes() if entry["machine"] == document["machine"]]
     presets = {}
     for name in PRESETS:
         sized = replace(settings, preset=name, time_budget="").sized()
         presets[name] = _expected(document, extent, sized, past, scene_folder)
-    progress("First looks", 1.0)
+    progress("Probe runs", 1.0)
     return document | {"presets": presets}
 
 
 def corrected_speed(speed: Speed, predicted: float, training: float, whole: float) -> tuple[Speed, float]:
-    """Reduce the times of a speed that was measured beside other work to those of a run, which has more iterations.
+    """Correct a speed that was measured over few iterations by the time of a probe run, which has more.
 
-    All in seconds: predicted and real time of the run's training, and of the whole run. Returns the speed, and what
-    the run took beside its training.
+    Args:
+        speed: Measured speed.
+        predicted: Time that this speed predicts for the training of the probe run, s.
+        training: Time that the training took, s.
+        whole: Time of the whole probe run, s.
+
+    Returns:
+        The speed, never slower than before, and the time of the run without its training, s.
     """
     factor = min(1.0, training / predicted)
     return speed.times(factor), max(0.0, whole - factor * predicted)
 
 
-def expectation(scene_folder: Path, settings: TrainSettings) -> dict[str, Any] | None:
-    """What a run with these settings should take and reach; None where the scene has no forecast with this machine and
-    method, or time is what limits the run."""
+def expected_outcome(scene_folder: Path, settings: TrainSettings) -> dict[str, Any] | None:
+    """Predict time, memory and quality of one run from the last forecast of its scene.
+
+    Args:
+        scene_folder: Folder of the scene.
+        settings: Settings of the run.
+
+    Returns:
+        As a preset in `forecast_scene`; None where the scene has no forecast on this machine with the same recipe and
+        effects, or the run has a time budget.
+    """
     try:
         scene = load_scene(scene_folder)
         document = from_json(_remembered(scene).read_text())
         same = all(document[name] == getattr(settings, name) for name in ("recipe", "effects"))
         if settings.budget or not same or document["machine"] != machine(settings):
             return None
-        past = [entry for entry in history() if entry["machine"] == document["machine"]]
+        past = [entry for entry in past_outcomes() if entry["machine"] == document["machine"]]
         return _expected(document, Extent.of(scene), settings.sized(), past, scene_folder)
-    except (OSError, ValueError, LookupError, TypeError, InputError):  # none was made, or one that cannot be read
+    except (OSError, ValueError, LookupError, TypeError, InputError):  # there is no forecast, or its file is damaged
         return None
 
 
-def record(run_folder: Path, expected: dict[str, Any] | None, seconds: float) -> None:
-    """Keep what a finished run took, and write RUN/forecast.json: what was expected beside it.
+def record_outcome(run_folder: Path, expected: dict[str, Any] | None, seconds: float) -> None:
+    """Keep the outcome of a finished run for later forecasts, and write forecast.json to its folder.
 
-    seconds: of the whole run, with reading photographs and writing results.
+    Args:
+        run_folder: Folder of the run.
+        expected: What `expected_outcome` returned before the run.
+        seconds: Time of the whole run, with reading images and writing results.
+
+    Raises:
+        InputError: When a file of the run is missing or damaged, or a file cannot be written.
     """
     run = RunFolder(run_folder)
     scene, settings, _ = run.read_config()
@@ -125,15 +164,15 @@ def record(run_folder: Path, expected: dict[str, Any] | None, seconds: float) ->
     outcome = {"seconds": round(seconds, 2), "psnr": metrics["psnr"], "gaussians": metrics["gaussians"]}
     write_json(run_folder / "forecast.json", {"expected": expected, "outcome": outcome})
     entry = {"machine": machine(settings), "scene": str(scene), "expected": expected, "outcome": outcome}
-    entries = [*history(), entry][-REMEMBERED:]
-    with atomic_path(_history()) as temporary:
+    entries = [*past_outcomes(), entry][-KEPT_OUTCOMES:]
+    with atomic_path(_history_file()) as temporary:
         temporary.write_text("".join(to_json(entry) + "\n" for entry in entries), encoding="utf-8")
 
 
-def history() -> list[dict[str, Any]]:
-    """The runs that were recorded on this computer, oldest first; lines that cannot be read are left out."""
+def past_outcomes() -> list[dict[str, Any]]:
+    """Return the outcomes kept on this computer, oldest first, without lines that cannot be read."""
     try:
-        lines = _history().read_text(encoding="utf-8").splitlines()
+        lines = _history_file().read_text(encoding="utf-8").splitlines()
     except OSError:
         return []
     entries = []
@@ -149,16 +188,16 @@ def history() -> list[dict[str, Any]]:
 
 
 def machine(settings: TrainSettings) -> str:
-    """What decides how fast a run is: processor, cores, backend."""
+    """Return a name for what the speed of a run depends on: processor, cores, backend."""
     return f"{platform.machine()} {platform.node()}, {os.cpu_count()} cores, {device_for(settings.backend)}"
 
 
 def describe(forecast: dict[str, Any]) -> str:
-    """The lines that `forecast SCENE` prints."""
+    """Format a forecast as the table that `forecast SCENE` prints."""
     lines = [f"{'':<10}{'time':<26}{'validation PSNR':<28}memory"]
     for name, line in forecast["presets"].items():
         least, likely, most = (time_text(seconds) for seconds in line["seconds"])
-        psnr = "too few photographs"
+        psnr = "too few photos"
         if line["psnr"]:
             low, middle, high = line["psnr"]
             psnr = f"{middle:.1f} dB ({low:.1f} to {high:.1f})"
@@ -168,14 +207,14 @@ def describe(forecast: dict[str, Any]) -> str:
 
 
 def time_text(seconds: float) -> str:
-    """A duration as people say it: 45 s, 12 min, 3.5 h."""
+    """Format a duration: 45 s, 12 min, 3.5 h."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
-def _look(scene_folder: Path, settings: TrainSettings) -> tuple[float | None, float, float]:
-    """PSNR on validation views, and seconds: of the training, and of all."""
+def _probe(scene_folder: Path, settings: TrainSettings) -> tuple[float | None, float, float]:
+    """Make a probe run; return the PSNR on validation images, and the seconds of the training and of the whole run."""
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         metrics = train(scene_folder, Path(folder) / "run", settings)["metrics"]
@@ -197,15 +236,15 @@ def _expected(
     least, most = LEAST * likely, MOST * likely
     if len(ratios) >= ENOUGH:
         least, most = min(0.9 * likely, min(ratios)), max(1.1 * likely, max(ratios))
-    first, spread = _psnr(document["looks"], size.iterations)
+    first, error = _psnr(document["looks"], size.iterations)
     psnr = None
     if first is not None:
         here = [entry for entry in past if entry["scene"] == str(scene.resolve())]
         known = [(entry["outcome"]["psnr"], entry["expected"]["first_psnr"]) for entry in here]
         errors = [outcome - expected for outcome, expected in known if outcome and expected]
         likely_psnr = first + (float(np.median(errors)) if errors else 0.0)
-        spread = 0.5 * spread + SPREAD_DB if errors else spread
-        psnr = [round(likely_psnr + sign * spread, 2) for sign in (-1, 0, 1)]
+        error = 0.5 * error + ERROR_DB if errors else error
+        psnr = [round(likely_psnr + sign * error, 2) for sign in (-1, 0, 1)]
     return {
         **size.numbers(),
         "seconds": [round(guess * ratio, 2) for ratio in (least, likely, most)],
@@ -217,20 +256,20 @@ def _expected(
 
 
 def _psnr(looks: list[float] | None, iterations: int) -> tuple[float | None, float]:
-    """dB on validation views after so many iterations, and how far off that may be; None without such views."""
+    """Predict the PSNR on validation images and its error, both in dB; None without probes of that."""
     if looks is None:
         return None, 0.0
     first, second = looks
-    slope = max(0.0, second - first) / math.log(SECOND_LOOK.iterations / FIRST_LOOK.iterations)
-    gain = GAIN * slope * max(0.0, math.log(iterations / SECOND_LOOK.iterations)) ** GAIN_EXPONENT
-    return second + gain, SPREAD_DB + SPREAD_OF_GAIN * gain
+    slope = max(0.0, second - first) / math.log(SECOND_PROBE.iterations / FIRST_PROBE.iterations)
+    gain = GAIN * slope * max(0.0, math.log(iterations / SECOND_PROBE.iterations)) ** GAIN_EXPONENT
+    return second + gain, ERROR_DB + ERROR_OF_GAIN * gain
 
 
 def _memory_mb(extent: Extent, size: Size) -> float:
     return BASE_MB + needed(extent, size.width, size.max_gaussians) / 1e6
 
 
-def _history() -> Path:
+def _history_file() -> Path:
     return cache_root() / "history.jsonl"
 
 

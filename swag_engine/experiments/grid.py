@@ -1,4 +1,4 @@
-"""Which runs a tradeoff compares. Imported by the command line: nothing heavy here."""
+"""The runs that a tradeoff compares. The command line imports this at its start: no heavy packages here."""
 
 from dataclasses import dataclass, replace
 from itertools import product
@@ -9,32 +9,36 @@ from ..settings.presets import PRESETS
 from ..settings.settings import TrainSettings
 
 DEFAULT = "default"
-"""The word for a recipe's own effects."""
+"""Word for the effects of the plan."""
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The runs: all combinations of these. 0 stands for what the preset has."""
+    """Runs of a tradeoff: all combinations of these values. 0 stands for the preset's own."""
 
     presets: tuple[str, ...] = tuple(PRESETS)
-    """How fine: draft, standard, high."""
+    """Presets: draft, standard, high."""
     iterations: tuple[int, ...] = (0,)
     """Numbers of optimisation steps, in place of the presets' own."""
     widths: tuple[int, ...] = (0,)
-    """Widths in pixels that the photographs are trained at, in place of the presets' own."""
+    """Widths in pixels of the training images, in place of the presets' own."""
     max_gaussians: tuple[int, ...] = (0,)
-    """Most Gaussians that the scene may grow to, in place of the presets' own."""
+    """Largest numbers of Gaussians, in place of the presets' own."""
     effects: tuple[str, ...] = (DEFAULT, "water=off")
-    """Sets of parts switched by hand (docs/recipes.md), and default for none."""
+    """Sets of effects switched by hand, as in --effects of train; default stands for none."""
     recipe: str = "swag"
-    """The method."""
+    """Recipe of all runs (docs/recipes.md)."""
     seed: int = 0
-    """Seed of everything random."""
+    """Seed of all random numbers."""
 
     def runs(self) -> list["Run"]:
-        """Every combination, in the order of the grid; of those that mean the same run the first.
+        """List all combinations in the order of the grid, each run once.
 
-        Raises InputError for a value that cannot be trained with, or no run at all.
+        Returns:
+            The runs.
+
+        Raises:
+            InputError: For a value that cannot be trained with, or when there is no run.
         """
         found: list[Run] = []
         alike: list[TrainSettings] = []
@@ -58,13 +62,21 @@ class Grid:
             folder = "-".join(filter(None, (self.recipe, own[0].replace(",", "-"), sizes, f"seed{self.seed}")))
             found.append(Run(name, folder, settings))
         if not found:
-            raise InputError("There is nothing to run: name at least one preset, width, length and set of effects.")
+            raise InputError(
+                "There is nothing to run: give at least one preset, width, number of iterations and set of effects."
+            )
         return found
 
 
 @dataclass(frozen=True)
 class Run:
-    """One run of a grid. name: what tells it from the others; folder: the same whatever else the grid holds."""
+    """One run of a grid.
+
+    Attributes:
+        name: The values in which it differs from the other runs.
+        folder: Name of its folder, which does not depend on the other runs.
+        settings: Settings with all sizes filled in.
+    """
 
     name: str
     folder: str

@@ -1,4 +1,4 @@
-"""Labels of a finished run: make them, search them, take one out."""
+"""Labels of a finished run: assign them, search them, extract the Gaussians of one."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -36,12 +36,26 @@ def label_run(
     with_features: bool = False,
     progress: Progress = lambda stage, fraction: None,
 ) -> dict[str, Any]:
-    """Label the Gaussians of a run from its training photographs; returns what labels.json then holds.
+    """Label the Gaussians of a run from its training images.
 
-    provider: whose regions; without it as in providers.choose. Region embeddings are CLIP's where its files are there
-    or `download` allows to fetch them, else of colour and texture. Writes labels into result.ply and result.glb
-    (with_features: the features too), labels.json and semantics.safetensors. progress gets (stage, fraction 0..1).
-    Raises InputError for whatever cannot be used; the run is as before then.
+    Writes labels into result.ply and result.glb, and labels.json and semantics.safetensors. Regions are embedded with
+    CLIP where its files are there or may be downloaded, else by colour and texture.
+
+    Args:
+        folder: Folder of the run.
+        words: What to look for.
+        masks: Folder of mask images.
+        provider: Provider of the regions; without it as in `choose_provider`.
+        weights_dir: Folder where networks are searched first.
+        download: Whether networks may be downloaded.
+        with_features: Whether the features are written into the splat files, too.
+        progress: Gets the stage and its fraction (0..1).
+
+    Returns:
+        The document in labels.json.
+
+    Raises:
+        InputError: For anything that cannot be used; the run is unchanged then.
     """
     run = RunFolder(folder)
     scene_folder, settings, up = run.read_config()
@@ -74,8 +88,20 @@ def label_run(
 def search_run(
     folder: Path, words: str, weights_dir: Path | None = None, download: bool = False
 ) -> tuple[np.ndarray, list[str]]:
-    """How near each splat of a labelled run is to `words`: (N,) float32 in -1..1, in the order of result.ply, and the
-    labels that are called so. Raises InputError when the run has no labels, or nothing knows the words."""
+    """Compute the similarity of the splats of a labelled run to words.
+
+    Args:
+        folder: Folder of the run.
+        words: The words.
+        weights_dir: Folder where networks are searched first.
+        download: Whether networks may be downloaded.
+
+    Returns:
+        Similarity (N,) float32 in -1..1 in the order of result.ply, and the labels with that name.
+
+    Raises:
+        InputError: When the run has no labels, or no network knows the words.
+    """
     wanted = check_words([words])[0]
     semantics, table = read_semantics(folder), read_labels(folder)
     count = len(read_ply(RunFolder(folder).ply))
@@ -90,21 +116,38 @@ def search_run(
 
 
 def write_similarity(out: Path, similarity: np.ndarray) -> None:
-    """Write numbers (N,) to `out` as a .npy array. Raises InputError when that cannot be done."""
+    """Write the similarity of splats as a .npy file.
+
+    Args:
+        out: The file.
+        similarity: Numbers (N,).
+
+    Raises:
+        InputError: When the file cannot be written.
+    """
     with atomic_path(out) as temporary, open(temporary, "wb") as file:
         np.save(file, similarity)
 
 
 def describe(document: dict[str, Any]) -> str:
-    """The lines that `label RUN` prints: names, counts, share of pixels."""
+    """Format labels as the lines that `label RUN` prints."""
     lines = [f"{entry['name']}: {entry['count']} Gaussians, {entry['share']:.1%} of the pixels"
              for entry in document["labels"]]  # fmt: skip
     return "\n".join(lines)
 
 
 def extract_run(folder: Path, label: str, out: Path) -> int:
-    """Write the splats of one label (its name or number) to `out`; its ending says the format. Returns their number.
+    """Write the splats of one label to a file.
 
-    Raises InputError for another suffix, and as export_run does for a choice by labels.
+    Args:
+        folder: Folder of the run.
+        label: Name or number of the label.
+        out: The file; its suffix gives the format.
+
+    Returns:
+        Number of splats.
+
+    Raises:
+        InputError: For an unknown suffix, and as `export_run` for a choice by labels.
     """
     return int(export_run(folder, find_format(out).name, out, ExportOptions(labels=(label,)))["splats"])

@@ -1,6 +1,6 @@
-"""What evaluation.html, report.html and tradeoff.html are made of: one file each, which holds its pictures itself.
+"""Parts of evaluation.html, report.html and tradeoff.html: single files with their images inside.
 
-Functions that end in _html take text as it came (from files, names, folders) and escape it.
+Functions that end in _html take plain text (from files, names, folders) and escape it.
 """
 
 import base64
@@ -22,12 +22,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FULL_ERROR = 51
-"""Difference in 8-bit values (a fifth of all) from which on the error map is brightest."""
+"""Difference in 8-bit values (a fifth of the scale) from which on the error map is brightest."""
 NONE = "–"
+"""Text of a number that is not known."""
 BLUE = "#2a7f9e"
-"""Colour of curves and bars, which shows on light and dark."""
+"""Colour of curves and bars, visible on light and dark pages."""
 INK = "#010203"
-"""Colour of text and axes in a plot, which becomes that of the page around it, light or dark."""
+"""Colour of text and axes in a plot, replaced by the text colour of the page, light or dark."""
 
 STYLE = """
 :root { color-scheme: light dark; --line: #8886; --bar: #2a7f9e; }
@@ -59,8 +60,16 @@ pre { overflow-x: auto; padding: .8rem; border: 1px solid var(--line); white-spa
 
 
 def write_page(path: Path, title: str, parts: Iterable[str]) -> None:
-    """One HTML file of a title and parts that are HTML already, whole or not at all. Raises InputError when it cannot
-    be written."""
+    """Write one HTML file.
+
+    Args:
+        path: The file.
+        title: Title, as plain text.
+        parts: Parts of the body, as HTML.
+
+    Raises:
+        InputError: When the file cannot be written.
+    """
     head = (
         f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{STYLE}</style></head><body>'
@@ -71,16 +80,26 @@ def write_page(path: Path, title: str, parts: Iterable[str]) -> None:
 
 
 def number(value: float | None, digits: int, unit: str = "") -> str:
-    """A figure as text; a dash where there is none."""
+    """Format a number with so many digits and a unit; NONE where it is not known or not finite."""
     return NONE if value is None or not np.isfinite(value) else f"{value:,.{digits}f}{unit}"
 
 
 def paragraph_html(text: str, style: str = "") -> str:
+    """Make a paragraph; the style is "note" or empty."""
     return f'<p class="{style}">{escape(text)}</p>' if style else f"<p>{escape(text)}</p>"
 
 
 def table_html(rows: Iterable[Sequence[str]], heads: Sequence[str] = (), styles: Sequence[str] = ()) -> str:
-    """A table of texts. styles: of each column, "number", "meaning" or nothing."""
+    """Make a table.
+
+    Args:
+        rows: Texts of the cells.
+        heads: Texts of the first row, none without.
+        styles: Style of each column: "number", "meaning", "text" or empty.
+
+    Returns:
+        HTML.
+    """
 
     def row(tag: str, cells: Sequence[str]) -> str:
         classes = [*styles, *[""] * len(cells)]
@@ -95,9 +114,15 @@ def table_html(rows: Iterable[Sequence[str]], heads: Sequence[str] = (), styles:
 
 
 def bars_html(values: dict[str, float], title: str, unit: str) -> str:
-    """Names with their values, largest first, as a table with a bar and the share of the sum for each.
+    """Make a table of values, largest first, with a bar and the percentage of the sum for each.
 
-    title: what the names are, unit: what is counted.
+    Args:
+        values: Values by name.
+        title: Head of the column of names.
+        unit: Head of the column of values.
+
+    Returns:
+        HTML.
     """
     total = sum(values.values()) or 1.0
     most = max(values.values(), default=0) or 1.0
@@ -107,47 +132,61 @@ def bars_html(values: dict[str, float], title: str, unit: str) -> str:
         f'<span class="bar" style="width: {100 * max(value, 0) / most:.1f}%"></span></td></tr>'
         for name, value in sorted(values.items(), key=lambda item: -item[1])
     ]
-    head = (
-        f'<tr><th>{escape(title)}</th><th class="number">{escape(unit)}</th><th class="number">share</th><th></th></tr>'
-    )
-    whole = f'<tr><th>together</th><th class="number">{number(sum(values.values()), 2)}</th><th></th><th></th></tr>'
+    heads = (f'<th class="number">{escape(head)}</th>' for head in (unit, "percentage"))
+    head = f"<tr><th>{escape(title)}</th>{''.join(heads)}<th></th></tr>"
+    whole = f'<tr><th>sum</th><th class="number">{number(sum(values.values()), 2)}</th><th></th><th></th></tr>'
     return "\n".join(['<div class="wide"><table style="width: 100%">', head, *rows, whole, "</table></div>"])
 
 
-# Pictures -------------------------------------------------------------------------------------------------------------
+# Images ---------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Compared:
-    """One held-out view: photograph, render and, where there is a water model, the render without water, all (H, W, 3)
-    uint8 sRGB; valid (H, W) bool."""
+class ViewComparison:
+    """Images of one test view, all (H, W, 3) uint8 sRGB.
+
+    Attributes:
+        name: Name of the view.
+        photo: Image of the scene.
+        render: Rendered image.
+        valid: Valid pixels (H, W) bool.
+        restored: Rendered image without water, None without a water model.
+    """
 
     name: str
-    photograph: np.ndarray
+    photo: np.ndarray
     render: np.ndarray
     valid: np.ndarray
     restored: np.ndarray | None = None
 
 
-def views_html(views: Sequence[Compared], captions: Sequence[str] | None = None) -> list[str]:
-    """Each view's photograph beside its render and its error map. captions: a line of text of each."""
+def views_html(views: Sequence[ViewComparison], captions: Sequence[str] | None = None) -> list[str]:
+    """Show each view: photo, rendered image and error map, and the rendered image without water where there is one.
+
+    Args:
+        views: The views.
+        captions: A line of text for each view.
+
+    Returns:
+        Parts of HTML.
+    """
     lines = [
         f"<p>Error maps show the mean difference of red, green and blue: 0 {_image(_scale(), 'scale')} "
-        f"{FULL_ERROR / 255:.0%} of the full scale and more. Grey was not compared.</p>"
+        f"{FULL_ERROR / 255:.0%} of the full scale or more. Grey pixels are not compared.</p>"
     ]
     for view, caption in zip(views, captions or [""] * len(views), strict=True):
-        shown = {"photograph": view.photograph, "render": view.render, "error": _error_map(view)}
+        shown = {"photo": view.photo, "rendered": view.render, "error": _error_map(view)}
         if view.restored is not None:
-            shown["render without water"] = view.restored
+            shown["rendered without water"] = view.restored
         figures = (f"<figure>{_image(p)}<figcaption>{name}</figcaption></figure>" for name, p in shown.items())
         lines += [f"<h3>{escape(view.name)}{': ' if caption else ''}{escape(caption)}</h3>"]
         lines += [f'<div class="pictures">{"".join(figures)}</div>']
     return lines
 
 
-def _error_map(view: Compared) -> np.ndarray:
-    """(H, W, 3) uint8: the mean absolute difference over the channels, in colours from black to bright."""
-    error = np.abs(view.render.astype(np.float32) - view.photograph).mean(-1)
+def _error_map(view: ViewComparison) -> np.ndarray:
+    """Return the mean absolute difference over the channels as colours (H, W, 3) uint8, black for none."""
+    error = np.abs(view.render.astype(np.float32) - view.photo).mean(-1)
     return np.where(view.valid[..., None], _colors(error / FULL_ERROR), np.uint8(128))
 
 
@@ -161,7 +200,7 @@ def _colors(values: np.ndarray) -> np.ndarray:
 
 
 def _image(pixels: np.ndarray, style: str = "") -> str:
-    """An element that holds its picture itself."""
+    """Return an img element with the image inside it."""
     encoded = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
     return f'<img class="{style}" alt="" src="data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode()}">'
 
@@ -170,7 +209,15 @@ def _image(pixels: np.ndarray, style: str = "") -> str:
 
 
 def new_plots(x: str, *ys: str) -> "tuple[Figure, list[Axes]]":
-    """An empty plot for each of `ys`, two in a row, all against x; ink is INK."""
+    """Make empty plots, two in a row, with text and axes in INK.
+
+    Args:
+        x: Label of the x axis.
+        *ys: Label of the y axis of each plot.
+
+    Returns:
+        The figure and its plots.
+    """
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
@@ -187,7 +234,15 @@ def new_plots(x: str, *ys: str) -> "tuple[Figure, list[Axes]]":
 
 
 def plot_html(figure: "Figure", caption: str) -> str:
-    """A figure of matplotlib as vector graphics in the page, in the page's own ink."""
+    """Draw a figure as vector graphics in the text colour of the page.
+
+    Args:
+        figure: The figure.
+        caption: Its caption.
+
+    Returns:
+        HTML.
+    """
     from matplotlib import rc_context
 
     written = io.StringIO()
@@ -196,7 +251,7 @@ def plot_html(figure: "Figure", caption: str) -> str:
         figure.savefig(written, format="svg", transparent=True, metadata=nothing)
     drawing = written.getvalue()
     drawing = drawing[drawing.index("<svg") :].replace(INK, "currentColor")
-    # Within HTML no namespaces are needed, and a reader who looks for addresses finds none.
+    # HTML needs no namespaces, and without them the page contains no address.
     drawing = re.sub(r' xmlns(:\w+)?="[^"]*"', "", drawing).replace("xlink:href", "href")
     caption = escape(caption)
     return f'<figure role="img" aria-label="{caption}">{drawing}<figcaption>{caption}</figcaption></figure>'

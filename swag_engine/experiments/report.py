@@ -1,4 +1,4 @@
-"""report.html: what a run reached, in what time, by what means, and how to repeat it."""
+"""report.html: quality, time, effects and settings of a run, and the command that repeats it."""
 
 import shlex
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from typing import Any
 
 from ..base.errors import InputError
 from ..base.strict_json import from_json
-from ..evaluation.metrics import picture
+from ..evaluation.metrics import render_image
 from ..formats.run_folder import RunFolder, read_json
 from ..planning.plan import STATES
 from ..scene.colmap import load_scene
@@ -17,12 +17,12 @@ from ..scene.images import load_images
 from ..scene.split import split_views
 from ..settings.settings import TrainSettings
 from ..training.pacing.memory import TOO_LITTLE, is_shortage
-from .evaluate_run import compared, machine, newest
-from .evaluation_page import figure_rows, machine_line, view_table
+from .evaluate_run import compare_view, load_newest, machine
+from .evaluation_page import machine_line, metric_rows, view_table_html
 from .page import (
     BLUE,
     INK,
-    Compared,
+    ViewComparison,
     bars_html,
     new_plots,
     number,
@@ -34,35 +34,46 @@ from .page import (
 )
 
 PAGE = "report.html"
+"""Name of the page in the run's folder."""
 SHOWN = 6
-"""Held-out views that are shown as pictures, from the worst to the best: the report takes seconds in any scene."""
+"""Test views that are shown with images, at most, so that the report takes seconds in any scene."""
+LOGGED = ("seconds", "psnr", "ssim", "gaussians")
+"""Numbers that each validation in metrics.jsonl has."""
 
 
 def write_report(folder: Path) -> Path:
-    """Write report.html to a run's folder from what lies there and pictures of its newest checkpoint; returns its path.
+    """Write report.html to a run's folder, from its files and from images of its newest checkpoint.
 
-    A part whose file or figure the run does not have is left out. Raises InputError where there is no run or no
-    checkpoint, or a file is damaged.
+    Parts whose file the run does not have are omitted.
+
+    Args:
+        folder: Folder of the run.
+
+    Returns:
+        Path of the report.
+
+    Raises:
+        InputError: Where there is no run or no checkpoint, a file is damaged, or the report cannot be written.
     """
     run = RunFolder(folder)
     scene_folder, settings, _ = run.read_config()
-    cloud, simulated, state = newest(folder)
+    cloud, effects, state = load_newest(folder)
     metrics, forecast = _optional(run.metrics), _optional(folder / "forecast.json")
     evaluation = _optional(folder / "evaluation.json")
     if evaluation.get("iteration") != state["iteration"]:
         evaluation = {}
     views = evaluation.get("views") or metrics.get("views", {})
-    log = [entry for entry in _log(run.metrics_log) if isinstance(entry.get("psnr"), float)]
+    log = _log(run.metrics_log)
 
     scene = load_scene(scene_folder)
     chosen = _from_worst_to_best(views) or split_views([view.name for view in scene.views]).test[:SHOWN]
     by_name = {view.name: view for view in scene.views if view.name in chosen}
-    pictures: list[Compared] = []
+    pictures: list[ViewComparison] = []
     for image in load_images(scene, [by_name[name] for name in chosen if name in by_name], settings.width):
-        shown = [
-            picture(cloud, image.camera, settings.sh_degree, simulated=simulated, amount=amount) for amount in (1, 0)
+        rendered = [
+            render_image(cloud, image.camera, settings.sh_degree, effects=effects, amount=amount) for amount in (1, 0)
         ]
-        pictures.append(compared(image, shown[0], shown[1] if simulated.models else None))
+        pictures.append(compare_view(image, rendered[0], rendered[1] if effects.models else None))
 
     where = machine(cloud.means.device)
     parts = [
@@ -75,11 +86,10 @@ def write_report(folder: Path) -> Path:
         *_water(_optional(run.water)),
         "<h2>Settings</h2>",
         table_html([(name.replace("_", " "), _shown(value)) for name, value in settings.to_json().items()]),
-        "<h2>To repeat it</h2>",
+        "<h2>Repeat this run</h2>",
         f"<pre>{escape(command_line(scene_folder, folder, settings))}</pre>",
         paragraph_html(
-            "The same settings and seed on the same machine give the same result to the bit, unless a time budget "
-            "decides how far the run goes."
+            "On the same machine, the same settings and seed give exactly the same result, except with a time budget."
         ),
         paragraph_html(f"This page was written on {where['device']}: {machine_line(where)}."),
     ]
@@ -108,7 +118,13 @@ def try_write_report(folder: Path) -> tuple[Path | None, str]:
 
 
 def command_line(scene: Path, out: Path, settings: TrainSettings) -> str:
-    """The command that makes such a run: every setting that is not its default."""
+    """Return the command that repeats a run, with every setting that is not the default.
+
+    Args:
+        scene: Folder of the scene.
+        out: Folder of the run.
+        settings: Settings of the run.
+    """
     words = ["python", "-m", "swag_engine", "train", str(scene), "--out", str(out.resolve())]
     for field in fields(TrainSettings):
         value = getattr(settings, field.name)
@@ -123,24 +139,28 @@ def command_line(scene: Path, out: Path, settings: TrainSettings) -> str:
 
 def _summary(scene: Path, metrics: dict[str, Any], state: dict[str, Any], gaussians: int) -> list[str]:
     reached = f"{gaussians:,} Gaussians after {state['iteration']:,} iterations and {_time(state['seconds'])}"
-    lines = [f"{reached}, from the photographs of {scene}."]
+    lines = [f"{reached}, trained on the photos of {scene}."]
     if metrics.get("views"):
         lines.append(
-            f"On {len(metrics['views'])} photographs that training never saw: PSNR "
-            f"{number(metrics['test_psnr'], 2)} dB, SSIM {number(metrics['test_ssim'], 3)}. The per-pixel median of "
-            f"the training photographs, which knows nothing of the place, reaches {number(metrics['control_psnr'], 2)} "
-            "dB."
+            f"On {len(metrics['views'])} test photos, which training does not use: PSNR "
+            f"{number(metrics['test_psnr'], 2)} dB, SSIM {number(metrics['test_ssim'], 3)}. For comparison, the "
+            f"median-image baseline (pixel-wise median of the training photos) has "
+            f"{number(metrics['control_psnr'], 2)} dB."
         )
     elif metrics:
-        lines.append("There were too few photographs to hold any out for a figure.")
-    notes = [metrics.get("water") or "The water is left in the colours.", *metrics.get("notes", [])] if metrics else []
+        lines.append("No test photos: the scene has too few photos to keep some out of training.")
+    notes = (
+        [metrics.get("water") or "No water was modelled: the colours are as photographed.", *metrics.get("notes", [])]
+        if metrics
+        else []
+    )
     if metrics.get("interrupted", True):
-        notes.append("The run was interrupted before its end; train --resume goes on with it.")
+        notes.append("The run was interrupted; train --resume continues it.")
     return [*map(paragraph_html, lines), *(paragraph_html(note, "note") for note in notes)]
 
 
 def _curves(log: Sequence[dict[str, Any]], forecast: dict[str, list[float]]) -> list[str]:
-    """Quality and size against seconds, as the validation views saw them during the run."""
+    """Plot quality and number of Gaussians against seconds, as logged at each validation."""
     if not log:
         return []
     seconds = [entry["seconds"] for entry in log]
@@ -155,7 +175,7 @@ def _curves(log: Sequence[dict[str, Any]], forecast: dict[str, list[float]]) -> 
         if key == "psnr" and {"seconds", "psnr"} <= set(forecast):
             (early, _, late), (low, _, high) = forecast["seconds"], forecast["psnr"]
             axes.fill_between([early, late], low, high, alpha=0.2, color=INK, linewidth=0)
-            caption += "; grey: where the forecast saw its end"
+            caption += "; grey: range of the forecast for the end of the run"
         if key == "gaussians":
             axes.set_ylim(bottom=0)
         axes.set_xlim(left=0)
@@ -163,13 +183,13 @@ def _curves(log: Sequence[dict[str, Any]], forecast: dict[str, list[float]]) -> 
     lines = ["<h2>Quality against time</h2>", f'<div class="plots">{"".join(plots)}</div>']
     if len(log) > 1 and (passed := seconds[-1] - seconds[-2]) > 0:
         gain = (log[-1]["psnr"] - log[-2]["psnr"]) / passed * 60
-        text = f"At its end the curve changed by {gain:+.2f} dB a minute."
-        lines.append(paragraph_html(f"{text} Validation views are held back for a run's own decisions."))
+        text = f"At the end of the run, validation PSNR changed by {gain:+.2f} dB per minute."
+        lines.append(paragraph_html(f"{text} Validation photos are used for decisions of the run, not for training."))
     return lines
 
 
 def _ranges(forecast: dict[str, Any]) -> dict[str, list[float]]:
-    """Those figures of the forecast that have a low, a likely and a high value."""
+    """Return the values of the forecast that have a low, a likely and a high number."""
     return {
         name: value
         for name, value in forecast.get("expected", {}).items()
@@ -197,28 +217,30 @@ def _forecast(forecast: dict[str, Any]) -> list[str]:
     return ["<h2>Forecast and outcome</h2>", table_html(rows, heads, ("", *["number"] * 3))]
 
 
-def _held_out(evaluation: dict[str, Any], views: dict[str, Any], pictures: Sequence[Compared]) -> list[str]:
+def _held_out(evaluation: dict[str, Any], views: dict[str, Any], pictures: Sequence[ViewComparison]) -> list[str]:
     if not pictures:
         return []
-    lines = ["<h2>Held-out views</h2>"]
+    lines = ["<h2>Test views</h2>"]
     if evaluation:
-        lines.append(table_html(figure_rows(evaluation), styles=("", "number", "meaning")))
+        lines.append(table_html(metric_rows(evaluation), styles=("", "number", "meaning")))
     if views:
-        lines.append(view_table(views))
+        lines.append(view_table_html(views))
     if not evaluation:
-        lines.append(paragraph_html("evaluate RUN, then report RUN, adds LPIPS, floaters and colour errors to this."))
+        lines.append(
+            paragraph_html("Run `evaluate RUN` and then `report RUN` to add LPIPS, floaters and colour errors here.")
+        )
     if len(views) > len(pictures):
-        lines.append(paragraph_html(f"{len(pictures)} of the {len(views)} views, from the worst to the best:"))
+        lines.append(paragraph_html(f"{len(pictures)} of the {len(views)} views, in ascending order of PSNR:"))
     captions = [f"{number(views[view.name]['psnr'], 2)} dB" if view.name in views else "" for view in pictures]
     return lines + views_html(pictures, captions)
 
 
 def _ledger(ledger: dict[str, float]) -> list[str]:
-    return ["<h2>Where the time goes</h2>", bars_html(ledger, "part", "ms per iteration")] if ledger else []
+    return ["<h2>Time by part</h2>", bars_html(ledger, "part", "ms per iteration")] if ledger else []
 
 
 def _effects(effects: dict[str, Any]) -> list[str]:
-    """What the plan says of each effect: its state, why, the figures behind it beside their thresholds, its cost."""
+    """Show the plan: state, reason, evidence with thresholds, and cost of each effect."""
     rows = [
         (
             name.replace("_", " "),
@@ -229,16 +251,25 @@ def _effects(effects: dict[str, Any]) -> list[str]:
         )
         for name, effect in effects.items()
     ]
-    heads = ("effect", "", "why", "evidence", "ms per iteration")
+    heads = ("effect", "state", "reason", "evidence", "ms per iteration")
     styles = ("", "", "text", "meaning", "number")
     shown = (
-        table_html(rows, heads, styles) if rows else paragraph_html("plan SCENE --out RUN, then report RUN, adds them.")
+        table_html(rows, heads, styles)
+        if rows
+        else paragraph_html("This run has no plan. Run `plan SCENE --out RUN` and then `report RUN` to add it.")
     )
-    return ["<h2>Effects and their evidence</h2>", shown]
+    return ["<h2>Effects</h2>", shown]
 
 
 def evidence_text(evidence: dict[str, Any]) -> str:
-    """Figures in words, each with the threshold that is stored beside it as NAME_least or NAME_most."""
+    """Format evidence as text, each value with its threshold.
+
+    Args:
+        evidence: Values by name; a threshold is stored as NAME_least or NAME_most.
+
+    Returns:
+        One line.
+    """
     words = []
     for name, value in evidence.items():
         if name.endswith(("_least", "_most")):
@@ -252,8 +283,8 @@ def evidence_text(evidence: dict[str, Any]) -> str:
 
 
 def _water(water: dict[str, Any]) -> list[str]:
-    """The learned coefficients, where water.json has some for each channel."""
-    titles = {"beta_D": "attenuation", "beta_B": "backscatter", "B_inf": "colour of open water"}
+    """Show the coefficients of water.json that have a value for each channel."""
+    titles = {"beta_D": "attenuation", "beta_B": "backscatter", "B_inf": "background light"}
     per = water.get("per", "unit")
     rows = []
     for name, title in titles.items():
@@ -262,11 +293,11 @@ def _water(water: dict[str, Any]) -> list[str]:
             unit = "" if name == "B_inf" else f" per {per}"
             rows.append((title + unit, *(number(value, 4) for value in values)))
     heads = ("", "red", "green", "blue")
-    return ["<h2>The water</h2>", table_html(rows, heads, ("", *["number"] * 3))] if rows else []
+    return ["<h2>Water</h2>", table_html(rows, heads, ("", *["number"] * 3))] if rows else []
 
 
 def _from_worst_to_best(views: dict[str, Any]) -> list[str]:
-    """Names of at most SHOWN views, evenly over their order by PSNR."""
+    """Return the names of at most SHOWN views, evenly spaced in ascending order of PSNR."""
     order = sorted((name for name in views if views[name]["psnr"] is not None), key=lambda name: views[name]["psnr"])
     count = min(SHOWN, len(order))
     return [order[round(i * (len(order) - 1) / max(1, count - 1))] for i in range(count)]
@@ -289,16 +320,20 @@ def _shown(value: Any) -> str:
 
 
 def _optional(path: Path) -> dict[str, Any]:
-    """The object in a JSON file, empty where there is no file."""
+    """Return the object in a JSON file, an empty one without the file."""
     return read_json(path, "") if path.exists() else {}
 
 
 def _log(path: Path) -> list[dict[str, Any]]:
-    """The lines of metrics.jsonl that can be read: its last may be cut short."""
+    """Return the validations in metrics.jsonl, without lines that cannot be read: the last one may be cut short."""
     entries = []
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else ():
         try:
             entries.append(from_json(line))
         except ValueError:
             continue
-    return [entry for entry in entries if isinstance(entry, dict)]
+    return [
+        entry
+        for entry in entries
+        if isinstance(entry, dict) and all(type(entry.get(key)) in (int, float) for key in LOGGED)
+    ]

@@ -1,4 +1,4 @@
-"""What accuracy costs in time on a scene: many sizes of run, scored alike, and which of them no other beats."""
+"""Tradeoff of quality against time: runs of many sizes on one scene, scored at one width, and their Pareto front."""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -11,14 +11,14 @@ import numpy as np
 from ..base.errors import InputError
 from ..base.files import atomic_path
 from ..evaluation.lpips import BACKBONES, Lpips, load_lpips
-from ..evaluation.metrics import ViewScore, comparable, mean, mean_score, median_control, picture, score_picture
+from ..evaluation.metrics import ViewScore, mask_invalid, mean, mean_score, median_image_psnr, render_image, score_image
 from ..formats.run_folder import RunFolder, write_json
 from ..kernels.backends import device_for
 from ..scene.colmap import load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
 from .ablate import metrics_of_run
-from .evaluate_run import machine, newest
+from .evaluate_run import load_newest, machine
 from .grid import Grid
 from .page import BLUE, INK, new_plots, number, paragraph_html, plot_html, table_html, write_page
 
@@ -28,7 +28,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Quality:
-    """A figure that is set against time; sign: 1 where more is better, -1 where less is."""
+    """A metric that is compared with time.
+
+    Attributes:
+        title: Label with unit.
+        sign: 1 where higher is better, -1 where lower is.
+        digits: Digits after the decimal point.
+    """
 
     title: str
     sign: int
@@ -49,25 +55,39 @@ def tradeoff(
     on_run: Callable[[str, dict[str, Any]], None] = lambda name, figures: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any]:
-    """Train every run of the grid and score all on the held-out views at one width, so that sizes compare.
+    """Train every run of a grid and score all on the test views at one width, so that they can be compared.
 
-    score_width: in pixels, 0 for the widest that is trained at. Writes tradeoff.json, .csv, .png and .html to `out`
-    after each run; a run that is there already is not made again, and one that was stopped goes on. Returns the
-    document in tradeoff.json: `rows` with name, settings, seconds of training, Gaussians, each of QUALITIES (None
-    where it is not known), `gain` (psnr above control_psnr, as a share of the best row's) and `dominated` (by quality,
-    the name of a run that is as fast and as good and better in one; None on the front); `control_psnr`, what the
-    median photograph reaches; `machine`; `interrupted`; `notes`. Raises InputError as train does, where the scene
-    holds no view out, and where `out` has runs of another scene or size.
+    Writes tradeoff.json, .csv, .png and .html after each run. A run that exists is not trained again, and one that was
+    stopped is continued.
+
+    Args:
+        scene_folder: Folder of the scene.
+        out: Folder of the runs and of the files.
+        grid: The runs.
+        score_width: Width in pixels at which runs are scored, 0 for the largest training width.
+        weights_dir: Folder where networks are searched first.
+        on_run: Gets the name and the row of each run.
+        should_stop: Asked between two iterations.
+
+    Returns:
+        The document in tradeoff.json: `rows` with name, settings, seconds of training, Gaussians, each of QUALITIES
+        (None where it is not known), `gain` (PSNR above the median-image baseline, as a fraction of the largest) and
+        `dominated` (by quality, the name of a run that is no slower, no worse, and better in one of both; None on the
+        Pareto front); `control_psnr` of the median-image baseline, `machine`, `interrupted`, `notes`.
+
+    Raises:
+        InputError: As `train`, where the scene has no test views, and where `out` has runs of another scene or of
+            other settings.
     """
     runs = grid.runs()
     width = score_width or max(run.settings.width for run in runs)
     scene = load_scene(scene_folder)
     split = split_views([view.name for view in scene.views])
     if not split.test:
-        raise InputError(f"{scene_folder} has too few photographs to hold any out, so that nothing can be compared.")
+        raise InputError(f"{scene_folder} has too few photos to keep some as test views, which a tradeoff needs.")
     images = load_images(scene, [view for view in scene.views if view.name not in split.validation], width)
     test = [image for image in images if image.camera.name in split.test]
-    control = median_control([image for image in images if image.camera.name in split.train], test)
+    control = median_image_psnr([image for image in images if image.camera.name in split.train], test)
     lpips, notes = load_lpips(weights_dir)
     document: dict[str, Any] = {"scene": str(scene_folder), "score_width": max(image.camera.width for image in test)}
     document |= {
@@ -84,24 +104,33 @@ def tradeoff(
             break
         row: dict[str, Any] = {"name": run.name, "folder": run.folder, "settings": run.settings.to_json()}
         row |= {"seconds": metrics["seconds"], "gaussians": metrics["gaussians"]}
-        row |= held_out_scores(out / run.folder, test, lpips)
+        row |= score_run(out / run.folder, test, lpips)
         document["rows"].append(row)
-        compare(document["rows"], control)
+        mark_dominated(document["rows"], control)
         write_tradeoff(out, document)
         on_run(run.name, row)
     return document
 
 
-def held_out_scores(folder: Path, images: Sequence[TrainingImage], lpips: dict[str, Lpips]) -> dict[str, float | None]:
-    """Mean of each of QUALITIES over the views, rendered from a run's newest checkpoint at the size of the images."""
-    cloud, simulated, _ = newest(folder)
+def score_run(folder: Path, images: Sequence[TrainingImage], lpips: dict[str, Lpips]) -> dict[str, float | None]:
+    """Score the newest checkpoint of a run at the size of given images.
+
+    Args:
+        folder: Folder of the run.
+        images: Test images.
+        lpips: LPIPS by backbone.
+
+    Returns:
+        Mean of each of QUALITIES over the images, None where it is not known.
+    """
+    cloud, effects, _ = load_newest(folder)
     _, settings, _ = RunFolder(folder).read_config()
     scores: list[ViewScore] = []
     distances: dict[str, list[float]] = {name: [] for name in lpips}
     for image in images:
-        color = picture(cloud, image.camera, settings.sh_degree, simulated=simulated)
-        scores.append(score_picture(image, color))
-        shown, target, _ = comparable(image, color)
+        color = render_image(cloud, image.camera, settings.sh_degree, effects=effects)
+        scores.append(score_image(image, color))
+        shown, target, _ = mask_invalid(image, color)
         for name, network in lpips.items():
             distances[name].append(network(shown, target))
     psnr, ssim = mean_score(scores)
@@ -109,21 +138,32 @@ def held_out_scores(folder: Path, images: Sequence[TrainingImage], lpips: dict[s
     return {"psnr": psnr, "ssim": ssim} | known
 
 
-def compare(rows: Sequence[dict[str, Any]], control: float) -> None:
-    """Fill in `gain` and `dominated` of every row."""
+def mark_dominated(rows: Sequence[dict[str, Any]], control: float) -> None:
+    """Fill in `gain` and `dominated` of every row.
+
+    Args:
+        rows: The rows, which are changed.
+        control: PSNR of the median-image baseline, dB.
+    """
     best = max(row["psnr"] for row in rows) - control
     for row in rows:
         row["gain"] = (row["psnr"] - control) / best if best > 0 else None
         row["dominated"] = {}
     for name, quality in QUALITIES.items():
         points = [(row["seconds"], quality.sign * row[name] if _known(row[name]) else -np.inf) for row in rows]
-        for row, by in zip(rows, dominators(points), strict=True):
+        for row, by in zip(rows, find_dominating(points), strict=True):
             row["dominated"][name] = None if by is None else rows[by]["name"]
 
 
-def dominators(points: Sequence[tuple[float, float]]) -> list[int | None]:
-    """For each (seconds, quality) the index of the best of those that are as fast, as good, and better in one of both;
-    None for a point of the Pareto front."""
+def find_dominating(points: Sequence[tuple[float, float]]) -> list[int | None]:
+    """Find for each point one that dominates it: no slower, no worse, and better in one of both.
+
+    Args:
+        points: Seconds and quality, where higher is better.
+
+    Returns:
+        For each point the index of the best point that dominates it, None on the Pareto front.
+    """
     found: list[int | None] = []
     for seconds, quality in points:
         better = [
@@ -139,11 +179,19 @@ def _known(value: float | None) -> bool:
     return value is not None and bool(np.isfinite(value))
 
 
-# Its files ------------------------------------------------------------------------------------------------------------
+# Files ----------------------------------------------------------------------------------------------------------------
 
 
 def write_tradeoff(out: Path, document: dict[str, Any]) -> None:
-    """tradeoff.json, .csv, .png and .html."""
+    """Write tradeoff.json, .csv, .png and .html.
+
+    Args:
+        out: Folder of the files.
+        document: The document in tradeoff.json.
+
+    Raises:
+        InputError: When a file cannot be written.
+    """
     rows = document["rows"]
     shown = [name for name in QUALITIES if any(_known(row[name]) for row in rows)]
     write_json(out / "tradeoff.json", document)
@@ -169,7 +217,13 @@ def write_tradeoff(out: Path, document: dict[str, Any]) -> None:
 
 
 def draw_front(axes: "Axes", rows: Sequence[dict[str, Any]], name: str) -> None:
-    """Every run as a numbered point, and a line through those that no other dominates."""
+    """Draw every run as a numbered point, and a line along the Pareto front.
+
+    Args:
+        axes: The plot.
+        rows: The runs.
+        name: Name of the quality.
+    """
     from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
     known = [(index, row) for index, row in enumerate(rows) if _known(row[name])]
@@ -187,7 +241,7 @@ def draw_front(axes: "Axes", rows: Sequence[dict[str, Any]], name: str) -> None:
 
 
 def _by(row: dict[str, Any], shown: Sequence[str]) -> str:
-    """Which runs dominate this one, and in what."""
+    """Return the runs that dominate a run, and in which qualities, as text."""
     by: dict[str, list[str]] = {}
     for name in shown:
         if row["dominated"][name]:
@@ -203,7 +257,9 @@ def _write_html(path: Path, document: dict[str, Any], shown: Sequence[str]) -> N
         figure, (axes,) = new_plots("seconds of training", QUALITIES[name].title)
         draw_front(axes, rows, name)
         better = "higher" if QUALITIES[name].sign > 0 else "lower"
-        plots.append(plot_html(figure, f"{QUALITIES[name].title} against time; {better} is better; grey: dominated"))
+        plots.append(
+            plot_html(figure, f"{QUALITIES[name].title} against time; {better} is better; grey: dominated runs")
+        )
     heads = ["", "run", "seconds", "Gaussians", *(QUALITIES[name].title for name in shown), "gain", "dominated"]
     lines = [
         [str(index + 1), row["name"], number(row["seconds"], 1), number(row["gaussians"], 0)]
@@ -214,25 +270,25 @@ def _write_html(path: Path, document: dict[str, Any], shown: Sequence[str]) -> N
     styles = ("number", "", *["number"] * (3 + len(shown)), "meaning")
     parts = [
         paragraph_html(
-            f"Runs of different sizes on {document['scene']}, all scored on the held-out photographs at "
-            f"{document['score_width']} pixels width. A run is dominated where another is as fast and as good, and "
-            "better in one of both; the line joins those that are not."
+            f"Runs of different sizes on {document['scene']}, all scored on the test photos at "
+            f"{document['score_width']} pixels width. A run is dominated if another run is no slower, no worse, and "
+            "better in one of both. The line joins the runs that are not dominated."
         ),
         f'<div class="plots">{"".join(plots)}</div>',
         "<h2>Runs</h2>",
         table_html(lines, heads, styles),
         paragraph_html(
-            f"Gain: how far PSNR lies above what the median of the training photographs reaches "
-            f"({number(document['control_psnr'], 2)} dB), as a share of the best run's."
+            f"Gain: PSNR above the median-image baseline (pixel-wise median of the training photos, "
+            f"{number(document['control_psnr'], 2)} dB), as a percentage of the best run's."
         ),
         *(paragraph_html(note, "note") for note in document["notes"]),
         paragraph_html(f"{where['device']}, {where['system']}, engine {where['engine']}, backend {where['backend']}."),
     ]
-    write_page(path, f"Accuracy against time: {Path(document['scene']).resolve().name}", parts)
+    write_page(path, f"Quality against time: {Path(document['scene']).resolve().name}", parts)
 
 
 def describe(document: dict[str, Any]) -> str:
-    """The rows as a Markdown table, the fastest first."""
+    """Format the result of `tradeoff` as a Markdown table, the fastest run first."""
     shown = [name for name in QUALITIES if any(_known(row[name]) for row in document["rows"])]
     heads = ["run", "seconds", "Gaussians", *(QUALITIES[name].title for name in shown), "gain"]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
@@ -242,4 +298,4 @@ def describe(document: dict[str, Any]) -> str:
         gain = number(row["gain"] and 100 * row["gain"], 0, " %")
         cells = [row["name"], number(row["seconds"], 1), number(row["gaussians"], 0), *figures, gain]
         lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join([*lines, "* no other run is as fast and better", *document["notes"]])
+    return "\n".join([*lines, "* not dominated: no other run is as fast and better", *document["notes"]])

@@ -1,4 +1,4 @@
-"""A training as users start it: what was forecast is kept beside what came out, and a report follows."""
+"""Training with what users get around it: the outcome beside the forecast, and a report."""
 
 import sys
 import time
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..settings.settings import TrainSettings
 from ..training.trainer import Event, train
-from .forecast import expectation, record
+from .forecast import expected_outcome, record_outcome
 from .report import try_write_report
 
 
@@ -22,11 +22,29 @@ def train_and_report(
     weights_dir: Path | None = None,
     started: float | None = None,
 ) -> Event:
-    """As training.loop.train; the result event has the path of the report beside, None where none could be written."""
+    """Train a scene, keep the outcome for later forecasts and write the report.
+
+    Args:
+        scene_folder: Folder of the scene.
+        out: Folder of the run.
+        settings: What the user chose.
+        resume: Continue the run in `out`.
+        on_event: Gets events as they happen.
+        should_stop: Asked between two iterations.
+        preview: Write splats for a live preview.
+        weights_dir: Folder where networks are searched first.
+        started: time.monotonic() that a time budget counts from, now without it.
+
+    Returns:
+        The `result` event of `train` with the path of the report, None where it could not be written.
+
+    Raises:
+        InputError: As `train`.
+    """
     started = time.monotonic() if started is None else started
-    expected = None if resume else expectation(scene_folder, settings)
+    expected = None if resume else expected_outcome(scene_folder, settings)
     result = train(scene_folder, out, settings, resume, on_event, should_stop, preview, weights_dir, started)
-    record(out, expected, time.monotonic() - started)
+    record_outcome(out, expected, time.monotonic() - started)
     report, problem = try_write_report(out)
     if problem:
         print(problem, file=sys.stderr)

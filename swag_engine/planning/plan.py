@@ -10,13 +10,13 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
-from ..base.strict_json import from_json, strict, to_json
+from ..base.strict_json import from_json, replace_nonfinite, to_json
 from ..effects.registry import REGISTRY
 from ..evidence.decision import Decision, State
 from ..evidence.observations import FIT_WIDTH
 from ..evidence.scene_evidence import DepthNetwork, FrameNetwork, SceneEvidence
 from ..scene.colmap import Scene, load_scene
-from ..scene.images import TrainingImage, load_images, mask_of
+from ..scene.images import TrainingImage, load_images, mask_path
 from ..scene.split import split_views
 from ..settings.effect_names import EFFECTS, parse_effects
 from .costs import measured_costs
@@ -137,7 +137,7 @@ def made_from(scene: Scene) -> str:
     """Compute the key of a scene: it changes with images, masks, cameras, points, and the version of the planner."""
     hashed = hashlib.sha256(f"plan {PLAN_VERSION};".encode())
     for view in scene.views:
-        for path in (view.path, mask_of(scene, view)):
+        for path in (view.path, mask_path(scene, view)):
             hashed.update(f"{view.name} {path and path.stat().st_size} {path and path.stat().st_mtime_ns};".encode())
         hashed.update(view.camera.world_to_camera.tobytes())
     hashed.update(scene.points.positions.tobytes())
@@ -228,7 +228,7 @@ def make_plan(
     effects = {
         name: PlannedEffect(
             decision.state,
-            strict(decision.evidence),
+            replace_nonfinite(decision.evidence),
             decision.reason,
             round(costs[name], 3),
             REGISTRY[name].fitted(evidence) if decision.state == "on" else {},

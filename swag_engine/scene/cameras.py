@@ -1,4 +1,4 @@
-"""The pinhole camera that everything after undistortion sees."""
+"""Pinhole cameras of undistorted images."""
 
 from dataclasses import dataclass, replace
 
@@ -9,8 +9,17 @@ import numpy as np
 class Camera:
     """A pinhole camera with its pose.
 
-    Axes are COLMAP's and OpenCV's: x right, y down, z forward. Pixel centres lie at +0.5: the top left pixel's centre
-    is (0.5, 0.5). fx, fy, cx, cy are in pixels of a width x height picture; `world_to_camera` is (4, 4) float64, rigid.
+    Axes are those of COLMAP and OpenCV: x right, y down, z forward. The centre of the top left pixel is (0.5, 0.5).
+
+    Attributes:
+        name: Name of the image.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+        fx: Focal length in x, pixels.
+        fy: Focal length in y, pixels.
+        cx: Principal point in x, pixels.
+        cy: Principal point in y, pixels.
+        world_to_camera: Rigid transform (4, 4) float64, scene units.
     """
 
     name: str
@@ -29,11 +38,15 @@ class Camera:
 
     @property
     def centre(self) -> np.ndarray:
-        """The projection centre in the world, (3,) float64, in SfM units."""
+        """The projection centre in the world, (3,) float64, scene units."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     def resized(self, width: int) -> "Camera":
-        """The same camera at another width in pixels; the height is rounded, and x and y keep their own true ratio."""
+        """Return the camera of the image scaled to another width.
+
+        Args:
+            width: The new width, pixels. The height is rounded; focal lengths scale exactly, x and y apart.
+        """
         height = max(1, round(self.height * width / self.width))
         x, y = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * x, cx=self.cx * x, fy=self.fy * y, cy=self.cy * y)

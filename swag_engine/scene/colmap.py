@@ -1,4 +1,4 @@
-"""A COLMAP scene as it is on disk: photographs, poses, lenses and sparse points."""
+"""Reading of a COLMAP scene: images, poses, lenses and sparse points."""
 
 import os
 import re
@@ -20,10 +20,13 @@ IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One registered photograph.
+    """One registered image.
 
-    `camera` is the undistorted pinhole at full size, `lens` what took the picture at `path`; `point_indices` (M,) int64
-    are the rows of `Scene.points` that COLMAP saw in it, each once.
+    Attributes:
+        camera: Camera of the undistorted image at full size.
+        lens: Lens of the image file.
+        path: The image file.
+        point_indices: Rows (M,) int64 of `Scene.points` that COLMAP observed in the image, each once.
     """
 
     camera: Camera
@@ -33,13 +36,20 @@ class View:
 
     @property
     def name(self) -> str:
+        """Name of the image."""
         return self.camera.name
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """The sparse cloud: positions (P, 3) float64 in SfM units, colors (P, 3) uint8 sRGB, errors (P,) float32 pixels
-    (-1: unknown), track_lengths (P,) int32: in how many photographs each was seen."""
+    """The sparse points.
+
+    Attributes:
+        positions: Positions (P, 3) float64, scene units.
+        colors: Display colors (P, 3) uint8 sRGB.
+        errors: Reprojection errors (P,) float32, pixels; -1 where unknown.
+        track_lengths: Numbers of images (P,) int32 that observe each point.
+    """
 
     positions: np.ndarray
     colors: np.ndarray
@@ -49,10 +59,18 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything that a COLMAP scene says. Views are sorted by name; there are at least two, and at least one point.
+    """A COLMAP scene.
 
-    `image_count` counts the picture files in `image_folder`, `missing` names the registered images that are not there,
-    `warnings` are sentences for the user, `up` is a unit vector in the world (see `up_direction`).
+    Attributes:
+        folder: Folder of the scene.
+        image_folder: Folder of the images.
+        model_folder: Folder of the COLMAP model.
+        views: Views sorted by name, at least two.
+        points: Sparse points, at least one.
+        image_count: Number of image files in `image_folder`.
+        missing: Names of the registered images that are not there.
+        warnings: Sentences for the user.
+        up: Unit vector (3,) float64 in the world (see `up_direction`).
     """
 
     folder: Path
@@ -67,10 +85,19 @@ class Scene:
 
 
 def load_scene(folder: Path) -> Scene:
-    """Read the scene in `folder`, which is a scene folder or the folder of one COLMAP model.
+    """Read a scene.
 
-    Models are looked for in the folder itself, sparse/ and colmap/sparse/ and the folders in them; the one with most
-    registered images is taken. Raises InputError for whatever cannot be used.
+    Models are searched in the folder itself, in sparse/ and colmap/sparse/, and in the folders in them; the one with
+    the most registered images is used.
+
+    Args:
+        folder: Folder of a scene, or of one COLMAP model.
+
+    Returns:
+        The scene.
+
+    Raises:
+        InputError: For anything that cannot be used.
     """
     folder = Path(folder).expanduser().absolute()
     if not folder.is_dir():
@@ -82,7 +109,7 @@ def load_scene(folder: Path) -> Scene:
     images = [model.image(image_id) for image_id in model.reg_image_ids()]
     names = _image_names(model_folder, images)
     scene_folder = _scene_folder(folder)
-    image_folder, paths, image_count = _find_pictures(scene_folder, list(names.values()), warnings)
+    image_folder, paths, image_count = _find_images(scene_folder, list(names.values()), warnings)
 
     lenses = {
         camera_id: Lens(camera.model.name, camera.width, camera.height, tuple(float(value) for value in camera.params))
@@ -97,17 +124,17 @@ def load_scene(folder: Path) -> Scene:
     if len(views) < 2:
         if missing:
             raise InputError(
-                f"Only {len(views)} of the {len(names)} photographs that {model_folder} names were found in "
-                f"{image_folder} ({missing[0]} is missing): put the photographs into {scene_folder / 'images'}."
+                f"Only {len(views)} of the {len(names)} photos of the COLMAP model {model_folder} were found in "
+                f"{image_folder} ({missing[0]} is missing): put the photos into {scene_folder / 'images'}."
             )
-        raise InputError(f"{model_folder} has {len(views)} registered photograph(s), and a scene needs at least two.")
+        raise InputError(f"{model_folder} has {len(views)} registered photo(s), and a scene needs at least two.")
     if missing:
         warnings.append(
-            f"{len(missing)} of the {len(names)} registered photographs are not in {image_folder} and are left out: "
+            f"{len(missing)} of the {len(names)} registered photos are not in {image_folder} and are not used: "
             f"{', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}."
         )
     if len(names) < 0.8 * image_count:
-        warnings.append(f"Only {len(names)} of the {image_count} photographs in {image_folder} have a pose.")
+        warnings.append(f"Only {len(names)} of the {image_count} photos in {image_folder} have a pose.")
 
     views.sort(key=lambda view: view.name)
     return Scene(
@@ -124,13 +151,20 @@ def load_scene(folder: Path) -> Scene:
 
 
 def up_direction(world_to_camera: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Which way is up in a COLMAP world, whose axes mean nothing; (3,) float64, unit.
+    """Estimate the up direction of a COLMAP world, whose axes are arbitrary.
 
-    world_to_camera (V, 4, 4), positions (P, 3). Where the points are flat, they are taken for the sea floor and up is
-    their normal: cameras that look down, straight (surveys) or at an angle (remote vehicles), say nothing about the
-    vertical by themselves. (A flat wall photographed from the front looks the same and will lie down.) Otherwise the
-    cameras are taken to be level: up is at right angles to all their x axes if they turn enough, else the mean of their
-    -y axes. The sign is that of the cameras' -y axes, or, if these lie along the floor, towards the cameras.
+    Where the points are flat, they are taken for the sea floor and up is their normal: cameras that look down, straight
+    (surveys) or at an angle (remote vehicles), do not show the vertical by themselves. (A flat wall seen from the front
+    is taken for a floor, too.) Otherwise the cameras are taken to be level: up is at right angles to all their x axes
+    if they turn enough, else the mean of their -y axes. The sign is that of the cameras' -y axes, or, if these lie
+    along the floor, towards the cameras.
+
+    Args:
+        world_to_camera: Poses (V, 4, 4).
+        positions: Sparse points (P, 3).
+
+    Returns:
+        Unit vector (3,) float64.
     """
     rotations = world_to_camera[:, :3, :3]
     mean_up = -rotations[:, 1].mean(0)
@@ -160,6 +194,7 @@ def up_direction(world_to_camera: np.ndarray, positions: np.ndarray) -> np.ndarr
 
 
 def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, pycolmap.Reconstruction]:
+    """Find and read the model with the most registered images; return its folder, too."""
     folders = []
     for base in (folder, folder / "sparse", folder / "colmap" / "sparse", folder / "colmap"):
         if base.is_dir():
@@ -176,7 +211,7 @@ def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, pycolmap.Re
                         f"The COLMAP model in {candidate} is incomplete: {' and '.join(absent)} is missing."
                     )
         raise InputError(
-            f"No COLMAP model was found in {folder}, its sparse or its colmap/sparse: make one from the photographs "
+            f"No COLMAP model was found in {folder}, its sparse or its colmap/sparse: make one from the photos "
             "with `python -m swag_engine sfm PHOTOS --out SCENE`."
         )
     read = [_read_model(model) for model in models]
@@ -184,14 +219,14 @@ def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, pycolmap.Re
     best = int(np.argmax(counts))
     if len(models) > 1:
         warnings.append(
-            f"{len(models)} models were found, and the largest is used: {models[best].relative_to(folder)} with "
-            f"{counts[best]} photographs; the others have {', '.join(map(str, counts[:best] + counts[best + 1 :]))}."
+            f"{len(models)} COLMAP models were found, and the largest is used: {models[best].relative_to(folder)} with "
+            f"{counts[best]} photos; the others have {', '.join(map(str, counts[:best] + counts[best + 1 :]))}."
         )
     return models[best], read[best]
 
 
 def _model_suffix(folder: Path) -> str | None:
-    """.bin or .txt when the folder holds a whole model; binary first, as COLMAP does."""
+    """Return .bin or .txt when the folder holds a complete model, binary first as in COLMAP, else None."""
     for suffix in (".bin", ".txt"):
         if all((folder / f"{part}{suffix}").is_file() for part in ("cameras", "images", "points3D")):
             return suffix
@@ -225,8 +260,9 @@ def _read_model(folder: Path) -> pycolmap.Reconstruction:
     return model
 
 
-# pycolmap reads a truncated binary file as whatever its memory holds, so each file is walked first: the functions say
-# where the record that starts at `at` ends. Layouts: colmap/scene/reconstruction_io_binary.cc.
+# pycolmap fills the rest of a truncated binary file with arbitrary values, so the records of each file are followed
+# first: each function returns where the record that starts at `at` ends. Layouts are those of
+# colmap/scene/reconstruction_io_binary.cc.
 
 
 def _after_camera(data: bytes, at: int) -> int:
@@ -270,7 +306,7 @@ _BINARY_RECORDS: dict[str, Callable[[bytes, int], int]] = {
 
 
 def _check_binary(path: Path) -> None:
-    """Raise InputError unless the file holds as many whole records as it says."""
+    """Raise InputError unless the file holds all records that it announces."""
     data = path.read_bytes()
     after = _BINARY_RECORDS[path.stem]
     try:
@@ -286,20 +322,20 @@ def _check_binary(path: Path) -> None:
 
 
 def _check_text(path: Path, count: int) -> None:
-    """Raise InputError when COLMAP's own header promises more entries than were read."""
+    """Raise InputError when COLMAP's own header announces more entries than were read."""
     with open(path, "rb") as lines:
         header = b"".join(line for line, _ in zip(lines, range(5), strict=False) if line.startswith(b"#"))
-    promised = re.search(rb"# Number of \w+: (\d+)", header)
-    if promised and count < int(promised[1]):
+    announced = re.search(rb"# Number of \w+: (\d+)", header)
+    if announced and count < int(announced[1]):
         raise InputError(
-            f"{path} was cut short: it has {count} of {int(promised[1])} entries; export it from COLMAP again."
+            f"{path} was cut short: it has {count} of {int(announced[1])} entries; export it from COLMAP again."
         )
 
 
 def _image_names(model_folder: Path, images: list[pycolmap.Image]) -> dict[int, str]:
-    """COLMAP's image names by image id, with forward slashes.
+    """Return COLMAP's image names by image id, with forward slashes.
 
-    pycolmap cuts the names of text models at the first space, so there they are read from the file.
+    pycolmap cuts the names of text models at the first space, so these are read from the file.
     """
     try:
         if _model_suffix(model_folder) == ".bin":
@@ -315,17 +351,17 @@ def _image_names(model_folder: Path, images: list[pycolmap.Image]) -> dict[int, 
             names = {image.image_id: names[image.image_id] for image in images}
     except UnicodeDecodeError as error:
         raise InputError(
-            f"The COLMAP model {model_folder} has image names that are not UTF-8: rename the photographs with plain "
+            f"The COLMAP model {model_folder} has image names that are not UTF-8: rename the photos with plain "
             "letters and reconstruct the scene again."
         ) from error
     inside = {image_id: _inside(name) for image_id, name in names.items()}
     if len(set(inside.values())) < len(inside):
-        raise InputError(f"The COLMAP model {model_folder} gives two photographs the same name: reconstruct it again.")
+        raise InputError(f"The COLMAP model {model_folder} gives two photos the same name: reconstruct it again.")
     return inside
 
 
 def _inside(name: str) -> str:
-    """A name that leads nowhere but into its folder, with forward slashes: pictures are written under it too."""
+    """Return a name without parts that lead out of its folder: images are also written under it."""
     parts = name.replace("\\", "/").split("/")
     return "/".join(part for part in parts if part not in ("", ".", "..") and not part.endswith(":")) or "_"
 
@@ -333,7 +369,7 @@ def _inside(name: str) -> str:
 def _read_points(
     model: pycolmap.Reconstruction, model_folder: Path, warnings: list[str]
 ) -> tuple[Points, Callable[[np.ndarray], np.ndarray]]:
-    """The sparse points in the order of their ids, and a function from COLMAP's point ids to rows (-1: none)."""
+    """Return the sparse points in the order of their ids, and a function from COLMAP's ids to rows (-1 for none)."""
     items = sorted(model.points3D.items())
     if not items:
         raise InputError(f"The COLMAP model in {model_folder} has no points: reconstruct the scene again.")
@@ -343,7 +379,7 @@ def _read_points(
         finite = np.isfinite(positions.astype(np.float32)).all(1)
     if not finite.all():
         warnings.append(
-            f"{np.count_nonzero(~finite)} points of {model_folder} have no finite position and are left out."
+            f"{np.count_nonzero(~finite)} points of {model_folder} have no finite position and are not used."
         )
         items = [item for item, keep in zip(items, finite, strict=True) if keep]
         ids, positions = ids[finite], positions[finite]
@@ -382,11 +418,11 @@ def _view(
     )
 
 
-# Photographs ----------------------------------------------------------------------------------------------------------
+# Images ---------------------------------------------------------------------------------------------------------------
 
 
 def _scene_folder(folder: Path) -> Path:
-    """The scene that `folder` belongs to when it is a COLMAP folder within one (sparse/0, colmap/sparse, ...)."""
+    """Return the scene's folder for a folder of COLMAP within it (sparse/0, colmap/sparse, ...), else the folder."""
     scene = folder.parent if folder.name.isdecimal() else folder
     if scene.name.lower() != "sparse":
         return folder
@@ -419,51 +455,49 @@ def image_files_below(folder: Path) -> list[Path]:
 
 
 def _key(name: str) -> str:
-    """Equal for names that differ in case or in how an umlaut is encoded (macOS writes them in two letters)."""
+    """Return a key that is equal for names that differ in case or in how accents are encoded (macOS splits them)."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
-def _find_pictures(scene: Path, names: list[str], warnings: list[str]) -> tuple[Path, dict[str, Path], int]:
-    """The folder that holds the named images, where each is, and how many pictures are in it.
+def _find_images(scene: Path, names: list[str], warnings: list[str]) -> tuple[Path, dict[str, Path], int]:
+    """Find the folder of the images, the file of each name, and the number of image files in the folder.
 
-    All come from one folder: the one with the most of them, images/ and input/ before others. Case does not matter. If
-    no folder holds a single name, names count without their folders. Last, images/ and input/ beside the scene are
-    tried (a model's own folder may have been given as the scene).
+    All come from one folder: the one with the most of the names, images/ and input/ before others. Case does not
+    matter. If no folder holds any of the names, they are compared without their folders. Last, images/ and input/
+    beside the scene are tried, as the folder of a model may have been given as the scene.
     """
     for root in (scene, scene.parent / "images", scene.parent / "input"):
-        pictures = image_files_below(root) if root.is_dir() else []
+        files = image_files_below(root) if root.is_dir() else []
         for by_basename in (False, True):
             wanted = {_key(name.rsplit("/", 1)[-1] if by_basename else name): name for name in names}
             hits: dict[tuple[str, ...], dict[str, Path]] = {}
-            for path in pictures:
+            for path in files:
                 parts = path.relative_to(root).parts
                 for depth in [len(parts) - 1] if by_basename else range(len(parts)):
                     name = wanted.get(_key("/".join(parts[depth:])))
                     if name is not None:
                         found = hits.setdefault(parts[:depth], {})
-                        if name not in found or path.name == name.rsplit("/", 1)[-1]:  # the same case is best
+                        if name not in found or path.name == name.rsplit("/", 1)[-1]:  # prefer the same case
                             found[name] = path
             if not hits:
                 continue
-            liked = ["images", "input"]
+            preferred = ["images", "input"]
             best = min(
                 hits,
                 key=lambda parts: (
                     -len(hits[parts]),
-                    liked.index(parts[-1].lower()) if parts and parts[-1].lower() in liked else len(liked),
+                    preferred.index(parts[-1].lower()) if parts and parts[-1].lower() in preferred else len(preferred),
                     len(parts),
                     parts,
                 ),
             )
             if by_basename:
-                warnings.append(
-                    f"The photographs in {root.joinpath(*best)} were matched by file name, without folders."
-                )
+                warnings.append(f"The photos in {root.joinpath(*best)} were matched by file name, without folders.")
             folder = root.joinpath(*best)
-            count = sum(path.is_relative_to(folder) for path in pictures)
+            count = sum(path.is_relative_to(folder) for path in files)
             return folder, hits[best], count
     example = sorted(names)[0] if names else "any"
     raise InputError(
-        f"None of the {len(names)} photographs of the COLMAP model ({example} ...) was found in {scene}: put them into "
+        f"None of the {len(names)} photos of the COLMAP model ({example} ...) was found in {scene}: put them into "
         f"{scene / 'images'}."
     )

@@ -1,4 +1,4 @@
-"""Photographs as training sees them: undistorted, resized, with a mask of what is valid, and cached."""
+"""Images for training: undistorted, resized, with a mask of the valid pixels, and cached."""
 
 import hashlib
 import json
@@ -21,12 +21,20 @@ from .colmap import Scene, View
 from .lenses import source_map
 
 _CACHE_FORMAT = 1
+"""Version of the cached files."""
 _CACHE_DAYS = 30
+"""Days after which a cached file that no run has used is removed."""
 
 
 @dataclass
 class TrainingImage:
-    """pixels (H, W, 3) uint8 sRGB and valid (H, W) bool, at the size of `camera`; invalid pixels mean nothing."""
+    """An undistorted image at the size of its camera.
+
+    Attributes:
+        camera: The camera.
+        pixels: Display values (H, W, 3) uint8 sRGB; without meaning where they are not valid.
+        valid: Valid pixels (H, W) bool.
+    """
 
     camera: Camera
     pixels: np.ndarray
@@ -39,11 +47,22 @@ def load_images(
     width: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[TrainingImage]:
-    """Undistort the photographs of `views` and reduce them to `width` pixels (None: full size), never enlarging.
+    """Undistort images and reduce them to a width, never enlarging.
 
-    Results are kept in the user's cache folder (or SWAG_CACHE_DIR), so that only the first call takes long. `progress`
-    is called with how many are done and how many there are. A mask (masks/NAME.png, black is masked) and an
-    alpha of 0 make pixels invalid. Raises InputError naming the picture that cannot be used.
+    Results are kept in the user's cache folder (or SWAG_CACHE_DIR), so that only the first call takes long. A mask
+    (masks/NAME.png, black is masked) and an alpha of 0 make pixels invalid.
+
+    Args:
+        scene: The scene.
+        views: Views whose images are loaded.
+        width: Width in pixels, None for full size.
+        progress: Called with the number of images that are done and the number of all.
+
+    Returns:
+        The images in the order of the views.
+
+    Raises:
+        InputError: When an image cannot be used; the message names it.
     """
     cache = cache_folder(scene, "images")
     images: list[TrainingImage] = []
@@ -61,46 +80,66 @@ def load_images(
     return images
 
 
-def read_picture(path: Path, size: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read a photograph: (H, W, 3) uint8 RGB, and (H, W) bool from its alpha channel or None.
+def read_image(path: Path, size: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Read an image file.
 
-    16-bit pictures are reduced to 8, grey ones repeated. COLMAP reads pixels as they are stored, ignoring an EXIF
-    orientation, and so does this; only when a camera of `size` (width, height) is known and just the turned picture
-    fits it, the orientation is applied. Raises InputError naming the file.
+    16 bits are reduced to 8, a grey channel is repeated. An EXIF orientation is ignored, as COLMAP ignores it, unless
+    only the turned image fits the size of the camera.
+
+    Args:
+        path: The file.
+        size: Width and height of its camera in pixels, None where that is not known.
+
+    Returns:
+        Pixels (H, W, 3) uint8 RGB, and whether alpha is above 0 (H, W) bool, None without an alpha channel.
+
+    Raises:
+        InputError: When the file cannot be read, or does not fit the camera.
     """
     try:
         data = np.fromfile(path, np.uint8)  # cv2.imread cannot open every path on Windows
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
-    picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if picture is None:
-        raise InputError(f"{path} cannot be read as a picture: it may be cut short; copy it again or take it out.")
-    height, width = picture.shape[:2]
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if image is None:
+        raise InputError(
+            f"{path} cannot be read as an image, perhaps because it was cut short: copy it again or remove it."
+        )
+    height, width = image.shape[:2]
     if size and not _fits((width, height), size) and _fits((height, width), size):
-        picture = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-        height, width = picture.shape[:2]
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+        height, width = image.shape[:2]
     if size and not _fits((width, height), size):
         raise InputError(
             f"{path} is {width} x {height} pixels, but its camera in the COLMAP model is {size[0]} x {size[1]}: use "
-            "the photographs that the model was made from."
+            "the photos that the model was made from."
         )
-    if picture.dtype == np.uint16:
-        picture = np.round(picture / 257).astype(np.uint8)
-    if picture.dtype != np.uint8:
-        raise InputError(f"{path} holds {picture.dtype} pixels: save it with 8 or 16 bits per channel.")
-    if picture.ndim == 2:
-        return cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB), None
-    if picture.shape[2] == 4:
-        return cv2.cvtColor(picture, cv2.COLOR_BGRA2RGB), picture[..., 3] > 0
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), None
+    if image.dtype == np.uint16:
+        image = np.round(image / 257).astype(np.uint8)
+    if image.dtype != np.uint8:
+        raise InputError(f"{path} holds {image.dtype} pixels: save it with 8 or 16 bits per channel.")
+    if image.ndim == 2:
+        return cv2.cvtColor(image, cv2.COLOR_GRAY2RGB), None
+    if image.shape[2] == 4:
+        return cv2.cvtColor(image, cv2.COLOR_BGRA2RGB), image[..., 3] > 0
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB), None
 
 
-def _fits(picture: tuple[int, int], camera: tuple[int, int]) -> bool:
-    """Whether the picture has the camera's shape, perhaps at another resolution (to a pixel of rounding)."""
-    return abs(picture[0] * camera[1] - picture[1] * camera[0]) <= max(*picture, *camera)
+def _fits(image: tuple[int, int], camera: tuple[int, int]) -> bool:
+    """Return whether an image has the camera's aspect ratio, to a pixel of rounding; its resolution may differ."""
+    return abs(image[0] * camera[1] - image[1] * camera[0]) <= max(*image, *camera)
 
 
-def mask_of(scene: Scene, view: View) -> Path | None:
+def mask_path(scene: Scene, view: View) -> Path | None:
+    """Find the mask of an image: NAME.EXT.png or NAME.png in masks/ of the scene, or in or beside its image folder.
+
+    Args:
+        scene: The scene.
+        view: The view.
+
+    Returns:
+        The file, None without one.
+    """
     for folder in (scene.folder / "masks", scene.image_folder / "masks", scene.image_folder.parent / "masks"):
         for mask in (folder / f"{view.name}.png", (folder / view.name).with_suffix(".png")):
             if mask.is_file():
@@ -109,9 +148,9 @@ def mask_of(scene: Scene, view: View) -> Path | None:
 
 
 def _load_image(scene: Scene, view: View, width: int | None, cache: Path) -> TrainingImage:
-    mask_path = mask_of(scene, view)
+    mask_file = mask_path(scene, view)
     try:
-        files = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in (view.path, mask_path) if path]
+        files = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in (view.path, mask_file) if path]
     except OSError as error:
         raise InputError(f"Cannot read {view.path}: {error.strerror or error}.") from error
     lens = (view.lens.model, view.lens.width, view.lens.height, view.lens.params)
@@ -119,22 +158,22 @@ def _load_image(scene: Scene, view: View, width: int | None, cache: Path) -> Tra
     cached = cache / f"{key}.npz"
     arrays = _read_cached(cached)
     if arrays is None:
-        arrays = _undistorted(view, mask_path, width)
+        arrays = _undistorted(view, mask_file, width)
         try:
             with atomic_path(cached) as temporary, open(temporary, "wb") as file:
                 np.savez(file, pixels=arrays[0], valid=arrays[1])
         except (InputError, OSError):
-            pass  # a cache that cannot be written only costs time
+            pass  # without a cache the next run only takes longer to start
     pixels, valid = arrays
     return TrainingImage(view.camera.resized(pixels.shape[1]), pixels, valid)
 
 
-def _undistorted(view: View, mask_path: Path | None, width: int | None) -> tuple[np.ndarray, np.ndarray]:
+def _undistorted(view: View, mask_file: Path | None, width: int | None) -> tuple[np.ndarray, np.ndarray]:
     lens, camera = view.lens, view.camera
-    pixels, valid = read_picture(view.path, (lens.width, lens.height))
+    pixels, valid = read_image(view.path, (lens.width, lens.height))
     height_on_disk, width_on_disk = pixels.shape[:2]
-    if mask_path:
-        mask = read_picture(mask_path)[0].max(-1)
+    if mask_file:
+        mask = read_image(mask_file)[0].max(-1)
         mask = cv2.resize(mask, (width_on_disk, height_on_disk), interpolation=cv2.INTER_NEAREST) > 0
         valid = mask if valid is None else valid & mask
     if not lens.is_pinhole:
@@ -161,12 +200,17 @@ def _undistorted(view: View, mask_path: Path | None, width: int | None) -> tuple
 
 
 def cache_root() -> Path:
-    """The user's cache folder, or SWAG_CACHE_DIR."""
+    """Return the user's cache folder, or SWAG_CACHE_DIR."""
     return Path(os.environ.get("SWAG_CACHE_DIR") or platformdirs.user_cache_dir("swag_splatting", appauthor=False))
 
 
 def cache_folder(scene: Scene, kind: str) -> Path:
-    """The folder of the user's cache (or of SWAG_CACHE_DIR) for what is made of one scene's photographs."""
+    """Return the folder in the cache for files of one kind that are made from one scene.
+
+    Args:
+        scene: The scene.
+        kind: Name of the kind.
+    """
     return cache_root() / kind / hashlib.sha256(str(scene.folder).encode()).hexdigest()[:16]
 
 
@@ -181,7 +225,7 @@ def _read_cached(path: Path) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _drop_stale(cache: Path) -> None:
-    """Remove what no run has used for a month, so that the cache does not grow for ever."""
+    """Remove cached images that no run has used for _CACHE_DAYS days."""
     oldest = time.time() - _CACHE_DAYS * 86400
     for path in cache.glob("*/*.npz"):
         try:

@@ -1,4 +1,4 @@
-"""What a scene holds, in figures and in words."""
+"""Summary of a scene, as a document and as text."""
 
 from collections import Counter
 from typing import Any
@@ -10,10 +10,15 @@ from .split import split_views
 
 
 def inspect_scene(scene: Scene) -> dict[str, Any]:
-    """Summarise a scene as a dict that JSON can hold.
+    """Summarise a scene.
 
-    `ranges` are distances from camera centre to sparse point over all observations, in SfM units: percentiles 5, 25,
-    50, 75, 95, and `ratio`, the 95th over the 5th. Sizes are in pixels, `undistorted` is that of the pinhole picture.
+    Args:
+        scene: The scene.
+
+    Returns:
+        A dict for JSON. `ranges` are those from camera centre to sparse point over all observations, in scene units:
+        percentiles 5, 25, 50, 75, 95, and `ratio`, the 95th over the 5th. Sizes are in pixels; `undistorted` is that
+        of the pinhole image.
     """
     points = scene.points
     ranges = np.concatenate(
@@ -57,7 +62,14 @@ def _number(value: float) -> float | None:
 
 
 def describe(summary: dict[str, Any]) -> str:
-    """The lines that `inspect SCENE` prints of `inspect_scene`'s summary."""
+    """Format a summary as text.
+
+    Args:
+        summary: What `inspect_scene` returned.
+
+    Returns:
+        The lines that `inspect SCENE` prints.
+    """
     ranges = summary["ranges"]
     error = summary["reprojection_error"]
     split = summary["split"]
@@ -82,7 +94,7 @@ def describe(summary: dict[str, Any]) -> str:
         rows.append(
             (
                 "Ranges",
-                f"{ranges['p5']:.3g} to {ranges['p95']:.3g}, median {ranges['p50']:.3g} (SfM units, 5 to 95 % of "
+                f"{ranges['p5']:.3g} to {ranges['p95']:.3g}, median {ranges['p50']:.3g} (scene units, 5 to 95 % of "
                 "observations)" + (f", ratio 1 : {ranges['ratio']:.2g}" if ranges["ratio"] else ""),
             )
         )

@@ -1,7 +1,7 @@
-"""Lenses as COLMAP describes them, and the pinhole picture that each is undistorted to.
+"""COLMAP's camera models, and the pinhole image that each is undistorted to.
 
-One way serves every camera model that pycolmap knows: a pixel of the pinhole picture looks along a ray, and pycolmap
-says where the lens images that ray.
+All camera models that pycolmap knows are treated alike: each pixel of the pinhole image has a ray, and pycolmap
+projects the ray with the lens.
 """
 
 from dataclasses import dataclass
@@ -12,13 +12,22 @@ import numpy as np
 from ..base.errors import InputError
 from .colmap_library import pycolmap
 
-# A pinhole picture stretches without bound towards 90 degrees off the axis; beyond 60 it holds little but blur.
 _WIDEST_TANGENT = float(np.tan(np.radians(60)))
+"""Tangent of the largest angle off the axis: beyond 60 degrees a pinhole image stretches the lens's to blur."""
 
 
 @dataclass(frozen=True)
 class Pinhole:
-    """Intrinsics in pixels of a width x height picture; pixel centres at +0.5."""
+    """Intrinsics of a pinhole image, all in pixels; the centre of the top left pixel is (0.5, 0.5).
+
+    Attributes:
+        width: Width of the image.
+        height: Height of the image.
+        fx: Focal length in x.
+        fy: Focal length in y.
+        cx: Principal point in x.
+        cy: Principal point in y.
+    """
 
     width: int
     height: int
@@ -30,7 +39,14 @@ class Pinhole:
 
 @dataclass(frozen=True)
 class Lens:
-    """A COLMAP camera: model name, size of its picture in pixels, parameters in COLMAP's order."""
+    """A camera of a COLMAP model.
+
+    Attributes:
+        model: Name of the camera model.
+        width: Width of its images, pixels.
+        height: Height of its images, pixels.
+        params: Parameters in COLMAP's order.
+    """
 
     model: str
     width: int
@@ -39,20 +55,24 @@ class Lens:
 
     @cached_property
     def camera(self) -> pycolmap.Camera:
+        """The same camera in pycolmap."""
         return pycolmap.Camera(model=self.model, width=self.width, height=self.height, params=list(self.params))
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether straight lines are straight already, so that nothing needs undistorting."""
+        """Whether the lens has no distortion, so that its images are pinhole images."""
         return self.camera.is_undistorted() and self.camera.is_perspective_pinhole()  # a fisheye has no "distortion"
 
     @cached_property
     def pinhole(self) -> Pinhole:
-        """The pinhole picture of this lens.
+        """The pinhole image of this lens.
 
-        It has the focal length of the lens on its axis (so the middle keeps its resolution), square pixels, and covers
-        the largest upright rectangle that the lens fills without blank pixels, up to 60 degrees off the axis. A lens
-        that is a pinhole already is returned as it is. Raises InputError when the parameters describe no lens.
+        It has the focal length of the lens on its axis (so that the middle keeps its resolution), square pixels, and
+        covers the largest upright rectangle that the lens fills without blank pixels, up to 60 degrees off the axis.
+        A lens without distortion keeps its own intrinsics.
+
+        Raises:
+            InputError: When the parameters describe no lens.
         """
         camera = self.camera
         if camera.is_spherical() or not np.isfinite(self.params).all() or min(self.width, self.height) < 1:
@@ -76,10 +96,10 @@ class Lens:
         return Pinhole(int(width), int(height), focal, focal, -left * focal, -top * focal)
 
     def _inner_rectangle(self) -> tuple[float, float, float, float]:
-        """Left, top, right, bottom of the pinhole picture on the plane z = 1.
+        """Return left, top, right and bottom of the pinhole image on the plane z = 1.
 
-        From the axis outwards to points all along the picture's border, the last point that can be undistorted counts:
-        strong distortion folds over, or reaches 90 degrees, before the border.
+        On lines from the axis to points all along the border of the image, the last point that can be undistorted
+        counts: strong distortion folds over, or reaches 90 degrees, before the border.
         """
         camera = self.camera
         steps = np.linspace(0, 1, 65)
@@ -114,15 +134,20 @@ class Lens:
         values = ", ".join(f"{value:g}" for value in self.params)
         return InputError(
             f"The camera {self.model} {self.width} x {self.height} ({values}) of the COLMAP model cannot be turned "
-            "into a pinhole picture: reconstruct the scene with a perspective or fisheye camera model."
+            "into a pinhole image: reconstruct the scene with a perspective or fisheye camera model."
         )
 
 
 @lru_cache(maxsize=2)
 def source_map(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Where each pixel of the pinhole picture lies in the lens's own picture.
+    """Compute where each pixel of the pinhole image lies in the image of the lens.
 
-    Returns (H, W, 2) float32 in COLMAP pixels of the source, and (H, W) bool: False where that is outside.
+    Args:
+        lens: The lens.
+
+    Returns:
+        Positions (H, W, 2) float32 in COLMAP's pixels of the lens's image, -1 outside; and whether they are inside
+        (H, W) bool.
     """
     pinhole = lens.pinhole
     x = (np.arange(pinhole.width) + 0.5 - pinhole.cx) / pinhole.fx

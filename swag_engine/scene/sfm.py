@@ -1,7 +1,7 @@
-"""Photographs or a video without poses -> a COLMAP scene.
+"""Structure from motion: a COLMAP scene from images or a video.
 
-The pictures are prepared here; COLMAP itself (pycolmap) runs in a child process, `python -m swag_engine.scene.sfm`,
-which reports on its standard output, so that a crash or a cancel leaves nothing behind.
+Images are prepared here; COLMAP itself (pycolmap) runs in a child process, `python -m swag_engine.scene.sfm`, which
+reports on its standard output, so that a crash or a cancel leaves no files.
 """
 
 import json
@@ -23,42 +23,57 @@ import numpy as np
 
 from ..base.errors import InputError
 from .colmap import image_files_below
-from .images import read_picture
+from .images import read_image
 
 Progress = Callable[[str, float], None]
+"""A function of the stage and its fraction (0..1)."""
 
-_EXHAUSTIVE_UP_TO = (
-    150  # images; beyond, the number of pairs outgrows patience and neighbours in name order are matched
-)
-_FEATURE_PIXELS = 2000  # longest side that features are looked for at: water leaves little detail beyond
-_FEATURES = 4096  # in a picture: matching a pair costs its square
-_VIDEO_FRAMES = 40, 300  # as many frames of a video as there are of use, within these
-_VIDEO_STEP = 0.05  # of the picture's width that the view moves between two frames taken
+_EXHAUSTIVE_UP_TO = 150
+"""Images of which all pairs are matched; of more, only neighbours in the order of names, as pairs grow squared."""
+_FEATURE_PIXELS = 2000
+"""Longest side in pixels at which features are detected: water blurs finer detail."""
+_FEATURES = 4096
+"""Features of an image, at most: the time to match a pair grows with their square."""
+_FEWEST_FRAMES = 40
+"""Frames that are taken of a video, at least."""
+_MOST_FRAMES = 300
+"""Frames that are taken of a video, at most."""
+_VIDEO_STEP = 0.05
+"""Motion between two frames that are taken, as a fraction of the image width."""
 
 
 def reconstruct(source: Path, out: Path, progress: Progress | None = None) -> dict[str, Any]:
-    """Find the poses of a folder of photographs, or of a video's frames, and make the COLMAP scene `out`.
+    """Estimate the poses of images, or of the frames of a video, and make a COLMAP scene.
 
-    `out` gets images/ (the photographs as they are, or the chosen frames) and sparse/0; it appears when all is done.
-    Features come from contrast-equalised copies, because dim water hides them. `progress(stage, fraction)` is called
-    with the stages frames (video only), prepare, features, matching, mapping; what it raises ends the work.
+    The scene gets images/ (copies of the images, or the chosen frames) and sparse/0; it appears when all is done.
+    Features are detected in copies with equalised contrast, because turbid water hides them.
 
-    Returns images, registered, registered_share, points, reprojection_error (pixels), seconds, warnings (sentences).
-    Raises InputError when the pictures cannot be used or no camera could be placed.
+    Args:
+        source: Folder of images, or a video.
+        out: Folder of the scene; it must not exist or be empty.
+        progress: Called with the stages frames (video only), prepare, features, matching, mapping; what it raises
+            ends the work.
+
+    Returns:
+        Numbers of images, registered images and points, `registered_share` (0..1), `reprojection_error` (pixels),
+        seconds, and warnings (sentences).
+
+    Raises:
+        InputError: When the images cannot be used or no camera could be placed.
     """
     started = time.monotonic()
     report = progress or (lambda stage, fraction: None)
     source, out = Path(source).expanduser().absolute(), Path(out).expanduser().absolute()
     if not source.exists():
-        raise InputError(f"There is no folder of photographs or video {source}.")
+        raise InputError(f"There is no folder of photos or video {source}.")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out} exists and is not an empty folder: choose another place for the scene.")
+        raise InputError(f"{out} exists and is not an empty folder: choose another folder for the scene.")
     work = out.with_name(f".{out.name}.{os.getpid()}.part")
     scene, scratch = work / "scene", work / "scratch"
     try:
         scratch.mkdir(parents=True)
         (scene / "images").mkdir(parents=True)
-        names = _copy_photographs(source, scene) if source.is_dir() else _pick_frames(source, scene, report)
+        names = _copy_images(source, scene) if source.is_dir() else _pick_frames(source, scene, report)
         _equalise(scene / "images", names, scratch / "pictures", report)
         result = _run_colmap(scene, scratch, names, report)
         if out.exists():
@@ -68,28 +83,28 @@ def reconstruct(source: Path, out: Path, progress: Progress | None = None) -> di
         raise InputError(f"Cannot write {error.filename or out}: {error.strerror or error}.") from error
     finally:
         shutil.rmtree(work, ignore_errors=True)
-    share = result["registered"] / len(names)
+    registered = result["registered"] / len(names)
     warnings = []
-    if share < 0.8:
+    if registered < 0.8:
         warnings.append(
-            f"Only {result['registered']} of {len(names)} photographs could be placed: more overlap between "
-            "neighbouring photographs would help."
+            f"Only {result['registered']} of {len(names)} photos have a pose: more overlap between "
+            "neighbouring photos would help."
         )
     return {
         "images": len(names),
-        "registered_share": share,
+        "registered_share": registered,
         **result,
         "seconds": time.monotonic() - started,
         "warnings": warnings,
     }
 
 
-def _copy_photographs(source: Path, scene: Path) -> list[str]:
+def _copy_images(source: Path, scene: Path) -> list[str]:
     names = [path.relative_to(source).as_posix() for path in image_files_below(source)]
     if not names:
-        raise InputError(f"There are no photographs (JPEG, PNG, TIFF, BMP or WebP) in {source}.")
+        raise InputError(f"There are no photos (JPEG, PNG, TIFF, BMP or WebP) in {source}.")
     if len(names) == 1:
-        raise InputError(f"There is only one photograph in {source}, and poses need several that overlap.")
+        raise InputError(f"There is only one photo in {source}, and poses need several that overlap.")
     for name in names:
         (scene / "images" / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(source / name, scene / "images" / name)
@@ -102,7 +117,7 @@ def _equalise(images: Path, names: list[str], folder: Path, report: Progress) ->
     clahe = cv2.createCLAHE(clipLimit=4, tileGridSize=(8, 8))
     for number, name in enumerate(names):
         report("prepare", number / len(names))
-        grey = cv2.cvtColor(read_picture(images / name)[0], cv2.COLOR_RGB2GRAY)
+        grey = cv2.cvtColor(read_image(images / name)[0], cv2.COLOR_RGB2GRAY)
         _write_jpeg(folder / _copy_name(number), clahe.apply(grey))
 
 
@@ -110,24 +125,23 @@ def _copy_name(number: int) -> str:
     return f"{number:06d}.jpg"
 
 
-def _write_jpeg(path: Path, picture: np.ndarray) -> None:
+def _write_jpeg(path: Path, image: np.ndarray) -> None:
     # cv2.imwrite cannot write to every path on Windows, and does not say why it failed.
-    path.write_bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())
+    path.write_bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())
 
 
 # Video ----------------------------------------------------------------------------------------------------------------
 
 
 def _pick_frames(video: Path, scene: Path, report: Progress) -> list[str]:
-    """Write the frames worth having to scene/images: in each stretch of equal motion the sharpest one."""
+    """Write frames of a video to scene/images, the sharpest one in each stretch of equal motion; return their names."""
     sharpness, motion = _measure_frames(video, report)
     if len(sharpness) == 0:
-        raise InputError(f"{video} is neither a folder of photographs nor a video that can be read.")
+        raise InputError(f"{video} is neither a folder of photos nor a video that can be read.")
     travelled = np.cumsum(motion)
-    fewest, most = _VIDEO_FRAMES
     if travelled[-1] < _VIDEO_STEP:
         raise InputError(f"The camera hardly moves in {video}: poses need views from different places.")
-    step = np.clip(_VIDEO_STEP, travelled[-1] / most, travelled[-1] / fewest)
+    step = np.clip(_VIDEO_STEP, travelled[-1] / _MOST_FRAMES, travelled[-1] / _FEWEST_FRAMES)
     stretch = (travelled / step).astype(int)
     chosen = {
         int(group[np.argmax(sharpness[group])]) for k in np.unique(stretch) for group in [np.flatnonzero(stretch == k)]
@@ -141,7 +155,8 @@ def _pick_frames(video: Path, scene: Path, report: Progress) -> list[str]:
     return names
 
 
-def _frames(video: Path) -> Any:
+def _frames(video: Path) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the number of each frame and the frame (H, W, 3) uint8 BGR."""
     capture = cv2.VideoCapture(str(video))
     try:
         number = 0
@@ -156,7 +171,10 @@ def _frames(video: Path) -> Any:
 
 
 def _measure_frames(video: Path, report: Progress) -> tuple[np.ndarray, np.ndarray]:
-    """Of each frame: sharpness (variance of the Laplacian), and motion since the one before as a share of the width."""
+    """Return for each frame the sharpness (variance of the Laplacian) and the motion since the frame before.
+
+    Motion is a fraction of the image width.
+    """
     capture = cv2.VideoCapture(str(video))
     total = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     capture.release()
@@ -176,10 +194,10 @@ def _measure_frames(video: Path, report: Progress) -> tuple[np.ndarray, np.ndarr
 
 
 def _motion(before: np.ndarray, after: np.ndarray) -> float:
-    """The median distance in pixels that corners moved; a step's worth when they cannot be followed."""
+    """Return the median motion of corners in pixels; that of one step when they cannot be tracked."""
     corners = cv2.goodFeaturesToTrack(before, 300, 0.01, 8)
     if corners is None or len(corners) < 20:
-        return 0.0  # nothing to see, as in open water: not a reason to take a frame
+        return 0.0  # no structure, as in open water: no frame is taken for it
     moved, found, _ = cv2.calcOpticalFlowPyrLK(before, after, corners, np.empty_like(corners))
     followed = found.ravel() > 0
     if followed.mean() < 0.3:
@@ -224,11 +242,11 @@ def _run_colmap(scene: Path, scratch: Path, names: list[str], report: Progress) 
 
 
 def _messages(child: subprocess.Popen[str], database: Path) -> Iterator[dict[str, Any]]:
-    """What the child says until it ends.
+    """Yield the messages of the child until it ends.
 
-    COLMAP's features and matching report no progress, so the child names the table of COLMAP's database that they fill,
-    and its rows are counted from here. (Not in the child: closing a second connection in one process would drop the
-    locks of COLMAP's own copy of SQLite, and crash it: sqlite.org/howtocorrupt.html, section 2.2.)
+    COLMAP reports no progress of features and matching, so the child sends the name of the table of COLMAP's database
+    that they fill, and its rows are counted from here. (Not in the child: closing a second connection in one process
+    would drop the locks of COLMAP's own copy of SQLite, and crash it: sqlite.org/howtocorrupt.html, section 2.2.)
     """
     lines: queue.Queue[str | None] = queue.Queue()
 
@@ -263,7 +281,7 @@ def _rows(database: Path, table: str) -> int | None:
 
 
 def _child(job: Path) -> None:
-    """What the child process does: features, matches, mapping; the largest model, with the photographs' own names."""
+    """Run COLMAP in the child process: features, matching, mapping; write the largest model with the images' names."""
     from .colmap_library import pycolmap
 
     task = json.loads(job.read_text(encoding="utf-8"))
@@ -273,7 +291,7 @@ def _child(job: Path) -> None:
     copies = [_copy_name(number) for number in range(len(names))]
     pycolmap.set_random_seed(0)
 
-    # Photographs of one size and focal length (from EXIF) share a camera, which makes its calibration firmer.
+    # Images of one size and focal length (from EXIF) share a camera, which makes its calibration more certain.
     cameras: dict[tuple[int, int, str], list[str]] = {}
     for copy, name in zip(copies, names, strict=True):
         camera = pycolmap.infer_camera_from_image(str(scene / "images" / name))
@@ -311,7 +329,7 @@ def _child(job: Path) -> None:
     models.mkdir()
     options = pycolmap.IncrementalPipelineOptions()
     options.min_model_size = 2
-    options.extract_colors = False  # they come from the photographs, not from the grey copies
+    options.extract_colors = False  # they come from the images, not from the grey copies
     options.random_seed = 0
     found = pycolmap.incremental_mapping(
         str(database),
@@ -323,8 +341,8 @@ def _child(job: Path) -> None:
     )
     if not found:
         raise InputError(
-            f"No camera could be placed from these {len(names)} pictures: they need to overlap by half or more, from "
-            "different places, with structure in sight."
+            f"No camera could be placed from these {len(names)} photos: they need to overlap by half or more, be taken "
+            "from different places, and show structure."
         )
     model = max(found.values(), key=lambda candidate: candidate.num_reg_images())
     for image in model.images.values():
@@ -343,7 +361,7 @@ def _child(job: Path) -> None:
 def _say(**message: Any) -> None:
     try:
         print(json.dumps(message), flush=True)
-    except BrokenPipeError:  # the parent is gone, and nobody will want the result
+    except BrokenPipeError:  # the parent has ended
         os._exit(1)
 
 

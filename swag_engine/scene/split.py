@@ -1,4 +1,4 @@
-"""Which views are trained on, which steer the run, and which only report."""
+"""Split of the views into training, validation and test."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Split:
-    """Image names, each sorted; no name is in two of them."""
+    """Names of the images of each part, sorted; no name is in two parts.
+
+    Attributes:
+        train: Images that the loss is computed on.
+        validation: Images that decisions of a run are made on.
+        test: Images for the reported metrics only.
+    """
 
     train: tuple[str, ...]
     validation: tuple[str, ...]
@@ -14,11 +20,17 @@ class Split:
 
 
 def split_views(names: Iterable[str]) -> Split:
-    """Split image names in the field's way, which makes figures comparable with published ones.
+    """Split image names as is usual in the field, which makes metrics comparable with published ones.
 
-    Test: every eighth of the sorted names from the first, used for reported figures only. Validation: every eighth of
-    the rest, at least one, midway between test views. Where this would leave fewer than two training views, first the
-    validation and then the test views are trained on instead; a single name gives one training view.
+    Test: every eighth of the sorted names from the first. Validation: every eighth of the rest, at least one, midway
+    between test views. Where this would leave fewer than two training views, first the validation and then the test
+    views are trained on instead; a single name gives one training view.
+
+    Args:
+        names: Names of the images.
+
+    Returns:
+        The split.
     """
     ordered = sorted(set(names))
     test = ordered[::8]

@@ -109,7 +109,7 @@ class MaskFolder:
 
 
 def _grey_values(path: Path) -> np.ndarray:
-    """Return the values (H, W) of a file as stored, uint8 or uint16; read_picture would scale 16 bits to 8."""
+    """Return the values (H, W) of a file as stored, uint8 or uint16; read_image would scale 16 bits to 8."""
     try:
         data = np.fromfile(path, np.uint8)
     except OSError as error:

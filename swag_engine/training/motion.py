@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..effects.moving_objects import LEAST_IMAGES, fraction_with_objects, moving_mask, residual, residuals_elsewhere
 from ..effects.scene_effects import SceneEffects
-from ..evaluation.metrics import picture
+from ..evaluation.metrics import render_image
 from ..gaussians.cloud import GaussianCloud
 from ..scene.images import TrainingImage
 
@@ -83,7 +83,7 @@ def find_motion(
     """
     residuals = []
     for image in images:
-        shown = picture(cloud, image.camera, sh_degree, backend, effects)
+        shown = render_image(cloud, image.camera, sh_degree, backend, effects)
         residuals.append(residual(image.pixels / np.float32(255), shown.numpy(), image.valid))
     elsewhere = residuals_elsewhere(cloud, [image.camera for image in images], residuals, backend)
     masks = {

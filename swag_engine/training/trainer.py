@@ -11,9 +11,9 @@ import numpy as np
 import torch
 
 from ..base.errors import InputError
-from ..base.files import claimed
+from ..base.files import locked_folder
 from ..base.timing import Ledger
-from ..evaluation.metrics import ViewScore, mean_score, median_control, score_views
+from ..evaluation.metrics import ViewScore, mean_score, median_image_psnr, score_views
 from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud
@@ -87,7 +87,7 @@ def train(
         InputError: For anything wrong with the scene, the folder or the disk.
     """
     started = time.monotonic() if started is None else started
-    with claimed(out):
+    with locked_folder(out):
         trainer = make_trainer(RunFolder(out), scene_folder, settings, resume, on_event, weights_dir, started)
         return trainer.run_to_end(should_stop, preview)
 
@@ -462,7 +462,7 @@ class Trainer:
         metrics: Event = {
             "test_psnr": test_psnr,
             "test_ssim": test_ssim,
-            "control_psnr": median_control(inputs.training, inputs.test),
+            "control_psnr": median_image_psnr(inputs.training, inputs.test),
             "psnr": state.psnr,
             "ssim": state.ssim,
             "iteration": state.iteration,

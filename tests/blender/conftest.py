@@ -41,7 +41,7 @@ class Blender:
 
     def _start(self):
         self.user = self._make_folder()
-        self._log = self.user.with_name(self.user.name + ".log")
+        self._log = Path(f"{self.user}.log")
         newest = self.version == "5.2"
         own = {
             "BLENDER_USER_RESOURCES": str(self.user),

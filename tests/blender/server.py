@@ -107,7 +107,7 @@ def main():
             sys.stdout.flush()
         ctypes.CDLL(None).fflush(None)
         print(answered, file=answers, flush=True)
-    # Blender 4.5 can hang in a destructor after its own exit functions: end without the C library's.
+    # What the end of Blender runs. After it, Blender 4.5 can wait forever for its thread that closes .blend files.
     atexit._run_exitfuncs()
     os._exit(0)
 

@@ -111,5 +111,5 @@ def test_command_line_of_the_real_blender(real_blender, folder, shared_python):
         *("--width", "64", "--sh-degree", "0"),
     )
     assert trained.returncode == 0, trained.stdout + trained.stderr
-    assert "iterations/s" in trained.stdout and "Held-out views: PSNR" in trained.stdout
+    assert "iterations/s" in trained.stdout and "Test views: PSNR" in trained.stdout
     assert (folder / "run/result.ply").exists()

@@ -8,7 +8,7 @@ from runs import training_times
 
 from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
-from swag_engine.experiments.ablate import Row, ablate, compare_rows, rows, table
+from swag_engine.experiments.ablate import Row, ablate, ablation_rows, compare_rows, format_table
 from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.recipes import RECIPES, SWITCHES, recipe_of
 from swag_engine.settings.settings import TrainSettings
@@ -19,7 +19,7 @@ TWO_ROWS = [Row("3dgs", "3dgs"), Row("swag without water", "swag", "water=off")]
 
 
 def test_every_recipe_and_every_switch_has_a_row():
-    table_rows = rows()
+    table_rows = ablation_rows()
     assert {row.recipe for row in table_rows if not row.effects} == set(RECIPES)
     switched = {row.effects.partition("=")[0] for row in table_rows if row.effects}
     assert switched == {"water", *EFFECTS, *SWITCHES}
@@ -41,7 +41,7 @@ def test_the_table_has_mean_and_standard_deviation_over_the_seeds(tiny_scene, tm
     assert row["spread"]["test_psnr"] == pytest.approx(abs(values[0] - values[1]) / 2**0.5)
     assert row["mean"]["delta_e"] is None  # the scene has no truth
     text = (tmp_path / "a" / "ablation.md").read_text()
-    assert text == table(document) + "\n" and "| swag without water |" in text and " ± " in text
+    assert text == format_table(document) + "\n" and "| swag without water |" in text and " ± " in text
     assert json.loads((tmp_path / "a" / "ablation.json").read_text())["seeds"] == 2
     again = train(tiny_scene, tmp_path / "again", replace(SETTINGS, recipe="swag", effects="water=off"))
     assert document["rows"][1]["runs"][0]["test_psnr"] == again["metrics"]["test_psnr"]

@@ -100,7 +100,7 @@ def test_an_interrupt_keeps_what_exists(tiny_scene, tmp_path, number, code):
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_ends_other_commands_with_a_document(tiny_scene, number, code):
-    process = begin("forecast", tiny_scene, "--json", until="First looks")
+    process = begin("forecast", tiny_scene, "--json", until="Probe runs")
     process.send_signal(number)
     printed, errors = process.communicate(timeout=60)
     assert process.returncode == code
@@ -181,7 +181,7 @@ def test_the_doctor_says_what_runs_and_why_not_the_other():
         assert found["auto"] == "cuda" and cuda["device"] in text
     else:
         assert found["auto"] == "cpu" and f"backend cuda: does not run here: {cuda['reason']}" in text
-    assert f"Training takes {found['auto']}." in text
+    assert f"Training uses {found['auto']}." in text
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a card here")

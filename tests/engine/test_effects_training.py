@@ -19,8 +19,8 @@ from swag_engine.effects.lamp import lit
 from swag_engine.effects.moving_objects import moving_mask
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.effects.vignetting import Vignetting
-from swag_engine.evaluation.metrics import picture
-from swag_engine.experiments.evaluate_run import newest, render_run
+from swag_engine.evaluation.metrics import render_image
+from swag_engine.experiments.evaluate_run import load_newest, render_run
 from swag_engine.kernels.reference.transfer import to_display, to_light
 from swag_engine.planning.plan import plan_scene
 from swag_engine.scene.colmap import load_scene
@@ -101,10 +101,10 @@ def test_restored_images_have_no_effects(tiny_scene, tmp_path):
     run, name = tmp_path / "run", "view_02.png"
     effects = "water=off,moving_objects=off,lamp=on,exposure=on,caustics=on"
     train(tiny_scene, run, replace(SETTINGS, iterations=10, effects=effects))
-    cloud, effects, _ = newest(run)
+    cloud, effects, _ = load_newest(run)
     (camera,) = [view.camera for view in load_scene(tiny_scene).views if view.name == name]
     (restored,) = render_run(run, tmp_path / "restored", name, 0.0)
-    plain = picture(cloud, camera, SETTINGS.sh_degree)
+    plain = render_image(cloud, camera, SETTINGS.sh_degree)
     one_step = 1.01 / 255  # of 8 bits
     pixels = torch.from_numpy(cv2.imread(str(restored))[..., ::-1] / np.float32(255))
     torch.testing.assert_close(pixels, plain, atol=one_step, rtol=0)
@@ -112,9 +112,9 @@ def test_restored_images_have_no_effects(tiny_scene, tmp_path):
         (values,) = effects.models[key].parameters().values()
         values -= 4 * torch.rand(values.shape, generator=torch.Generator().manual_seed(0))
         alone = SceneEffects({key: effects.models[key]})
-        with_effect = picture(cloud, camera, SETTINGS.sh_degree, simulated=alone)
+        with_effect = render_image(cloud, camera, SETTINGS.sh_degree, effects=alone)
         assert (with_effect - plain).abs().max() > 5 * one_step, key
-        without = picture(cloud, camera, SETTINGS.sh_degree, simulated=alone, amount=0)
+        without = render_image(cloud, camera, SETTINGS.sh_degree, effects=alone, amount=0)
         torch.testing.assert_close(without, plain, atol=one_step, rtol=0)
 
 

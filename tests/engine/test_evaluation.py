@@ -26,7 +26,7 @@ from swag_engine.evaluation.metrics import (
     lab,
     mean_score,
     restored_error,
-    score_picture,
+    score_image,
 )
 from swag_engine.experiments.evaluate_run import evaluate_run
 from swag_engine.gaussians.cloud import GaussianCloud
@@ -89,10 +89,10 @@ def test_joint_psnr_is_of_all_valid_pixels_together():
         pixels = random.integers(0, 256, (30, width, 3), np.uint8)
         valid = random.random((30, width)) < 0.7
         color = torch.from_numpy(pixels / np.float32(255) + random.normal(0, noise, pixels.shape).astype(np.float32))
-        scores.append(score_picture(TrainingImage(camera(width), pixels, valid), color))
+        scores.append(score_image(TrainingImage(camera(width), pixels, valid), color))
         errors.append(((color.numpy() - pixels / 255) ** 2)[valid])
     blind = TrainingImage(camera(), np.zeros((30, 40, 3), np.uint8), np.zeros((30, 40), bool))
-    scores.append(score_picture(blind, torch.zeros(30, 40, 3)))
+    scores.append(score_image(blind, torch.zeros(30, 40, 3)))
     assert joint_psnr(scores) == pytest.approx(-10 * np.log10(np.concatenate(errors).mean()), abs=1e-3)
     assert joint_psnr(scores) < mean_score(scores)[0] - 3
     assert np.isnan(joint_psnr(scores[2:]))
@@ -300,12 +300,12 @@ def test_colours_without_water_are_compared_where_truth_is_known(tiny_scene, tmp
         cv2.imwrite(str(scene / folder / "view_08.png"), pixels)
     train(scene, tmp_path / "run", replace(SETTINGS, iterations=2))
 
-    def picture(cloud, camera, sh_degree, simulated=None, amount=1):
+    def render_image(cloud, camera, sh_degree, effects=None, amount=1):
         pixels = torch.full((48, 64, 3), 128 / 255 + (0.1 if amount else 0.01))
         pixels[:, 32:] = 1  # open water has no true colour
         return pixels
 
-    monkeypatch.setattr("swag_engine.experiments.evaluate_run.picture", picture)
+    monkeypatch.setattr("swag_engine.experiments.evaluate_run.render_image", render_image)
     evaluation = evaluate_run(tmp_path / "run")
     assert "restored" not in evaluation["views"]["view_00.png"]
     assert evaluation["views"]["view_08.png"]["restored"] == evaluation["restored"]

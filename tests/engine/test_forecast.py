@@ -10,10 +10,10 @@ from swag_engine.experiments import forecast as forecasts
 from swag_engine.experiments.forecast import (
     corrected_speed,
     describe,
-    expectation,
+    expected_outcome,
     forecast_scene,
-    history,
-    record,
+    past_outcomes,
+    record_outcome,
     time_text,
 )
 from swag_engine.scene.colmap import load_scene
@@ -58,43 +58,43 @@ def test_every_preset_has_time_quality_and_memory_with_ranges(forecast):
 
 
 def test_outcomes_narrow_the_next_forecast(forecast, tiny_scene, tmp_path):
-    expected = expectation(tiny_scene, SETTINGS)
+    expected = expected_outcome(tiny_scene, SETTINGS)
     assert expected["iterations"] == 40
     run = tmp_path / "run"
     metrics = train(tiny_scene, run, SETTINGS)["metrics"]
     for _ in range(forecasts.ENOUGH):
-        record(run, expected, 3 * expected["first_guess"])
+        record_outcome(run, expected, 3 * expected["first_guess"])
     kept = json.loads((run / "forecast.json").read_text())
     assert kept["expected"] == expected
     assert kept["outcome"] == {
         "seconds": round(3 * expected["first_guess"], 2), "psnr": metrics["psnr"], "gaussians": metrics["gaussians"]
     }  # fmt: skip
-    learned = expectation(tiny_scene, SETTINGS)
+    learned = expected_outcome(tiny_scene, SETTINGS)
     assert learned["seconds"][1] == pytest.approx(3 * expected["first_guess"], abs=0.06)
     assert learned["seconds"][2] / learned["seconds"][0] < expected["seconds"][2] / expected["seconds"][0]
     assert learned["psnr"][1] == pytest.approx(metrics["psnr"], abs=0.02)
-    assert learned["psnr"][2] - learned["psnr"][0] < expected["psnr"][2] - expected["psnr"][0] + 2 * forecasts.SPREAD_DB
+    assert learned["psnr"][2] - learned["psnr"][0] < expected["psnr"][2] - expected["psnr"][0] + 2 * forecasts.ERROR_DB
 
 
 def test_there_is_no_expectation_for_what_was_not_measured(forecast, tiny_scene, tmp_path):
-    assert expectation(tiny_scene, SETTINGS) is not None
-    assert expectation(tiny_scene, TrainSettings(time_budget="1m")) is None
-    assert expectation(tiny_scene, TrainSettings(recipe="3dgs")) is None
-    assert expectation(tmp_path, SETTINGS) is None
+    assert expected_outcome(tiny_scene, SETTINGS) is not None
+    assert expected_outcome(tiny_scene, TrainSettings(time_budget="1m")) is None
+    assert expected_outcome(tiny_scene, TrainSettings(recipe="3dgs")) is None
+    assert expected_outcome(tmp_path, SETTINGS) is None
     kept = next(cache_root().rglob("forecast.json"))
     kept.write_text(json.dumps(json.loads(kept.read_text()) | {"machine": "another computer"}))
-    assert expectation(tiny_scene, SETTINGS) is None
+    assert expected_outcome(tiny_scene, SETTINGS) is None
 
 
 def test_time_beside_training_is_added_to_every_run(forecast, tiny_scene):
     kept = next(cache_root().rglob("forecast.json"))
     document = json.loads(kept.read_text())
-    before = expectation(tiny_scene, SETTINGS)["first_guess"]
+    before = expected_outcome(tiny_scene, SETTINGS)["first_guess"]
     kept.write_text(json.dumps(document | {"seconds_beside": document["seconds_beside"] + 5}))
-    assert expectation(tiny_scene, SETTINGS)["first_guess"] == pytest.approx(before + 5, abs=0.01)
+    assert expected_outcome(tiny_scene, SETTINGS)["first_guess"] == pytest.approx(before + 5, abs=0.01)
     for damaged in ({"recipe": "swag"}, [], document | {"speed": {}}):
         kept.write_text(json.dumps(damaged))
-        assert expectation(tiny_scene, SETTINGS) is None
+        assert expected_outcome(tiny_scene, SETTINGS) is None
 
 
 def test_speed_is_measured_on_a_scene_of_three_points(tiny_scene, tmp_path, monkeypatch):
@@ -114,13 +114,13 @@ def test_a_speed_measured_beside_other_work_is_corrected_by_a_run():
 
 
 def test_a_damaged_history_is_read_as_far_as_it_goes(forecast, tiny_scene, tmp_path):
-    expected = expectation(tiny_scene, SETTINGS)
+    expected = expected_outcome(tiny_scene, SETTINGS)
     train(tiny_scene, tmp_path / "run", SETTINGS)
-    record(tmp_path / "run", expected, 2.0)
+    record_outcome(tmp_path / "run", expected, 2.0)
     path = tmp_path / "cache" / "history.jsonl"
     path.write_text('{"outcome": {"seconds": 1}}\n\x00 garbage\n' + path.read_text() + '{"machine": ')
-    assert [entry["outcome"]["seconds"] for entry in history()] == [2.0]
-    assert expectation(tiny_scene, SETTINGS)["seconds"][1] > 0
+    assert [entry["outcome"]["seconds"] for entry in past_outcomes()] == [2.0]
+    assert expected_outcome(tiny_scene, SETTINGS)["seconds"][1] > 0
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(45.2, "45 s"), (720, "12 min"), (12600, "3.5 h")])

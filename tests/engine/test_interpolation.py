@@ -29,7 +29,7 @@ from swag_engine.priors.interpolate import (
 )
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
-from swag_engine.scene.images import TrainingImage, load_images, read_picture
+from swag_engine.scene.images import TrainingImage, load_images, read_image
 from swag_engine.scene.split import split_views
 
 shared = Path(__file__).resolve().parents[2].parent / "shared"
@@ -271,7 +271,7 @@ def export_rife(wheel: Path, path: Path) -> None:
 @pytest.mark.filterwarnings("ignore")
 def test_rife_finds_the_photograph_between_two(rife: Interpolator) -> None:
     folder = shared / "data" / "aqualoc_amphorae" / "images"
-    before, middle, behind = (read_picture(folder / f"frame_00{number}.jpg")[0] for number in (20, 24, 28))
+    before, middle, behind = (read_image(folder / f"frame_00{number}.jpg")[0] for number in (20, 24, 28))
     made = psnr(rife(before, behind, 0.5), middle)
     assert made > 28 and made > psnr(blend(before, behind, 0.5), middle) + 5
 

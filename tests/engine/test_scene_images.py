@@ -9,7 +9,7 @@ import pytest
 from dots import draw_dots, make_dot_scene
 
 from swag_engine.scene.colmap import load_scene
-from swag_engine.scene.images import load_images, read_picture
+from swag_engine.scene.images import load_images, read_image
 from swag_engine.scene.lenses import Lens
 
 # Every camera model of pycolmap that a pinhole picture can be made of, with distortion worth the name.
@@ -142,9 +142,9 @@ def test_orientation_is_ignored_as_colmap_does_unless_only_the_turned_picture_fi
     path = tmp_path / "turned.jpg"
     path.write_bytes(with_orientation(cv2.imencode(".jpg", stored)[1].tobytes(), 6))
     as_colmap = pycolmap.Bitmap.read(str(path), True).to_array()
-    pixels, _ = read_picture(path, (120, 80))
+    pixels, _ = read_image(path, (120, 80))
     assert pixels.shape == as_colmap.shape == (80, 120, 3) and pixels[10, 20, 0] > 200 and as_colmap[10, 20, 0] > 200
-    turned, _ = read_picture(path, (80, 120))
+    turned, _ = read_image(path, (80, 120))
     assert turned.shape == (120, 80, 3) and turned[20, 69, 0] > 200  # 6: the top is at the right
 
 

@@ -21,7 +21,7 @@ import pytest
 import torch
 
 from swag_engine.scene.cameras import Camera
-from swag_engine.scene.images import TrainingImage, read_picture
+from swag_engine.scene.images import TrainingImage, read_image
 from swag_engine.semantics.embed import crop_to_mask
 from swag_engine.semantics.grounded_sam import IMAGENET_MEAN, IMAGENET_STD
 from swag_engine.semantics.regions import Region, find_regions
@@ -159,7 +159,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def photograph(stem: str) -> TrainingImage:
-    pixels = read_picture(SUIM / "images" / f"{stem}.jpg")[0]
+    pixels = read_image(SUIM / "images" / f"{stem}.jpg")[0]
     height, width = pixels.shape[:2]
     camera = Camera(f"{stem}.jpg", width, height, width, width, width / 2, height / 2, np.eye(4))
     return TrainingImage(camera, pixels, np.ones((height, width), bool))
@@ -168,7 +168,7 @@ def photograph(stem: str) -> TrainingImage:
 def truth(stem: str, kind: str) -> np.ndarray:
     """SUIM's mask of a class: HD divers, FV fish, RO robots, RI reefs, WR wrecks."""
     height, width = photograph(stem).valid.shape
-    mask = read_picture(SUIM / "masks" / kind / f"{stem}.png")[0].max(-1)
+    mask = read_image(SUIM / "masks" / kind / f"{stem}.png")[0].max(-1)
     return cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST) > 127
 
 

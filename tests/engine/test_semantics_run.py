@@ -280,7 +280,7 @@ def test_the_worker_labels_and_searches(run: Path, tmp_path: Path) -> None:
     events = [json.loads(line) for line in done.stdout.splitlines()]
     *refused, made, found, unknown = [event for event in events if event["event"] != "progress"]
     assert all(event["kind"] == "input" for event in refused)
-    for event, message in zip(refused, ("There is no folder", "One of the words", "which is no path"), strict=True):
+    for event, message in zip(refused, ("There is no folder", "One of the words", "which is not a path"), strict=True):
         assert message in event["message"]
     assert any(event["event"] == "progress" and event["stage"] == "Regions" for event in events)
     assert made["request"] == "label" and {entry["name"] for entry in made["labels"]} == set(NAMES)

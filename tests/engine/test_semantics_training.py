@@ -185,7 +185,7 @@ def test_one_label_and_300_labels_do_not_harm_a_training(scene: Path, plain: Pat
     result = train(scene, tmp_path / "run", replace(short, effects="semantics=on", masks=str(folder)))
     assert same_pictures(tmp_path / "plain", tmp_path / "run")
     note = result["metrics"]["notes"][0]
-    assert note.startswith("Labelled by masks: thing ") and ("tell nothing apart" in note) == (count == 1)
+    assert note.startswith("Labelled by masks: thing ") and ("labels distinguish nothing" in note) == (count == 1)
     assert len(json.loads((tmp_path / "run" / "labels.json").read_text())["labels"]) == count
 
 

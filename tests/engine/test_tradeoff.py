@@ -14,9 +14,9 @@ from safetensors.torch import save_file
 from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
 from swag_engine.evaluation.metrics import mean_score, score_views
-from swag_engine.experiments.evaluate_run import newest
+from swag_engine.experiments.evaluate_run import load_newest
 from swag_engine.experiments.grid import Grid
-from swag_engine.experiments.tradeoff import compare, describe, dominators, tradeoff
+from swag_engine.experiments.tradeoff import describe, find_dominating, mark_dominated, tradeoff
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.settings.presets import PRESETS
@@ -37,14 +37,14 @@ def done(tiny_scene, tmp_path_factory):
 def test_a_point_is_dominated_by_one_that_is_as_fast_and_as_good_and_better_in_one():
     random = np.random.default_rng(0)
     points = [tuple(map(float, point)) for point in random.integers(0, 6, (40, 2))]
-    for (seconds, quality), by in zip(points, dominators(points), strict=True):
+    for (seconds, quality), by in zip(points, find_dominating(points), strict=True):
         dominating = [p for p in points if p[0] <= seconds and p[1] >= quality and p != (seconds, quality)]
         assert (by is None) == (not dominating)
         assert by is None or points[by] in dominating and points[by][1] == max(p[1] for p in dominating)
 
 
 def test_equal_points_do_not_dominate_each_other():
-    assert dominators([(1.0, 5.0), (1.0, 5.0)]) == [None, None]
+    assert find_dominating([(1.0, 5.0), (1.0, 5.0)]) == [None, None]
 
 
 def test_lower_lpips_is_better():
@@ -54,7 +54,7 @@ def test_lower_lpips_is_better():
         }
 
     rows = [row("a", 1.0, 0.3), row("b", 2.0, 0.2), row("c", 3.0, 0.25)]
-    compare(rows, control=19.0)
+    mark_dominated(rows, control=19.0)
     assert [r["dominated"]["lpips_alex"] for r in rows] == [None, None, "b"]
     assert [r["dominated"]["psnr"] for r in rows] == [None, None, None]
     assert [r["dominated"]["ssim"] for r in rows] == [None, "a", "a"]
@@ -85,9 +85,9 @@ def test_all_runs_are_scored_at_one_width(done, tiny_scene):
     scene = load_scene(tiny_scene)
     views = [view for view in scene.views if view.name in ("view_00.png", "view_08.png")]
     for row in document["rows"]:
-        cloud, simulated, _ = newest(out / row["folder"])
+        cloud, effects, _ = load_newest(out / row["folder"])
         images = load_images(scene, views, 64)
-        psnr, ssim = mean_score(score_views(cloud, images, row["settings"]["sh_degree"], simulated=simulated))
+        psnr, ssim = mean_score(score_views(cloud, images, row["settings"]["sh_degree"], effects=effects))
         assert (row["psnr"], row["ssim"]) == (psnr, ssim)
         own = json.loads((out / row["folder"] / "metrics.json").read_text())
         assert row["seconds"] == own["seconds"]

@@ -72,14 +72,14 @@ def colmap(folder: Path, text: bool) -> Iterator[tuple[Path, Door, tuple[Change,
 
 
 def images(folder: Path) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:
-    from swag_engine.scene.images import read_picture
+    from swag_engine.scene.images import read_image
 
     picture = cv2.resize(np.random.default_rng(0).integers(0, 256, (9, 12, 3), np.uint8), (60, 45))
     for name in ("a.png", "a.jpg", "a.tiff", "a.webp", "a.bmp", "deep.png"):
         path = folder / name
         values = picture.astype(np.uint16) * 257 if name.startswith("deep") else picture
         path.write_bytes(cv2.imencode(path.suffix, values)[1].tobytes())
-        yield path, read_picture, (bytes_changed,)
+        yield path, read_image, (bytes_changed,)
 
 
 def run_folder(folder: Path) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:

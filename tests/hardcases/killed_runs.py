@@ -32,7 +32,7 @@ from safetensors import safe_open
 from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
-from swag_engine.base.files import HALF, LOCK, claimed
+from swag_engine.base.files import LOCK, TEMPORARY_NAMES, locked_folder
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
@@ -66,7 +66,7 @@ def in_a_process(work: Callable[[], Any]) -> int:
 
 def train(scene: Path, out: Path) -> None:
     resume = RunFolder(out).config.exists()
-    with claimed(out):
+    with locked_folder(out):
         trainer = make_trainer(
             RunFolder(out), scene, SETTINGS, resume, lambda event: None, None, time.monotonic(), SCHEDULE
         )
@@ -120,7 +120,7 @@ def check_whole(out: Path) -> None:
     """Assert that every file with its final name is whole."""
     for path in out.iterdir() if out.exists() else ():
         if path.name.startswith("."):
-            assert path.name == LOCK or any(path.match(pattern) for pattern in HALF), path
+            assert path.name == LOCK or any(path.match(pattern) for pattern in TEMPORARY_NAMES), path
         elif path.suffix == ".json":
             json.loads(path.read_text())
         elif path.suffix == ".ply":

@@ -12,7 +12,7 @@ import pytest
 
 from swag_engine.base import files
 from swag_engine.base.errors import InputError
-from swag_engine.base.files import atomic_path, claimed
+from swag_engine.base.files import atomic_path, locked_folder
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
 
@@ -63,8 +63,8 @@ def test_a_full_disk_keeps_the_old_file(tmp_path, monkeypatch, step):
 
 def holder(folder: Path) -> subprocess.Popen:
     """Start another process that claims `folder`."""
-    code = f"from pathlib import Path; from swag_engine.base.files import claimed\nwith claimed(Path({str(folder)!r})):"
-    code += "\n    print('held', flush=True); input()"
+    code = "from pathlib import Path; from swag_engine.base.files import locked_folder"
+    code += f"\nwith locked_folder(Path({str(folder)!r})):\n    print('held', flush=True); input()"
     process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert process.stdout.readline() == b"held\n"
     return process
@@ -88,10 +88,10 @@ def test_a_second_process_on_one_run_is_refused(tiny_scene, tmp_path, ends):
 
 
 def test_a_second_claim_in_one_process_is_refused(tmp_path):
-    with claimed(tmp_path / "run"):
-        with pytest.raises(InputError, match="Another process"), claimed(tmp_path / "run"):
+    with locked_folder(tmp_path / "run"):
+        with pytest.raises(InputError, match="Another process"), locked_folder(tmp_path / "run"):
             pass
-        with pytest.raises(InputError, match="Another process"), claimed(tmp_path / "run"):
+        with pytest.raises(InputError, match="Another process"), locked_folder(tmp_path / "run"):
             pass
     assert not (tmp_path / "run").exists()
 
@@ -99,13 +99,13 @@ def test_a_second_claim_in_one_process_is_refused(tmp_path):
 def test_unfinished_files_of_a_killed_process_are_removed(tmp_path):
     for name in (".result.ply.123.part", ".tmpAb12Cd", ".keep", "result.ply"):
         (tmp_path / name).write_text("x")
-    with claimed(tmp_path):
+    with locked_folder(tmp_path):
         assert sorted(os.listdir(tmp_path)) == [".keep", files.LOCK, "result.ply"]
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="Cannot write .*file/run"), claimed(tmp_path / "file" / "run"):
+    with pytest.raises(InputError, match="Cannot write .*file/run"), locked_folder(tmp_path / "file" / "run"):
         pass
 
 

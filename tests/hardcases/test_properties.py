@@ -27,7 +27,7 @@ from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.planning.plan import read_plan
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
-from swag_engine.scene.images import read_picture
+from swag_engine.scene.images import read_image
 from swag_engine.scene.inspect import describe, inspect_scene
 from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.recipes import RECIPES, SWITCHES
@@ -204,7 +204,7 @@ def test_any_photograph(tmp_path):
         pixels = np.random.default_rng(0).integers(0, 255, (*size, channels)).astype(dtype)
         path = tmp_path / f"a.{suffix}"
         path.write_bytes(cv2.imencode(path.suffix, pixels)[1].tobytes()[:cut] + tail)
-        if found := read_or_refused(read_picture, path):
+        if found := read_or_refused(read_image, path):
             assert found[0].shape == (*size, 3) and found[0].dtype == np.uint8
 
     search()

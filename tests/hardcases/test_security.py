@@ -108,5 +108,5 @@ def test_two_names_for_one_file_are_refused(tmp_path):
     scene = make_tiny_scene(tmp_path / "scene", views=4, width=32, height=24, points=60)
     model = scene / "sparse" / "0" / "images.txt"
     model.write_text(model.read_text().replace("view_00.png", "../view_01.png"))
-    with pytest.raises(InputError, match="two photographs the same name"):
+    with pytest.raises(InputError, match="two photos the same name"):
         load_scene(scene)

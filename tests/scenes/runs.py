@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from swag_engine.base.files import claimed
+from swag_engine.base.files import locked_folder
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.settings.settings import TrainSettings
@@ -34,7 +34,7 @@ def train_with(
     Returns:
         The `result` event.
     """
-    with claimed(out):
+    with locked_folder(out):
         trainer = make_trainer(
             RunFolder(out),
             scene,
