@@ -148,10 +148,10 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
             "Cannot be distinguished from light that changes with range: range and distance from the image centre vary "
             f"together (correlation {measured.radius_correlation:.2f}, {MOST_RADIUS_CORRELATION} at most)."
         )
-    if found and terms.lamp.found:
+    if terms.lamp.found:
         return decision.undetermined(
-            f"Cannot be distinguished from the beam of the lamp: light falls off by {falloff:.1%} from the centre of "
-            "the photos to their corners."
+            "Cannot be distinguished from the beam of the lamp, which falls off from its axis as a lens does (by "
+            f"{falloff:.1%} from the centre of the photos to their corners)."
         )
     return decision
 

@@ -21,6 +21,7 @@ from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
+from swag_engine.training.trials import undetermined_effects
 from tests.scenes.effect_scenes import small_scene
 
 EFFECT = REGISTRY["vignetting"]
@@ -143,11 +144,14 @@ def test_it_is_off_where_the_lens_does_not_fall_off(decided, amounts):
     assert decision.state == "off", decision
 
 
-def test_beside_a_lamp_it_cannot_be_distinguished_from_the_beam(decided):
-    evidence, decision = decided("around", lamp=1.0, vignetting=0.3)
+@pytest.mark.parametrize("amounts", [{"lamp": 1.0}, {"lamp": 1.0, "vignetting": 0.3}])
+def test_beside_a_lamp_it_is_neither_on_nor_tried(decided, amounts):
+    evidence, decision = decided("around", **amounts)
     assert REGISTRY["lamp"].decide(evidence, {}).state == "on"
     assert decision.state == "unknown" and "beam of the lamp" in decision.reason
-    assert decided("around", lamp=1.0)[1].state != "on"
+    line = PlannedEffect(decision.state, decision.evidence, decision.reason, 0.0)
+    off = PlannedEffect("off", {}, "", 0.0)
+    assert undetermined_effects(Plan(dict.fromkeys(EFFECTS, off) | {"vignetting": line}, None, "")) == []
 
 
 @pytest.mark.parametrize("amounts", [{"vignetting": 0.3}, {"lamp": 1.0}])
