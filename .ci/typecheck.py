@@ -11,7 +11,11 @@ from pathlib import Path
 from contracts import ROOT, package_folder
 
 BLENDER_TESTS = ROOT / "tests" / "blender"
-HELPERS = (BLENDER_TESTS / "window.py", BLENDER_TESTS / "scripts" / "files.py", BLENDER_TESTS / "scripts" / "pictures.py")
+HELPERS = (
+    BLENDER_TESTS / "window.py",
+    BLENDER_TESTS / "scripts" / "files.py",
+    BLENDER_TESTS / "scripts" / "pictures.py",
+)
 """What scripts import by its name alone, since they run inside Blender without a package."""
 UNTYPED = "from typing import Any\n\ndef __getattr__(name: str) -> Any: ...\n"
 
@@ -29,7 +33,7 @@ def main() -> int:
             Path(folder, path.name).symlink_to(path)
         # In tests Blender's own modules have no types: fake-bpy-module knows neither the operators and properties that
         # the extension registers nor which kind of node, socket or data a script has just made.
-        for name in ("addon_utils", "bpy", "bpy_extras", "mathutils"):
+        for name in ("addon_utils", "bpy", "bpy/types", "bpy_extras", "mathutils"):
             stub = Path(folder, name, "__init__.pyi")
             stub.parent.mkdir()
             stub.write_text(UNTYPED)

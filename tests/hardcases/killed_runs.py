@@ -148,7 +148,8 @@ def check_equal(out: Path, expected: Path) -> None:
 def killed_runs(folder: Path, kills: int, seed: int) -> dict[str, Any]:
     """Kill so many processes and return counts. Raises AssertionError where something was lost."""
     torch.set_num_threads(1)
-    chance, seen = random.Random(seed), Counter()
+    chance = random.Random(seed)
+    seen: Counter[str] = Counter()
     scene = make_tiny_scene(folder / "scene", width=48, height=36, points=200)
     started = time.monotonic()
     assert in_a_process(lambda: train(scene, folder / "expected")) == 0
