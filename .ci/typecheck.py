@@ -10,13 +10,11 @@ from pathlib import Path
 
 from contracts import ROOT, package_folder
 
-BLENDER_TESTS = ROOT / "tests" / "blender"
-HELPERS = (
-    BLENDER_TESTS / "window.py",
-    BLENDER_TESTS / "scripts" / "files.py",
-    BLENDER_TESTS / "scripts" / "pictures.py",
-)
-"""What scripts import by its name alone, since they run inside Blender without a package."""
+LINKED = (
+    "tests", "benchmarks", "swag_engine",
+    # What scripts import by its name alone, since they run inside Blender without a package.
+    "tests/blender/window.py", "tests/blender/scripts/files.py", "tests/blender/scripts/pictures.py",
+)  # fmt: skip
 UNTYPED = "from typing import Any\n\ndef __getattr__(name: str) -> Any: ...\n"
 
 
@@ -29,8 +27,8 @@ def check(folder: str, package: str, cache: str) -> int:
 def main() -> int:
     with package_folder("bl_ext/user_default") as folder:
         wrong_in_extension = check(folder, "bl_ext.user_default.swag_splatting", "extension")
-        for path in (ROOT / "tests", ROOT / "benchmarks", ROOT / "swag_engine", *HELPERS):
-            Path(folder, path.name).symlink_to(path)
+        for path in LINKED:
+            Path(folder, Path(path).name).symlink_to(ROOT / path)
         # In tests Blender's own modules have no types: fake-bpy-module knows neither the operators and properties that
         # the extension registers nor which kind of node, socket or data a script has just made.
         for name in ("addon_utils", "bpy", "bpy/types", "bpy_extras", "mathutils"):

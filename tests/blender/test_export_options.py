@@ -33,7 +33,8 @@ def heap(count=1500, degree=3):
         sh,
     )
     label = {"label": random.integers(0, 4, count).astype(np.int32)}
-    return Splats(*(column.astype(np.float32) for column in columns), extras=label)
+    positions, rotations, scales, opacities, sh = (column.astype(np.float32) for column in columns)
+    return Splats(positions, rotations, scales, opacities, sh, label)
 
 
 def camera_at(pose, name="view", cx=80.0, cy=60.0):
@@ -162,7 +163,8 @@ def test_water_and_cameras_of_an_imported_scene_are_exported(blender, tmp_path, 
         lens = model.cameras[image.camera_id]
         np.testing.assert_allclose(lens.params, (camera.fx, camera.fy, camera.cx, camera.cy), atol=1e-3)
         pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
-        outside = Camera(image.name, lens.width, lens.height, *lens.params, world_to_camera=pose)
+        fx, fy, cx, cy = lens.params
+        outside = Camera(image.name, lens.width, lens.height, fx, fy, cx, cy, pose)
         same = psnr(render_splats(back, outside), render_splats(truth, camera))
         dry = psnr(render_splats(made, camera), render_splats(truth, camera))
         print(suffix, same, dry)

@@ -284,7 +284,7 @@ def test_sh_colors_agree_with_torch(degree, stored):
 
     def colors_and_gradients(backend, dtype, device):
         inputs = [tensor.to(device, dtype, copy=True).requires_grad_() for tensor in (sh0, shN)]
-        colors = evaluate_sh(*inputs, directions=directions.to(device, dtype), degree=degree, backend=backend)
+        colors = evaluate_sh(inputs[0], inputs[1], directions.to(device, dtype), degree, backend)
         (colors * weights.to(colors)).sum().backward()
         return [value.detach().double().cpu() for value in (colors, *(tensor.grad for tensor in inputs))]
 

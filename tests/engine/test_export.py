@@ -49,7 +49,8 @@ def some_splats(count=400, degree=3, seed=0):
         sh,
     )
     label = {"label": random.integers(0, 4, count).astype(np.int32)}
-    return Splats(*(column.astype(np.float32) for column in columns), extras=label)
+    positions, rotations, scales, opacities, sh = (column.astype(np.float32) for column in columns)
+    return Splats(positions, rotations, scales, opacities, sh, label)
 
 
 def some_medium(light="linear"):
@@ -342,7 +343,8 @@ def test_turned_splats_seen_by_the_turned_cameras_are_the_same_picture(run, tmp_
         lens = model.cameras[image.camera_id]
         assert lens.model.name == "PINHOLE" and tuple(lens.params) == view.lens.params
         pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
-        camera = Camera(view.name, lens.width, lens.height, *lens.params, world_to_camera=pose)
+        fx, fy, cx, cy = lens.params
+        camera = Camera(view.name, lens.width, lens.height, fx, fy, cx, cy, pose)
         # Sharp splats are widened by a third of a pixel: the same in both pictures.
         same = psnr(drawn(splats, camera).color, drawn(some_splats(), view.camera).color)
         assert same > 50, (kind, up, same)

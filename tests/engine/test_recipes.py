@@ -250,6 +250,7 @@ def test_frames_lie_between_training_images_and_count_for_color_only(tmp_path, m
     trainer = trainer_of(scene_folder, tmp_path / "run", monkeypatch)
     trainer.targets.frames = frames
     weights = []
+    target: Target
     add = trainer.state.statistics.add
     trainer.state.statistics.add = lambda *arguments: (weights.append(target.weight), add(*arguments))
     seen = set()

@@ -88,9 +88,9 @@ def test_gradients_by_finite_differences(light, degree, through_range):
     directions = torch.nn.functional.normalize(offsets, dim=1)
     ranges = offsets.norm(dim=1, keepdim=True)
 
-    def function(colors, ranges, *parameters):
+    def function(colors, ranges, attenuation, backscatter, veil):
         places = directions * (ranges if through_range else ranges.detach())
-        water = Medium(*parameters, unit_range=medium.unit_range, light=light)
+        water = Medium(attenuation, backscatter, veil, medium.unit_range, light)
         seen = through_water(colors, places, water, degree)
         return torch.cat([seen.reshape(-1), open_water(water, *CAMERA, 3, 2, degree).reshape(-1)])
 
@@ -143,10 +143,11 @@ def test_the_same_bits_for_any_number_of_threads():
 def test_extremes_stay_finite(raw, range_, light, backend):
     colors = torch.tensor([[0.0, 0.5, 1.3]], requires_grad=True)
     offsets = torch.tensor([[0.0, 0.0, range_]], requires_grad=True)
-    parameters = [torch.full((3,), raw), torch.full((3,), raw), torch.zeros(9, 3)]
+    parameters = torch.full((3,), raw), torch.full((3,), raw), torch.zeros(9, 3)
     parameters[2][0] = torch.tensor([-300.0, 0.0, 300.0])  # B = 0 and B = 1 among them
-    parameters = [t.requires_grad_() for t in parameters]
-    seen = through_water(colors, offsets, Medium(*parameters, unit_range=1.0, light=light), backend=backend)
+    for parameter in parameters:
+        parameter.requires_grad_()
+    seen = through_water(colors, offsets, Medium(*parameters, 1.0, light), backend=backend)
     assert seen.isfinite().all()
     for gradient in torch.autograd.grad(seen.sum(), [colors, offsets, *parameters]):
         assert gradient.isfinite().all()

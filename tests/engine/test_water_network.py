@@ -17,9 +17,9 @@ def make(n=30, dtype=torch.float64, seed=0):
     colors = torch.rand(n, 3, generator=random, dtype=torch.float64).to(dtype)
     offsets = (2 * torch.randn(n, 3, generator=random, dtype=torch.float64)).to(dtype)
     network = WaterNetwork.starting(UNIT, seed)
-    tensors = [t.to(dtype) for t in network.parameters().values()]
-    tensors[0] = tensors[0] + 0.05 * torch.randn(len(tensors[0]), generator=random).to(dtype)
-    return colors, offsets, WaterNetwork(*tensors, unit_range=UNIT)
+    weights, attenuation, backscatter = (t.to(dtype) for t in network.parameters().values())
+    weights = weights + 0.05 * torch.randn(len(weights), generator=random).to(dtype)
+    return colors, offsets, WaterNetwork(weights, attenuation, backscatter, UNIT)
 
 
 def test_the_layers_are_those_of_the_paper():

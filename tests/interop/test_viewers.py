@@ -23,14 +23,15 @@ def heap():
     rotations = random.normal(size=(count, 4))
     sh = random.normal(size=(count, 16, 3)) * 0.15
     sh[:, 0] = random.uniform(-1.2, 1.5, (count, 3))
-    columns: tuple[np.ndarray, ...] = (
+    columns = (
         np.c_[random.uniform(-3, 3, (count, 2)), random.uniform(3, 9, count)],
         rotations / np.linalg.norm(rotations, axis=1, keepdims=True),
         np.exp(random.uniform(np.log(0.02), np.log(0.3), (count, 3))),
         random.uniform(0.1, 1, count),
         sh,
     )
-    return Splats(*(column.astype(np.float32) for column in columns))
+    positions, rotations, scales, opacities, sh = (column.astype(np.float32) for column in columns)
+    return Splats(positions, rotations, scales, opacities, sh)
 
 
 def side_camera():

@@ -144,9 +144,9 @@ def rendered(folder: Path, pattern: str, seed: int, fish: bool = False) -> Rende
 
     def passes(views: list[np.ndarray]) -> list[Passes]:
         label = np.zeros(views[0].shape[1:3], np.uint8)
-        return [
-            Passes(*(values.astype(np.float32) for values in view), label=label) for view in zip(*views, strict=True)
-        ]
+        by_name = ({name: values.astype(np.float32) for name, values in zip(PASSES, view, strict=True)}
+                   for view in zip(*views, strict=True))  # fmt: skip
+        return [Passes(**view, label=label) for view in by_name]
 
     seen = clean = passes(still)
     if fish:

@@ -505,11 +505,11 @@ def wreck(rng: np.random.Generator) -> tuple[Mesh, Mesh]:
             timber.append(board([a[0], y, a[2] + z], [b[0], y, b[2] + z], 0.15, 0.045, rng.random()))
     keel = hull(np.linspace(-1, 1, 40), 0.0)
     timber.append(tube(keel - [0, 0, 0.05], 0.1, 6, 0.2))
-    bow = hull(np.full(14, -0.985), np.linspace(0, 1.15, 14)) * [1, 0, 1]
+    bow: np.ndarray = hull(np.full(14, -0.985), np.linspace(0, 1.15, 14)) * [1, 0, 1]
     bow[:, 0] -= np.linspace(0, 1, 14) ** 2 * 0.75
     bow[:, 2] += np.linspace(0, 1, 14) ** 2 * 0.5
     timber.append(slab(np.stack([bow - [0.12, 0.07, 0], bow - [0.12, -0.07, 0]], axis=1), np.array([0.24, 0, 0]), 0.4))
-    stern = hull(np.full(14, 0.985), np.linspace(0, 1.0, 14)) * [1, 0, 1]
+    stern: np.ndarray = hull(np.full(14, 0.985), np.linspace(0, 1.0, 14)) * [1, 0, 1]
     stern[:, 0] += np.linspace(0, 1, 14) ** 2 * 0.4
     timber.append(slab(np.stack([stern - [0.1, 0.07, 0], stern - [0.1, -0.07, 0]], axis=1), np.array([0.2, 0, 0]), 0.7))
     for side in (-1, 1):  # wales: two thick strakes
