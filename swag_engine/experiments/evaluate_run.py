@@ -80,7 +80,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
         score = score_image(image, color)
         figures: dict[str, Any] = {"psnr": score.psnr, "ssim": score.ssim}
         figures["lpips"] = {name: network(shown_color, target) for name, network in lpips.items()}
-        if truth := _clean_picture(scene, image):
+        if truth := _true_image(scene, image):
             psnr, delta_e = restored_error(restored.numpy(), *truth)
             figures["restored"] = {"psnr": psnr, "delta_e": delta_e}
         scores.append(score)
@@ -158,7 +158,7 @@ def _scores(name: str, psnr: float, ssim: float, lpips: dict[str, float]) -> str
     return ", ".join([f"{name}: PSNR {psnr:.2f} dB", f"SSIM {ssim:.3f}", *known])
 
 
-def _clean_picture(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarray] | None:
+def _true_image(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarray] | None:
     """Read the true image without water of a view, None where the scene has none.
 
     Returns:

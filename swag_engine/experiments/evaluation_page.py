@@ -8,13 +8,13 @@ from ..evaluation.lpips import BACKBONES
 from .page import NONE, ViewComparison, number, paragraph_html, table_html, views_html, write_page
 
 
-def write_evaluation_page(path: Path, evaluation: dict[str, Any], pictures: Sequence[ViewComparison]) -> None:
+def write_evaluation_page(path: Path, evaluation: dict[str, Any], comparisons: Sequence[ViewComparison]) -> None:
     """Write the page of an evaluation.
 
     Args:
         path: The page.
         evaluation: What `evaluate_run` returned.
-        pictures: Comparison of each test view.
+        comparisons: Comparison of each test view.
 
     Raises:
         InputError: When the page cannot be written.
@@ -22,13 +22,13 @@ def write_evaluation_page(path: Path, evaluation: dict[str, Any], pictures: Sequ
     parts = [
         paragraph_html(
             f"{evaluation['gaussians']:,} Gaussians after {evaluation['iteration']:,} iterations, compared with the "
-            f"{len(pictures)} test photos of {evaluation['scene']}, which training does not use."
+            f"{len(comparisons)} test photos of {evaluation['scene']}, which training does not use."
         ),
         table_html(metric_rows(evaluation), styles=("", "number", "meaning")),
         *(paragraph_html(note, "note") for note in evaluation["notes"]),
         "<h2>View by view</h2>",
         view_table_html(evaluation["views"]),
-        *views_html(pictures),
+        *views_html(comparisons),
     ]
     write_page(path, f"Evaluation of {Path(evaluation['run']).name}", parts)
 

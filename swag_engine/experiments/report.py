@@ -68,19 +68,19 @@ def write_report(folder: Path) -> Path:
     scene = load_scene(scene_folder)
     chosen = _from_worst_to_best(views) or split_views([view.name for view in scene.views]).test[:SHOWN]
     by_name = {view.name: view for view in scene.views if view.name in chosen}
-    pictures: list[ViewComparison] = []
+    comparisons: list[ViewComparison] = []
     for image in load_images(scene, [by_name[name] for name in chosen if name in by_name], settings.width):
         rendered = [
             render_image(cloud, image.camera, settings.sh_degree, effects=effects, amount=amount) for amount in (1, 0)
         ]
-        pictures.append(compare_view(image, rendered[0], rendered[1] if effects.models else None))
+        comparisons.append(compare_view(image, rendered[0], rendered[1] if effects.models else None))
 
     where = machine(cloud.means.device)
     parts = [
         *_summary(scene_folder, metrics, state, len(cloud)),
         *_curves(log, _ranges(forecast)),
         *_forecast(forecast),
-        *_held_out(evaluation, views, pictures),
+        *_held_out(evaluation, views, comparisons),
         *_ledger(metrics.get("ledger", {})),
         *_effects(_optional(folder / "plan.json").get("effects", {})),
         *_water(_optional(run.water)),
@@ -217,8 +217,8 @@ def _forecast(forecast: dict[str, Any]) -> list[str]:
     return ["<h2>Forecast and outcome</h2>", table_html(rows, heads, ("", *["number"] * 3))]
 
 
-def _held_out(evaluation: dict[str, Any], views: dict[str, Any], pictures: Sequence[ViewComparison]) -> list[str]:
-    if not pictures:
+def _held_out(evaluation: dict[str, Any], views: dict[str, Any], comparisons: Sequence[ViewComparison]) -> list[str]:
+    if not comparisons:
         return []
     lines = ["<h2>Test views</h2>"]
     if evaluation:
@@ -229,10 +229,10 @@ def _held_out(evaluation: dict[str, Any], views: dict[str, Any], pictures: Seque
         lines.append(
             paragraph_html("Run `evaluate RUN` and then `report RUN` to add LPIPS, floaters and colour errors here.")
         )
-    if len(views) > len(pictures):
-        lines.append(paragraph_html(f"{len(pictures)} of the {len(views)} views, in ascending order of PSNR:"))
-    captions = [f"{number(views[view.name]['psnr'], 2)} dB" if view.name in views else "" for view in pictures]
-    return lines + views_html(pictures, captions)
+    if len(views) > len(comparisons):
+        lines.append(paragraph_html(f"{len(comparisons)} of the {len(views)} views, in ascending order of PSNR:"))
+    captions = [f"{number(views[view.name]['psnr'], 2)} dB" if view.name in views else "" for view in comparisons]
+    return lines + views_html(comparisons, captions)
 
 
 def _ledger(ledger: dict[str, float]) -> list[str]:
@@ -285,7 +285,7 @@ def evidence_text(evidence: dict[str, Any]) -> str:
 def _water(water: dict[str, Any]) -> list[str]:
     """Show the coefficients of water.json that have a value for each channel."""
     titles = {"beta_D": "attenuation", "beta_B": "backscatter", "B_inf": "background light"}
-    per = water.get("per", "unit")
+    per = "metre" if water.get("per") == "metre" else "scene unit"
     rows = []
     for name, title in titles.items():
         values = water.get(name)

@@ -114,7 +114,7 @@ def test_the_largest_of_several_models_is_taken_and_said(tmp_path: Path) -> None
     make_dot_scene(tmp_path, views=2, model="sparse/0")
     scene = load_scene(tmp_path)
     assert scene.model_folder.name == "1" and len(scene.views) == 5
-    assert "2 models" in scene.warnings[0] and "5" in scene.warnings[0]
+    assert "2 COLMAP models" in scene.warnings[0] and "5" in scene.warnings[0]
 
 
 def test_few_registered_photographs_are_said(tmp_path: Path) -> None:

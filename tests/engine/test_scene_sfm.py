@@ -99,7 +99,8 @@ def test_video_frames_are_the_sharp_ones_evenly_spaced_in_motion(tmp_path: Path,
 
 
 def test_a_video_becomes_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sfm, "_VIDEO_FRAMES", (10, 12))
+    monkeypatch.setattr(sfm, "_FEWEST_FRAMES", 10)
+    monkeypatch.setattr(sfm, "_MOST_FRAMES", 12)
     film = tmp_path / "film.avi"
     writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 25, SIZE)
     for x in np.linspace(-1.5, 1.5, 40):

@@ -192,7 +192,7 @@ def test_sfm_of_images_without_features(tmp_path: Path) -> None:
     (tmp_path / "blue").mkdir()
     for index in range(3):
         cv2.imwrite(str(tmp_path / "blue" / f"{index}.png"), np.full((100, 100, 3), 90, np.uint8))
-    sentence(lambda: sfm.reconstruct(tmp_path / "blue", tmp_path / "out"), "3 pictures")
+    sentence(lambda: sfm.reconstruct(tmp_path / "blue", tmp_path / "out"), "3 photos")
     assert left_over(tmp_path) == ["blue"]
 
 
