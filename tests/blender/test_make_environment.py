@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -40,7 +41,7 @@ class Installation:
 
     def end(self):
         """The last event, and the texts of progress before it."""
-        texts = []
+        texts: list[str] = []
         for event in self.events:
             if event["event"] != "progress":
                 self.process.stdin.close()
@@ -56,6 +57,8 @@ class Index(http.server.BaseHTTPRequestHandler):
     broken: dict[str, int] = {}
     asked: list[tuple[str, str]] = []
     stall = threading.Event()
+    directory: Path
+    address: str
 
     def do_GET(self):
         name = self.path.rstrip("/").rpartition("/")[2]
@@ -96,7 +99,7 @@ class Index(http.server.BaseHTTPRequestHandler):
 
 @pytest.fixture
 def index(wheels):
-    handler = type("OneIndex", (Index,), {"broken": {}, "asked": [], "stall": threading.Event()})
+    handler: type[Index] = type("OneIndex", (Index,), {"broken": {}, "asked": [], "stall": threading.Event()})
     handler.directory = wheels
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -79,7 +79,7 @@ class Found:
         if evidence.water_terms:
             terms = evidence.water_terms
             self.fit, self.images, self.intervals = terms.fit, terms.images, terms.intervals
-        self.effects = {}
+        self.effects: dict[str, Decision] = {}
         for name in WATER_EFFECTS:
             self.effects[name] = REGISTRY[name].decide(evidence, self.effects)
 

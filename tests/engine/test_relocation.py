@@ -207,7 +207,8 @@ def near_and_far():
     cloud.log_scales[:] = (0.008 * ranges).log()[:, None]
     beta = torch.tensor([0.3, 0.3, 0.3])
     medium = Medium.starting(3.0, "srgb", beta, beta, torch.tensor([0.2, 0.2, 0.2]))
-    return cloud, ranges > 4, Medium(*(t.double() for t in medium.parameters().values()), 3.0, "srgb")
+    parameters = {name: t.double() for name, t in medium.parameters().items()}
+    return cloud, ranges > 4, Medium(**parameters, unit_range=3.0, light="srgb")
 
 
 def test_structure_that_water_dims_is_not_removed_first(monkeypatch):

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -147,7 +148,7 @@ def masks_of_another_size(scene: Path, tmp_path: Path) -> dict[str, str]:
     ],
 )
 def test_what_cannot_be_labelled_does_not_harm_a_training(
-    scene: Path, plain: Path, tmp_path: Path, wrong: Callable[[Path, Path], dict[str, str]], note: str
+    scene: Path, plain: Path, tmp_path: Path, wrong: Callable[[Path, Path], dict[str, Any]], note: str
 ) -> None:
     settings = replace(SETTINGS, effects="semantics=on", **wrong(scene, tmp_path))
     result = train(scene, tmp_path / "run", settings)

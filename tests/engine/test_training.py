@@ -4,6 +4,7 @@ import json
 import shutil
 import sys
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -27,7 +28,7 @@ def stop_after(iterations):
 @pytest.fixture(scope="module")
 def whole_run(tiny_scene, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    events = []
+    events: list[dict[str, Any]] = []
     result = train(tiny_scene, folder, SETTINGS, on_event=events.append)
     return folder, result, events
 

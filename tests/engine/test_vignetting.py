@@ -79,10 +79,11 @@ def test_the_gain_stays_positive_and_bounded_and_can_return(size):
 
 
 def test_held_out_images_get_it_and_restored_ones_do_not():
-    effects = SceneEffects({"vignetting": vignetting(*COEFFICIENTS)})
+    model = vignetting(*COEFFICIENTS)
+    effects = SceneEffects({"vignetting": model})
     picture = random(9, 16, 3)
     shown = effects.apply_to_image(picture, "no training image")
-    expected = to_light(picture) * effects.models["vignetting"].log_gain("", 9, 16).exp()
+    expected = to_light(picture) * model.log_gain("", 9, 16).exp()
     torch.testing.assert_close(to_light(shown), expected)
     assert torch.equal(effects.apply_to_image(picture, "no training image", amount=0.0), picture)
 
@@ -94,6 +95,7 @@ def test_a_checkpoint_holds_it():
     effects = SceneEffects({"vignetting": vignetting(*COEFFICIENTS, centre=(0.4, 0.6))})
     state = json.loads(json.dumps(effects.state()))
     read = SceneEffects.from_checkpoint(effects.parameters(), state).models["vignetting"]
+    assert isinstance(read, Vignetting)
     assert torch.equal(read.coefficients, effects.parameters()["vignetting.coefficients"])
     assert read.centre == (0.4, 0.6)
 
@@ -132,7 +134,9 @@ def test_a_lens_that_falls_off_is_found_with_its_gain(decided):
     assert decision.evidence["falloff"] == pytest.approx(0.3, abs=0.06)
     start = EFFECT.fitted(evidence)
     context = InitialContext(start, [], 160, 90, 1.0)
-    gain = EFFECT.initial(context).log_gain("any", 90, 160)[..., 0].exp().numpy()
+    model = EFFECT.initial(context)
+    assert isinstance(model, Vignetting)
+    gain = model.log_gain("any", 90, 160)[..., 0].exp().numpy()
     y, x = (np.mgrid[:90, :160] + 0.5 - np.array([45, 80])[:, None, None]) / np.hypot(45, 80)
     np.testing.assert_allclose(gain, 1 - 0.3 * (x * x + y * y), atol=0.06)
     assert start["centre"] == pytest.approx([0.5, 0.5], abs=1e-3)

@@ -21,6 +21,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -145,10 +146,16 @@ def check_equal(out: Path, expected: Path) -> None:
         json.loads(line)
 
 
+def remove_hidden_files(folder: Path) -> None:
+    for path in folder.glob(".*"):
+        path.unlink()
+
+
 def killed_runs(folder: Path, kills: int, seed: int) -> dict[str, Any]:
     """Kill so many processes and return counts. Raises AssertionError where something was lost."""
     torch.set_num_threads(1)
-    chance, seen = random.Random(seed), Counter()
+    chance = random.Random(seed)
+    seen: Counter[str] = Counter()
     scene = make_tiny_scene(folder / "scene", width=48, height=36, points=200)
     started = time.monotonic()
     assert in_a_process(lambda: train(scene, folder / "expected")) == 0
@@ -160,7 +167,12 @@ def killed_runs(folder: Path, kills: int, seed: int) -> dict[str, Any]:
         kind = KINDS[turn % len(KINDS)]
         arrange = ending(kind, chance, seconds)
         had = len(checkpoints(out))
-        status = in_a_process(lambda out=out, arrange=arrange: (arrange(), train(scene, out)))
+
+        def work(out: Path = out, arrange: Callable[[], None] = arrange) -> None:
+            arrange()
+            train(scene, out)
+
+        status = in_a_process(work)
         wanted = {"full": REFUSED, "write": -signal.SIGXFSZ}.get(kind, -signal.SIGKILL)
         assert status in (0, wanted), f"{kind}: exit status {status}"
         seen[kind] += status == wanted
@@ -170,7 +182,7 @@ def killed_runs(folder: Path, kills: int, seed: int) -> dict[str, Any]:
         if config.exists() and RunFolder(out).finished():
             seen["finished"] += 1
             if status == wanted:  # the last thing that the process did was to finish
-                in_a_process(lambda out=out: [path.unlink() for path in out.glob(".*")])
+                in_a_process(partial(remove_hidden_files, out))
             check_equal(out, folder / "expected")
             number += 1
     out = folder / f"run {number}"

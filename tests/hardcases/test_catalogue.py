@@ -65,8 +65,8 @@ Blender = Callable[[list[Path]], dict]
 def blender(tmp_path_factory):
     environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path_factory.mktemp("blender"))}
     command = [sys.executable, str(Path(__file__).with_name("in_blender.py"))]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen(command, **pipes, text=True, env=environment) as process:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
 
         def imported(paths: list[Path]) -> dict:
             print(json.dumps(list(map(str, paths))), file=process.stdin, flush=True)

@@ -1,6 +1,7 @@
 """Regression tests of what fuzzing and random search found."""
 
 import json
+from typing import Any
 
 import onnx
 import onnx.parser
@@ -23,7 +24,7 @@ from swag_engine.weights.onnx import Network
 from tests.scenes.tiny import make_tiny_scene
 
 ANY = st.floats(width=32, allow_nan=True, allow_infinity=True)
-CAMERA = {"width": 16, "height": 12, "cx": 8.0, "cy": 6.0}
+CAMERA: dict[str, Any] = {"width": 16, "height": 12, "cx": 8.0, "cy": 6.0}
 
 
 def numbers(count: int) -> st.SearchStrategy:

@@ -108,7 +108,8 @@ def render_clean(folder: Path, seed: int) -> None:
     of the views."""
     settings = settings_for(folder)
     factor = settings.supersample
-    width, height, focal = (n * factor for n in (settings.width, settings.height, focal_length(settings)))
+    width, height = settings.width * factor, settings.height * factor
+    focal = focal_length(settings) * factor
     renderer = Renderer(Model(seed), width, height, focal, settings.samples)
     folder.mkdir(parents=True, exist_ok=True)
     for pattern in PATTERNS:
@@ -151,7 +152,9 @@ def rendered(folder: Path, pattern: str, seed: int, fish: bool = False) -> Rende
 
     def passes(views: list[np.ndarray]) -> list[Passes]:
         label = np.zeros(views[0].shape[1:3], np.uint8)
-        return [Passes(*(values.astype(np.float32) for values in view), label) for view in zip(*views, strict=True)]
+        by_name = ({name: values.astype(np.float32) for name, values in zip(PASSES, view, strict=True)}
+                   for view in zip(*views, strict=True))  # fmt: skip
+        return [Passes(**view, label=label) for view in by_name]
 
     seen = clean = passes(still)
     if fish:
