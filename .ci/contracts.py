@@ -21,11 +21,11 @@ PARTS = ("__init__.py", "swag_engine", "swag_blender", "operators")
 
 
 @contextmanager
-def package_folder() -> Iterator[str]:
-    """Make a temporary folder that holds the extension as the package `swag_splatting`."""
+def package_folder(parent: str = "") -> Iterator[str]:
+    """Make a temporary folder that holds the extension as the package `swag_splatting` in the folder `parent`."""
     with tempfile.TemporaryDirectory() as folder:
-        package = Path(folder, "swag_splatting")
-        package.mkdir()
+        package = Path(folder, parent, "swag_splatting")
+        package.mkdir(parents=True)
         for name in PARTS:
             (package / name).symlink_to(ROOT / name)
         yield folder

@@ -26,7 +26,7 @@ from scipy.interpolate import griddata
 
 from benchmarks.common import RESULTS, SHARED, save_figure
 from swag_engine.base.strict_json import to_json
-from swag_engine.evidence.fit import Family, Fit, Sightings, lens_terms
+from swag_engine.evidence.fit import Family, Fit, WeightedObservations, lens_terms
 from swag_engine.evidence.image_cells import open_water_light
 from swag_engine.evidence.observations import FIT_WIDTH, Observations, observe
 from swag_engine.evidence.water_terms import find_water_terms
@@ -171,7 +171,7 @@ def frames_with_depth() -> dict:
         track, ranges, levels = (np.concatenate(column) for column in zip(*parts, strict=True))
         zero = np.zeros(len(track))
         observations = Observations(track, ranges, levels, zero.astype(int), np.zeros((len(track), 2)), levels)
-        fit = Sightings(observations).fit(Family(True, True, True))
+        fit = WeightedObservations(observations).fit(Family(True, True, True))
         figures[path.name] = {
             "beta_D": fit.beta_D.tolist(), "beta_B": fit.beta_B.tolist(), "B": fit.B.tolist(),
             "metres": [float(edges[0]), float(edges[-1])],

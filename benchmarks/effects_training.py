@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
+sys.path.insert(0, str(ROOT))
 
 from benchmarks.common import DEMO, write_results
 from benchmarks.effects_matrix import SKY

@@ -25,7 +25,7 @@ from . import EXTENSION
 from .blender_types import present
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("torch", "pycolmap")
+PACKAGES: tuple[str, ...] = ("torch", "pycolmap")
 """A Python that has these packages is assumed to have all that the engine needs."""
 CANCEL_SECONDS = 60.0
 """Time that a cancelled child gets to save its state before it is terminated."""

@@ -5,9 +5,7 @@ searches, which `make search` runs.
 """
 
 import os
-import sys
 from functools import partial
-from pathlib import Path
 
 # With several workers each has one core: threads of numpy and torch would only wait for one another.
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -30,8 +28,6 @@ NOT_QUICK = (
 )  # fmt: skip
 """Files of tests/engine that take long or download: whole runs, processes, kernels on slow stand-ins, real weights."""
 
-sys.path.insert(0, str(Path(__file__).parent / "scenes"))
-
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
@@ -50,7 +46,7 @@ def missing():
 
 @pytest.fixture(scope="session")
 def tiny_scene(tmp_path_factory):
-    from tiny import make_tiny_scene
+    from tests.scenes.tiny import make_tiny_scene
 
     return make_tiny_scene(tmp_path_factory.mktemp("tiny") / "wall of discs")
 

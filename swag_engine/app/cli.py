@@ -23,7 +23,7 @@ from ..settings.settings import TrainSettings
 from .answers import refuse, refuse_missing, show
 from .interrupts import interrupts
 
-DESCRIPTION = """Underwater photographs to 3D Gaussian splats. COMMAND --help says what a command takes.
+DESCRIPTION = """Underwater photos to 3D Gaussian splats. COMMAND --help says what a command takes.
 
 Exit codes: 0 done, 1 a bug, 2 bad input or usage; with what exists kept, 130 interrupted by Ctrl-C and 143 by SIGTERM.
 Progress and errors go to stderr; with --json stdout carries one JSON document and nothing else."""

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from ..evidence.decision import Decision
-from ..evidence.observations import LEAST_VEIL
+from ..evidence.observations import LEAST_BACKGROUND_LIGHT
 from ..evidence.scene_evidence import SceneEvidence
 from ..evidence.water_terms import LEAST_BIC_GAIN
 from ..water.medium import Medium, open_water
@@ -26,13 +26,13 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
         {
             "bic_gain": water.background_bic,
             "bic_gain_least": LEAST_BIC_GAIN,
-            "veil": water.background.tolist(),
-            "veil_least": LEAST_VEIL,
+            "background_light": water.background.tolist(),
+            "background_light_least": LEAST_BACKGROUND_LIGHT,
             "dark_rise": water.dark_rise,
             "dark_rise_least": water.dark_rise_needed,
         },
-        f"The water adds light of {water.background.max():.3f} at the far end (threshold {LEAST_VEIL}), BIC gain "
-        f"{water.background_bic:,.0f} (threshold {LEAST_BIC_GAIN:.0f}); the darkest light rises with range by "
+        f"The water adds light of {water.background.max():.3f} at the far end (threshold {LEAST_BACKGROUND_LIGHT}), "
+        f"BIC gain {water.background_bic:,.0f} (threshold {LEAST_BIC_GAIN:.0f}); the darkest light rises with range by "
         f"{water.dark_rise:.3f} (threshold {water.dark_rise_needed:.3f})"
         + ("." if water.attenuates else "; without attenuation this is not water."),
     )

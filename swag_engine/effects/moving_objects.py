@@ -36,20 +36,20 @@ LEAST_IMAGES = 0.10
 """Fraction of the images that must count."""
 
 
-def residual(photograph: np.ndarray, picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def residual(image: np.ndarray, picture: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Compare an image with the rendered static scene.
 
     The brightness of the whole image is not compared: exposure is not an object.
 
     Args:
-        photograph: (H, W, 3) display values 0..1.
+        image: (H, W, 3) display values 0..1.
         picture: (H, W, 3) rendered display values 0..1.
         valid: (H, W) bool.
 
     Returns:
         (H, W) float32 mean absolute difference, averaged over the size of the smallest objects, 0 where not valid.
     """
-    difference = (photograph - picture).astype(np.float32)
+    difference = (image - picture).astype(np.float32)
     if not valid.any():
         return np.zeros(valid.shape, np.float32)
     difference -= np.median(difference[valid], axis=0)

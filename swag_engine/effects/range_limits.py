@@ -14,7 +14,7 @@ def too_few_observations(evidence: SceneEvidence) -> Decision:
     count = len(evidence.observations)
     return Decision(
         "unknown",
-        {"sightings": count, "sightings_least": LEAST_OBSERVATIONS},
+        {"observations": count, "observations_least": LEAST_OBSERVATIONS},
         f"Cannot be determined: only {count} observations of points can be used ({LEAST_OBSERVATIONS} at least).",
     )
 

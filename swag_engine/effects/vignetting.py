@@ -92,7 +92,7 @@ class Falloff:
     def of(cls, observations: Observations, lens: np.ndarray) -> "Falloff":
         """Measure the radial part of a fitted lens.
 
-        A fit with a radial lens alone is what remains of the fitted light when it is projected on the squared radius,
+        To first order, the fit with a radial lens alone is the projection of the fitted light on the squared radius,
         each without what the colors of the points and functions of range explain (Frisch-Waugh-Lovell theorem).
 
         Args:
@@ -148,10 +148,10 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
             "Cannot be distinguished from light that changes with range: range and distance from the image centre vary "
             f"together (correlation {measured.radius_correlation:.2f}, {MOST_RADIUS_CORRELATION} at most)."
         )
-    if found and terms.lamp.tied:
+    if terms.lamp.found:
         return decision.undetermined(
-            f"Cannot be distinguished from the beam of a lamp at the camera: light falls off by {falloff:.1%} from the "
-            "centre of the photos to their corners."
+            "Cannot be distinguished from the beam of the lamp, which falls off from its axis as a lens does (by "
+            f"{falloff:.1%} from the centre of the photos to their corners)."
         )
     return decision
 

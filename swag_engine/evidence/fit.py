@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from .observations import LEAST_VEIL, Observations
+from .observations import LEAST_BACKGROUND_LIGHT, Observations
 
 OPEN_WATER_SD = 0.2
 """Relative standard deviation of B from the light of what looks like open water."""
-MOST_SIGHTINGS = 6_000
+MOST_FITTED = 6_000
 """Observations that are fitted; more do not reduce the errors, which are no noise then."""
 USUAL_ERROR = 0.1
 """Relative error of a color until a fit has shown it; weighs the priors."""
@@ -108,7 +108,7 @@ class Fit:
         return float(count * independent / 3 * np.log(self.squares).sum() + self.parameters * np.log(count))
 
 
-class Sightings:
+class WeightedObservations:
     """Observations prepared for fits: points and images numbered without gaps, ranges over their median `unit`.
 
     Args:
@@ -139,7 +139,7 @@ class Sightings:
         rows = np.arange(len(self.track))
         self.sums = csr_matrix((np.ones(len(rows)), (self.track, rows)))
 
-    def without_outliers(self, fit: Fit) -> "Sightings":
+    def without_outliers(self, fit: Fit) -> "WeightedObservations":
         """Drop the tenth of the points that `fit` explains worst, and weigh single outliers less."""
         size = np.sqrt((fit.residual**2).mean(1))
         mean = np.bincount(self.track, size**2) / np.bincount(self.track)
@@ -147,9 +147,9 @@ class Sightings:
         usual = 2.5 * np.median(size[good])
         huber = np.minimum(1, usual / np.maximum(size[good], 1e-12))
         weights, noise = self.weights[good] * huber[:, None], float(fit.squares.mean())
-        return Sightings(self.observations.take(good), weights, noise, self.open_water)
+        return WeightedObservations(self.observations.take(good), weights, noise, self.open_water)
 
-    def half(self, random: np.random.Generator) -> "Sightings":
+    def half(self, random: np.random.Generator) -> "WeightedObservations":
         """Draw a random half of the blocks of points.
 
         A block is what is seen first in the same third of the images and the same quarter of the image: what is wrong
@@ -160,7 +160,7 @@ class Sightings:
         blocks = third * 4 + (self.observations.place[first] > 0) @ [1, 2]
         order = random.permutation(np.unique(blocks))
         chosen = np.isin(blocks, order[: max(len(order) // 2, 1)])[self.track]
-        return Sightings(self.observations.take(chosen), self.weights[chosen], self.noise, self.open_water)
+        return WeightedObservations(self.observations.take(chosen), self.weights[chosen], self.noise, self.open_water)
 
     # -- one family ---------------------------------------------------------------------------------------------------
 
@@ -241,42 +241,42 @@ class Sightings:
         if family.lamp:
             tau = np.exp(values[9])
             direct = direct * (tau + 1) / (tau + self.r**2)
-        veil = -np.expm1(-np.exp(values[3 + c]) * self.r) if family.backscatter else np.zeros_like(self.r)
-        return gain, direct, veil
+        scattered = -np.expm1(-np.exp(values[3 + c]) * self.r) if family.backscatter else np.zeros_like(self.r)
+        return gain, direct, scattered
 
     def _solved(self, family: Family, values: np.ndarray, c: int) -> tuple[np.ndarray, ...]:
-        """Of channel c: factors, each sighting's J, the residual, and the weighted square of J's factor per point.
+        """Of channel c: factors, each observation's J, the residual, and the weighted square of J's factor per point.
 
-        No J is negative: in dense water, where little but the veil is seen, that is what keeps the veil from being
-        thought brighter than the photographs are.
+        No J is negative. In dense water, where backscatter is nearly all of the light, this keeps the background light
+        from being overestimated.
         """
-        gain, direct, veil = self._factors(family, values, c)
+        gain, direct, scattered = self._factors(family, values, c)
         a, weight = gain * direct, self.weights[:, c]
         square = np.bincount(self.track, weight * a * a)
-        rest = self.light[:, c] - gain * values[6 + c] * veil
+        rest = self.light[:, c] - gain * values[6 + c] * scattered
         J = (np.bincount(self.track, weight * a * rest) / square).clip(min=0)[self.track]
-        return gain, direct, veil, J, rest - a * J, square
+        return gain, direct, scattered, J, rest - a * J, square
 
     def _linearised(self, family: Family, values: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Cost (half the sum of squares), its gradient and the Gauss-Newton curvature, over all parameters."""
         size = len(values)
         cost, gradient, curvature = 0.0, np.zeros(size), np.zeros((size, size))
         for c in range(3):
-            gain, direct, veil, J, residual, square = self._solved(family, values, c)
+            gain, direct, scattered, J, residual, square = self._solved(family, values, c)
             a, weight, B = gain * direct, self.weights[:, c], values[6 + c]
-            seen = a * J + gain * B * veil
+            seen = a * J + gain * B * scattered
             columns, places = [], []
             if family.attenuation:
                 change = -a * J * np.exp(values[c]) * self.r
                 if family.backscatter and not family.separate:
-                    change = change + gain * B * np.exp(values[c]) * self.r * (1 - veil)
+                    change = change + gain * B * np.exp(values[c]) * self.r * (1 - scattered)
                 columns.append(change)
                 places.append(c)
             if family.separate:
-                columns.append(gain * B * np.exp(values[3 + c]) * self.r * (1 - veil))
+                columns.append(gain * B * np.exp(values[3 + c]) * self.r * (1 - scattered))
                 places.append(3 + c)
             if family.backscatter:
-                columns.append(gain * veil)
+                columns.append(gain * scattered)
                 places.append(6 + c)
             if family.lamp:
                 tau = np.exp(values[9])
@@ -308,7 +308,7 @@ class Sightings:
             gradient[:6] += prior * np.concatenate([-apart, apart])
             curvature[:6, :6] += prior * np.kron([[1, -1], [-1, 1]], np.eye(3))
         if family.backscatter and self.open_water is not None:
-            priors = self.noise / (OPEN_WATER_SD * np.maximum(self.open_water, LEAST_VEIL)) ** 2
+            priors = self.noise / (OPEN_WATER_SD * np.maximum(self.open_water, LEAST_BACKGROUND_LIGHT)) ** 2
             off = values[6:9] - self.open_water
             cost += 0.5 * float(priors @ off**2)
             gradient[6:9] += priors * off
@@ -329,10 +329,13 @@ class Sightings:
                 for beta in np.log(GRID) if family.attenuation else (COEFFICIENTS[0],):
                     values[c] = values[3 + c] = beta
                     values[6 + c] = 0
-                    _, direct, veil, _, residual, square = self._solved(family, values, c)
+                    _, direct, scattered, _, residual, square = self._solved(family, values, c)
                     B, weight = 0.0, self.weights[:, c]
                     if family.backscatter:
-                        own = veil - direct * (np.bincount(self.track, weight * direct * veil) / square)[self.track]
+                        own = (
+                            scattered
+                            - direct * (np.bincount(self.track, weight * direct * scattered) / square)[self.track]
+                        )
                         B = float(np.clip((weight * own) @ residual / max((weight * own) @ own, 1e-12), 0, 1))
                         residual = residual - B * own
                     loss = float(weight @ residual**2)

@@ -25,7 +25,7 @@ LEAST_RANGE_RATIO = 1.15
 """Farthest over nearest range of a point that one point in twenty must have."""
 LEAST_CHANGE = 0.10
 """Fraction of its light that a channel must lose over the scene's range."""
-LEAST_VEIL = 0.02
+LEAST_BACKGROUND_LIGHT = 0.02
 """Linear light that the water must add at the far end of the scene."""
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .fit import MOST_SIGHTINGS, Family, Fit, Sightings, independent_channels, lens_terms
-from .observations import LEAST_CHANGE, LEAST_VEIL, Observations, track_ratio
+from .fit import MOST_FITTED, Family, Fit, WeightedObservations, independent_channels, lens_terms
+from .observations import LEAST_BACKGROUND_LIGHT, LEAST_CHANGE, Observations, track_ratio
 
 NEAR_QUANTILE = 0.05
 """Quantile of the ranges that counts as the near end of a scene."""
@@ -215,18 +215,20 @@ def find_water_terms(observations: Observations, open_water: np.ndarray | None =
     ratio = float(np.quantile(track_ratio(observations), FAR_QUANTILE))
     correlation = float(abs(np.corrcoef(observations.ranges, observations.radius)[0, 1]))
     points = random.permutation(np.unique(observations.track))
-    most = max(2, int(len(points) * MOST_SIGHTINGS / len(observations)))
-    sightings = Sightings(observations.take(np.isin(observations.track, points[:most])), open_water=open_water)
+    most = max(2, int(len(points) * MOST_FITTED / len(observations)))
+    weighted = WeightedObservations(
+        observations.take(np.isin(observations.track, points[:most])), open_water=open_water
+    )
     rich = Family(attenuation=True, backscatter=True, separate=True, lamp=True, lens=True, gains=True)
-    first = sightings.fit(rich)
-    comparison = _Comparison(observations, sightings.without_outliers(first), independent_channels(first.residual))
+    first = weighted.fit(rich)
+    comparison = _Comparison(observations, weighted.without_outliers(first), independent_channels(first.residual))
     camera = comparison.camera_terms(rich)
     fits = comparison.water_families(camera)
     dark = comparison.dark_rise(fits, camera)
     lamp = comparison.lamp_term([fit for family, fit in fits.items() if dark.rises or not family.backscatter])
     none, direct, tied, separate = (fit for family, fit in fits.items() if family.lamp == lamp.found)
     water, fit, intervals = comparison.water_term(none, direct, tied, separate, lamp, dark, random)
-    images = np.unique(comparison.sightings.observations.image).tolist()
+    images = np.unique(comparison.weighted.observations.image).tolist()
     separate_bic = comparison.bic(tied) - comparison.bic(separate)
     return WaterTerms(ratio, correlation, camera, lamp, water, tied, separate, separate_bic, fit, images, intervals)
 
@@ -244,20 +246,20 @@ class _DarkRise:
 
 
 class _Comparison:
-    """Families of terms fitted to the same sightings."""
+    """Families of terms fitted to the same observations."""
 
-    def __init__(self, observations: Observations, sightings: Sightings, independent: float) -> None:
-        self.observations, self.sightings, self.independent = observations, sightings, independent
+    def __init__(self, observations: Observations, weighted: WeightedObservations, independent: float) -> None:
+        self.observations, self.weighted, self.independent = observations, weighted, independent
         self.near, self.far = np.quantile(observations.ranges, (NEAR_QUANTILE, FAR_QUANTILE))
 
     def bic(self, fit: Fit) -> float:
-        return fit.bic(self.sightings.count, self.independent)
+        return fit.bic(self.weighted.count, self.independent)
 
     def camera_terms(self, rich: Family) -> CameraTerms:
         """Gains and lens are found with every other term in the model, so that neither can stand for water."""
         bic = self.bic
         apart = {
-            (lens, gains): self.sightings.fit(replace(rich, lens=lens, gains=gains))
+            (lens, gains): self.weighted.fit(replace(rich, lens=lens, gains=gains))
             for lens in (False, True)
             for gains in (False, True)
         }
@@ -272,7 +274,7 @@ class _Comparison:
     def water_families(self, camera: CameraTerms) -> dict[Family, Fit]:
         """No water, attenuation, backscatter tied and separate, each without and with a lamp."""
         return {
-            family: self.sightings.fit(family)
+            family: self.weighted.fit(family)
             for lamp in (False, True)
             for family in (
                 Family(lamp=lamp, lens=camera.lens, gains=camera.gains),
@@ -331,10 +333,10 @@ class _Comparison:
         random: np.random.Generator,
     ) -> tuple[WaterTerm, Fit, dict[str, np.ndarray]]:
         """Attenuation and backscatter, the fit that was chosen, and its intervals."""
-        bic, sightings, span = self.bic, self.sightings, self.far - self.near
+        bic, weighted, span = self.bic, self.weighted, self.far - self.near
         background = separate.B * (1 - np.exp(-separate.beta_B * self.far))
         background_bic = bic(direct) - min(bic(tied), bic(separate))
-        adds_light = bool(dark.rises and background_bic > LEAST_BIC_GAIN and background.max() >= LEAST_VEIL)
+        adds_light = bool(dark.rises and background_bic > LEAST_BIC_GAIN and background.max() >= LEAST_BACKGROUND_LIGHT)
 
         best = min((direct, tied, separate) if adds_light else (direct,), key=bic)
         change = 1 - np.exp(-best.beta_D * span)
@@ -344,7 +346,7 @@ class _Comparison:
         loses = bool(bic_gain > LEAST_BIC_GAIN and change.max() >= LEAST_CHANGE)
 
         def halves_of(fit: Fit) -> list[Fit]:
-            return [sightings.half(random).fit(fit.family, fit, steps=HALF_STEPS) for _ in range(HALVES)]
+            return [weighted.half(random).fit(fit.family, fit, steps=HALF_STEPS) for _ in range(HALVES)]
 
         halves = halves_of(best) if loses else []
         fades = [float(-np.expm1((fit.beta_D[weakest] - fit.beta_D[strongest]) * span)) for fit in (best, *halves)]
@@ -382,7 +384,7 @@ class _Comparison:
             sure=sure,
             strongest=strongest,
             interval=interval,
-            resolution=float(sightings.resolution(none, span, LEAST_CHANGE).max()),
+            resolution=float(weighted.resolution(none, span, LEAST_CHANGE).max()),
         )
         return term, fit, intervals
 

@@ -24,7 +24,7 @@ def gaussians_from_points(
 ) -> GaussianCloud:
     """Make one round Gaussian per point, as wide as the mean distance to its nearest neighbours.
 
-    Points that are not finite in float32 are left out.
+    Points that are not finite in float32 are ignored.
 
     Args:
         points: The sparse points.

@@ -68,10 +68,10 @@ class Setting:
             if not isinstance(value, bool):
                 raise InputError(f"{title} must be true or false, not {value!r}.")
         elif isinstance(default, str):
-            if self.choices and value not in tuple(self.choices):  # a tuple also takes what has no hash
-                raise InputError(f"{title} must be one of {', '.join(self.choices)}, not {value!r}.")
             if not isinstance(value, str):
                 raise InputError(f"{title} must be a text, not {value!r}.")
+            if self.choices and value not in self.choices:
+                raise InputError(f"{title} must be one of {', '.join(self.choices)}, not {value!r}.")
         elif isinstance(default, int | float):
             kinds: Any = int if isinstance(default, int) else int | float
             is_number = isinstance(value, kinds) and not isinstance(value, bool)

@@ -91,7 +91,7 @@ class Recipe:
     """Grey of the restored image's own mean, or middle grey."""
     smoothness: float = 0.0
     """Weight of the term that makes range smooth where the image is smooth."""
-    smoothness_edges: Literal["photograph", "render"] = "photograph"
+    smoothness_edges: Literal["image", "render"] = "image"
     """Image whose edges allow edges in range."""
     hinge: float = 0.0
     """Weight of the term that keeps the order of attenuation between the channels."""

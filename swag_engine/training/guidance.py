@@ -193,7 +193,7 @@ def salience(regions: SceneRegions, images: Sequence[TrainingImage]) -> Tensor:
     return torch.from_numpy(weights.astype(np.float32))
 
 
-def open_water_loss(alpha: Tensor, behind: Tensor, photograph: Tensor, water: Tensor) -> Tensor:
+def open_water_loss(alpha: Tensor, behind: Tensor, image: Tensor, water: Tensor) -> Tensor:
     """Penalise opacity in front of open water, and a background color that differs from it.
 
     Open water is the background behind all Gaussians: whatever covers it is a floater.
@@ -201,13 +201,13 @@ def open_water_loss(alpha: Tensor, behind: Tensor, photograph: Tensor, water: Te
     Args:
         alpha: (H, W) of the rendered image.
         behind: (H, W, 3) or (3,) background color, 0..1.
-        photograph: (H, W, 3) training image, 0..1.
+        image: (H, W, 3) training image, 0..1.
         water: (H, W) bool, pixels that show open water.
 
     Returns:
         Mean opacity plus mean absolute difference over these pixels, 0 without any; differentiable in alpha, behind.
     """
-    cost = alpha + (behind - photograph).abs().mean(-1)
+    cost = alpha + (behind - image).abs().mean(-1)
     return torch.where(water, cost, torch.zeros_like(cost)).sum() / water.sum().clamp(min=1)
 
 

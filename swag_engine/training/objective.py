@@ -96,7 +96,7 @@ class Objective:
             weight = recipe.depth_weight * 0.1 ** (fraction / recipe.stage_two_from)
             loss = loss + weight * depth_loss(picture.range, picture.alpha, target.inverse_range, self.median_range)
         if recipe.smoothness and picture.range is not None:
-            guide = target.color if recipe.smoothness_edges == "photograph" else picture.color
+            guide = target.color if recipe.smoothness_edges == "image" else picture.color
             loss = loss + recipe.smoothness * smoothness(picture.range, picture.alpha, guide, self.median_range)
         if recipe.grey_world and picture.restored is not None:
             loss = loss + recipe.grey_world * grey_world(picture.restored, picture.alpha, recipe.grey_world_target)

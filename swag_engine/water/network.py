@@ -1,6 +1,6 @@
 """The water of SWAGSplatting as written: a network of direction and range in place of coefficients.
 
-A Gaussian of display colour J, seen at the range r in the direction d, is seen as J T(d, r) + B(d, r), with the
+A Gaussian of display color J, seen at the range r in the direction d, is seen as J T(d, r) + B(d, r), with the
 transmission T and the backscatter B, each (R, G, B) in 0..1, from one network. Nothing makes T fall with range, or B
 increase, but the loss that `range_consistency` computes. water/medium.py has the model that does.
 """

@@ -28,7 +28,7 @@ def splats(count):
     random = np.random.default_rng(0)
     return Splats(
         positions=random.uniform(-1, 1, (count, 3)).astype(np.float32),
-        rotations=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        rotations=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
         scales=np.full((count, 3), 0.02, np.float32),
         opacities=np.full(count, 0.9, np.float32),
         sh=random.uniform(-1, 1, (count, 1, 3)).astype(np.float32),

@@ -15,7 +15,7 @@ sys.path.insert(0, os.environ["SWAG_OUT"])
 from window import install, photograph, report, start, until, view3d
 
 # Pixels of the buttons from the top left corner of a screen of 1280 x 800.
-TRAIN, CONTINUE, PAUSE, CANCEL = (900, 470), (960, 470), (830, 424), (950, 424)
+TRAIN, CONTINUE, PAUSE, CANCEL = (900, 486), (960, 486), (830, 440), (950, 440)
 
 
 def click(x, y):

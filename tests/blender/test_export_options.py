@@ -1,6 +1,7 @@
 """Options of the export: selection, modifiers, transforms, water and cameras, against images of the engine."""
 
 import json
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -32,7 +33,8 @@ def heap(count=1500, degree=3):
         sh,
     )
     label = {"label": random.integers(0, 4, count).astype(np.int32)}
-    return Splats(*(column.astype(np.float32) for column in columns), label)
+    positions, rotations, scales, opacities, sh = (column.astype(np.float32) for column in columns)
+    return Splats(positions, rotations, scales, opacities, sh, label)
 
 
 def camera_at(pose, name="view", cx=80.0, cy=60.0):
@@ -140,7 +142,7 @@ def test_water_and_cameras_of_an_imported_scene_are_exported(blender, tmp_path, 
     """The scene was moved and scaled in Blender: the exported cameras see what the cameras of the scene saw."""
     made = heap()
     write_ply(tmp_path / "heap.ply", made)
-    fitted = {"beta_D": [0.3, 0.1, 0.05], "beta_B": [0.1, 0.1, 0.1], "light": "linear", "per": "unit"}
+    fitted: dict[str, Any] = {"beta_D": [0.3, 0.1, 0.05], "beta_B": [0.1, 0.1, 0.1], "light": "linear", "per": "unit"}
     fitted["veil_sh"] = np.random.default_rng(0).normal(size=(9, 3)).tolist()
     (tmp_path / "water.json").write_text(json.dumps(fitted))
     RunFolder(tmp_path).write_config(tmp_path, TrainSettings(), [0, -1, 0])
@@ -161,7 +163,8 @@ def test_water_and_cameras_of_an_imported_scene_are_exported(blender, tmp_path, 
         lens = model.cameras[image.camera_id]
         np.testing.assert_allclose(lens.params, (camera.fx, camera.fy, camera.cx, camera.cy), atol=1e-3)
         pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
-        outside = Camera(image.name, lens.width, lens.height, *lens.params, pose)
+        fx, fy, cx, cy = lens.params
+        outside = Camera(image.name, lens.width, lens.height, fx, fy, cx, cy, pose)
         same = psnr(render_splats(back, outside), render_splats(truth, camera))
         dry = psnr(render_splats(made, camera), render_splats(truth, camera))
         print(suffix, same, dry)

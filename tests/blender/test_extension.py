@@ -32,6 +32,6 @@ def test_defaults_are_the_engines(blender):
 
 def test_blender_imports_no_module_that_only_the_engine_needs(blender, tmp_path):
     ones = np.ones((2, 3), np.float32)
-    splats = Splats(ones, np.float32([[1, 0, 0, 0]] * 2), ones, np.ones(2, np.float32), ones[:, None])
+    splats = Splats(ones, np.array([[1, 0, 0, 0]] * 2, np.float32), ones, np.ones(2, np.float32), ones[:, None])
     write_ply(tmp_path / "splats.ply", splats)
     assert blender.run("registration.heavy_modules", tmp_path) == []

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -40,7 +41,7 @@ class Installation:
 
     def end(self):
         """The last event, and the texts of progress before it."""
-        texts = []
+        texts: list[str] = []
         for event in self.events:
             if event["event"] != "progress":
                 self.process.stdin.close()
@@ -56,6 +57,8 @@ class Index(http.server.BaseHTTPRequestHandler):
     broken: dict[str, int] = {}
     asked: list[tuple[str, str]] = []
     stall = threading.Event()
+    directory: Path
+    address: str
 
     def do_GET(self):
         name = self.path.rstrip("/").rpartition("/")[2]
@@ -96,7 +99,7 @@ class Index(http.server.BaseHTTPRequestHandler):
 
 @pytest.fixture
 def index(wheels):
-    handler = type("OneIndex", (Index,), {"broken": {}, "asked": [], "stall": threading.Event()})
+    handler: type[Index] = type("OneIndex", (Index,), {"broken": {}, "asked": [], "stall": threading.Event()})
     handler.directory = wheels
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -123,7 +126,7 @@ def test_a_broken_download_is_continued_where_it_stopped(root, folder, wheels, i
     torch = next(wheel.name for wheel in wheels.glob("torch-*"))
     index.broken[torch] = 100
     failed, _ = Installation(root, folder, index.address).end()
-    assert failed["event"] == "error" and f"The download of {torch} broke off" in failed["message"]
+    assert failed["event"] == "error" and f"The download of {torch} failed" in failed["message"]
     assert "Traceback" not in failed["message"] and not (folder / "installed.json").exists()
     # Three tries, each continues the one before.
     assert [begin for name, begin in index.asked if name == torch] == ["", "bytes=100-", "bytes=200-"]
@@ -158,7 +161,7 @@ def test_cancel_keeps_downloads_and_marks_nothing_as_installed(root, folder, whe
     running.process.stdin.flush()
     index.stall.set()
     ended, _ = running.end()
-    assert ended["event"] == "error" and "was stopped" in ended["message"]
+    assert ended["event"] == "error" and "was cancelled" in ended["message"]
     assert not (folder / "installed.json").exists()
     assert part.stat().st_size == 100
 

@@ -43,11 +43,11 @@ def run(scene, backend, dtype=torch.float32, device="cpu"):
         tensors[name].requires_grad_()
     rendering = rasterize(**{**scene, **tensors}, backend=backend)
     generator = torch.Generator().manual_seed(99)
-    loss = 0
+    losses = []
     for output in (rendering.channels, rendering.alpha):
         weights = 1 + torch.randn(output.shape, generator=generator, dtype=torch.float64)
-        loss = loss + (output * weights.to(output)).sum()
-    loss.backward()
+        losses.append((output * weights.to(output)).sum())
+    torch.stack(losses).sum().backward()
     results = {"channels_out": rendering.channels, "alpha": rendering.alpha, "means2d": rendering.means2d.grad}
     results |= {name: tensors[name].grad for name in GRADIENTS}
     return {key: value.detach().double().cpu() for key, value in results.items()}, rendering

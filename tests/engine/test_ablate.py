@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 
 import pytest
-from runs import training_times
 
 from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
@@ -13,6 +12,7 @@ from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.recipes import RECIPES, SWITCHES, recipe_of
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
+from tests.scenes.runs import training_times
 
 SETTINGS = TrainSettings(iterations=12, width=48, max_gaussians=320, sh_degree=0)
 TWO_ROWS = [Row("3dgs", "3dgs"), Row("swag without water", "swag", "water=off")]

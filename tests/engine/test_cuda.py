@@ -284,7 +284,7 @@ def test_sh_colors_agree_with_torch(degree, stored):
 
     def colors_and_gradients(backend, dtype, device):
         inputs = [tensor.to(device, dtype, copy=True).requires_grad_() for tensor in (sh0, shN)]
-        colors = evaluate_sh(*inputs, directions.to(device, dtype), degree, backend)
+        colors = evaluate_sh(inputs[0], inputs[1], directions.to(device, dtype), degree, backend)
         (colors * weights.to(colors)).sum().backward()
         return [value.detach().double().cpu() for value in (colors, *(tensor.grad for tensor in inputs))]
 
@@ -319,12 +319,12 @@ def test_water_agrees_with_torch(degree, light):
         colors, offsets, medium = make_water(400, light, dtype=dtype)
         medium, leaves = medium.to(device), [t.to(device).requires_grad_() for t in (colors, offsets)]
         parameters = [t.requires_grad_() for t in medium.parameters().values()]
-        camera = (t.to(device, dtype) for t in CAMERA)
-        seen = through_water(*leaves, medium, degree, backend=backend)
-        behind = open_water(medium, *camera, 22, 16, degree, backend=backend)
+        viewmat, K = (t.to(device, dtype) for t in CAMERA)
+        seen = through_water(leaves[0], leaves[1], medium, degree, backend=backend)
+        behind = open_water(medium, viewmat, K, 22, 16, degree, backend=backend)
         weights = (torch.randn(t.shape, generator=torch.Generator().manual_seed(3)).to(t) for t in (seen, behind))
-        total = sum((t * w).sum() for t, w in zip((seen, behind), weights, strict=True))
-        gradients = torch.autograd.grad(total, [*leaves, *parameters])
+        totals = [(t * w).sum() for t, w in zip((seen, behind), weights, strict=True)]
+        gradients = torch.autograd.grad(totals, [*leaves, *parameters])
         return [t.detach().double().cpu() for t in (seen, behind, *gradients)]
 
     truth = seen_and_gradients("torch", torch.float64, "cpu")
@@ -348,7 +348,7 @@ def test_water_stays_finite(raw, range_):
     medium = medium.to(torch.device(DEVICE))
     leaves = [t.to(DEVICE).requires_grad_() for t in (colors, offsets)]
     parameters = [t.requires_grad_() for t in medium.parameters().values()]
-    seen = through_water(*leaves, medium, backend="cuda")
+    seen = through_water(leaves[0], leaves[1], medium, backend="cuda")
     assert seen.isfinite().all()
     assert all(g.isfinite().all() for g in torch.autograd.grad(seen.sum(), [*leaves, *parameters]))
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from clouds import make_cloud
 
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.densify import (
@@ -18,6 +17,7 @@ from swag_engine.gaussians.densify import (
 )
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
+from tests.scenes.clouds import make_cloud
 
 
 def test_a_split_keeps_mass_mean_and_variance():

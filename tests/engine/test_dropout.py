@@ -7,9 +7,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from clouds import make_cloud
-from runs import train_with
-from tiny import make_tiny_scene
 
 from swag_engine.gaussians.densify import random_of
 from swag_engine.rendering.render import render
@@ -18,6 +15,9 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.dropout import FULL_GAP_DB, GAP_DB, dropout_rate, opacity_factors
 from swag_engine.training.trainer import train
+from tests.scenes.clouds import make_cloud
+from tests.scenes.runs import train_with
+from tests.scenes.tiny import make_tiny_scene
 
 SETTINGS = TrainSettings(iterations=600, width=64, max_gaussians=3000)
 

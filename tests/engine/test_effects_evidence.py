@@ -11,7 +11,7 @@ from swag_engine.effects import depth_prior, interpolation, semantics
 from swag_engine.effects.caustics import decide_by_flicker
 from swag_engine.effects.registry import REGISTRY
 from swag_engine.evidence.decision import Decision
-from swag_engine.evidence.fit import GAINS, LENS, Family, Sightings
+from swag_engine.evidence.fit import GAINS, LENS, Family, WeightedObservations
 from swag_engine.evidence.image_cells import open_water_light
 from swag_engine.evidence.observations import FIT_WIDTH, Observations, observe
 from swag_engine.evidence.scene_evidence import SceneEvidence
@@ -79,7 +79,7 @@ class Found:
         if evidence.water_terms:
             terms = evidence.water_terms
             self.fit, self.images, self.intervals = terms.fit, terms.images, terms.intervals
-        self.effects = {}
+        self.effects: dict[str, Decision] = {}
         for name in WATER_EFFECTS:
             self.effects[name] = REGISTRY[name].decide(evidence, self.effects)
 
@@ -255,7 +255,7 @@ def test_attenuation_below_the_resolution_is_undetermined():
 @pytest.mark.parametrize("B", [(0.05, 0.1, 0.2), (0.6, 0.6, 0.6)])
 def test_derivatives_by_finite_differences(separate, B):
     """Also where the veiling light is brighter than the image: the color of a point is then 0, not negative."""
-    ready = Sightings(observations_of(**BLUE, tau=2.0, gain_sd=0.1, lens=0.2, count=60))
+    ready = WeightedObservations(observations_of(**BLUE, tau=2.0, gain_sd=0.1, lens=0.2, count=60))
     family = Family(True, True, separate, lamp=True, lens=True, gains=True)
     values = ready._start(family)
     values[6:9], values[LENS], values[GAINS:] = B, 0.1, 0.05 * np.arange(VIEWS)

@@ -165,7 +165,7 @@ def test_a_fish_is_masked_whole_and_noise_is_not():
     valid = np.ones((90, 160), bool)
     assert not mask_of(photograph, picture, valid).any()
     fish = np.zeros((90, 160), np.uint8)
-    cv2.ellipse(fish, (60, 40), (20, 8), 20, 0, 360, 1, -1)
+    cv2.ellipse(fish, (60, 40), (20, 8), 20, 0, 360, (1,), -1)
     swum = np.where(fish[..., None] > 0, 0.9, photograph)
     mask = mask_of(swum, picture, valid)
     assert (mask & (fish > 0)).sum() / fish.sum() > 0.95

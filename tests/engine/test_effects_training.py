@@ -10,8 +10,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from runs import train_with
-from tiny import make_tiny_scene
 
 from swag_engine.effects.caustics import Illumination
 from swag_engine.effects.exposure import Exposure
@@ -32,6 +30,8 @@ from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
 from swag_engine.water.light import apply_gain
 from swag_engine.water.medium import Medium, open_water, through_water
+from tests.scenes.runs import train_with
+from tests.scenes.tiny import make_tiny_scene
 
 SETTINGS = TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1)
 OFF = "water=off,lamp=off,exposure=off,vignetting=off,caustics=off,moving_objects=off"

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
-from tiny import make_tiny_scene
 
 from benchmarks.lpips_weights import ArrayUnpickler
 from swag_engine.app.cli import main
@@ -35,6 +34,7 @@ from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
+from tests.scenes.tiny import make_tiny_scene
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck" / "images"
 SETTINGS = TrainSettings(iterations=40, width=64, max_gaussians=400, sh_degree=1)

@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import fields, replace
+from typing import Any
 
 import pytest
 
@@ -92,7 +93,8 @@ def test_time_beside_training_is_added_to_every_run(forecast, tiny_scene):
     before = expected_outcome(tiny_scene, SETTINGS)["first_guess"]
     kept.write_text(json.dumps(document | {"seconds_beside": document["seconds_beside"] + 5}))
     assert expected_outcome(tiny_scene, SETTINGS)["first_guess"] == pytest.approx(before + 5, abs=0.01)
-    for damaged in ({"recipe": "swag"}, [], document | {"speed": {}}):
+    every_kind: tuple[Any, ...] = ({"recipe": "swag"}, [], document | {"speed": {}})
+    for damaged in every_kind:
         kept.write_text(json.dumps(damaged))
         assert expected_outcome(tiny_scene, SETTINGS) is None
 

@@ -5,6 +5,7 @@ import json
 import logging
 import resource
 import struct
+from typing import Any
 
 import numpy as np
 import plyfile
@@ -315,10 +316,10 @@ def test_compressed_by_hand(tmp_path, more):
     packed_ply(tmp_path / "old.ply", names, words, chunk, more)
     read = read_ply(tmp_path / "old.ply")
     inside = [-1 + 2 * 1536 / 2047, -2 + 4 * 256 / 1023, -3 + 8 * 64 / 2047]
-    np.testing.assert_allclose(read.positions, [inside, [1, 2, 5]], rtol=1e-6)
+    np.testing.assert_allclose(read.positions, [inside, [1.0, 2.0, 5.0]], rtol=1e-6)
     np.testing.assert_allclose(read.scales, np.exp([[-4, -4, -4], [0, -4, -4]]), rtol=1e-6)
     np.testing.assert_allclose(read.rotations, [[0.5**0.5, 0.5**0.5, 0, 0], [0, 0, 0, 1]], atol=2e-3)
-    np.testing.assert_allclose(0.5 + 0.28209479 * read.sh[:, 0], [[1, 0, 0], [0, 0.2, 0]], atol=1e-6)
+    np.testing.assert_allclose(0.5 + 0.28209479 * read.sh[:, 0], [[1.0, 0.0, 0.0], [0.0, 0.2, 0.0]], atol=1e-6)
     np.testing.assert_allclose(read.opacities, [1, 0.4], atol=1e-6)
 
 
@@ -333,7 +334,7 @@ def test_windows_line_ends_and_comments(tmp_path):
 def test_infinite_logits_are_opacities(tmp_path):
     columns = ply_columns(some_splats(3, 0)) | {"opacity": np.array([np.inf, -np.inf, 0])}
     write_with_plyfile(tmp_path / "f.ply", columns)
-    np.testing.assert_array_equal(read_ply(tmp_path / "f.ply").opacities, np.float32([1, 0, 0.5]))
+    np.testing.assert_array_equal(read_ply(tmp_path / "f.ply").opacities, np.array([1, 0, 0.5], np.float32))
 
 
 def test_degree_four_keeps_degree_three(tmp_path, caplog):
@@ -439,7 +440,13 @@ class GlbBuilder:
 
     def __init__(self):
         self.binary = b""
-        self.document = {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": [], "nodes": [], "meshes": []}
+        self.document: dict[str, Any] = {
+            "asset": {"version": "2.0"},
+            "accessors": [],
+            "bufferViews": [],
+            "nodes": [],
+            "meshes": [],
+        }
 
     def accessor(self, array, component, normalized=False, stride=None):
         width = array.dtype.itemsize * array.shape[1]

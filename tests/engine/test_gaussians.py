@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from clouds import make_cloud
 
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians.init import gaussians_from_points
@@ -11,6 +10,7 @@ from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import Points
 from swag_engine.training.optimizer import Optimizer
+from tests.scenes.clouds import make_cloud
 
 
 def points_at(positions, colors=None):

@@ -47,7 +47,7 @@ def test_the_demo_scene_is_planned(planned):
 def test_costs_are_measured_on_this_machine(planned):
     plan, _ = planned
     costs = {name: effect.cost_ms for name, effect in plan.effects.items()}
-    measured = ("attenuation", "backscatter", "lamp", "exposure", "caustics", "semantics", "depth_prior")
+    measured = ("attenuation", "backscatter", "lamp", "exposure", "vignetting", "caustics", "semantics", "depth_prior")
     assert all(costs[name] > 0 for name in measured)
     assert costs["interpolation"] == costs["separate_backscatter"] == 0
     small = measured_costs(80, 45)

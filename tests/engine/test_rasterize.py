@@ -123,7 +123,7 @@ def test_reference_gradients_by_finite_differences(seed):
 
 @pytest.mark.parametrize("channels", [1, 3, 4, 7, 11])
 def test_kernels_agree_with_the_reference(channels):
-    worst = {}
+    worst: dict[str, float] = {}
     for number, scene in enumerate(clear_scenes(8, n=50, channels=channels, width=47, height=35)):
         scene["width"] = 47 - 5 * number  # partial tiles and strips of every kind
         truth, _ = run(scene, "torch", torch.float64)

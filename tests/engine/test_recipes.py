@@ -4,12 +4,12 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
 from swag_engine.evaluation.ssim import ssim
@@ -27,6 +27,7 @@ from swag_engine.training.objective import Objective
 from swag_engine.training.step import GEOMETRY
 from swag_engine.training.targets import Target
 from swag_engine.training.trainer import Trainer, train
+from tests.scenes.tiny import make_tiny_scene
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
 SETTINGS = TrainSettings(iterations=60, width=64, max_gaussians=400, sh_degree=1)
@@ -92,7 +93,8 @@ def test_stage_two_freezes_geometry_and_water_bit_by_bit(tiny_scene, tmp_path, m
 def test_stage_two_has_its_own_weights():
     recipe = Recipe(photometric=Photometric((1.0, 1.0), 0.0), stage_two_from=0.5, photometric_two=recipes.TRUE_L2)
     objective = Objective(recipe, 1.0, None, "torch")
-    color, target = torch.full((4, 4, 3), 0.75), StubTarget()
+    color = torch.full((4, 4, 3), 0.75)
+    target: Any = StubTarget()
     assert objective.reconstruction(color, target, 0.4).item() == pytest.approx(0.25)
     assert objective.reconstruction(color, target, 0.6).item() == pytest.approx(0.05 * 0.25 + 0.9 * 0.0625)
 
@@ -108,13 +110,14 @@ class StubTarget:
 def test_weights_follow_the_paper_over_time():
     objective = Objective(RECIPES["paper"], 1.0, None, "torch")
     color = torch.full((4, 4, 3), 0.75)
+    target: Any = StubTarget()
     t = 0.3
     similar = ssim(color, StubTarget.color, "torch").item()
     expected = (0.7 + 0.5 * t) * 0.8 * 0.25 + 0.2 * (1 - similar) + 0.1 * t * 0.0625
-    assert objective.reconstruction(color, StubTarget(), t).item() == pytest.approx(expected, rel=1e-5)
+    assert objective.reconstruction(color, target, t).item() == pytest.approx(expected, rel=1e-5)
     t = 0.8
     expected = (0.7 + 0.5 * t) * 0.25 + 0.9 * 0.0625
-    assert objective.reconstruction(color, StubTarget(), t).item() == pytest.approx(expected, rel=1e-5)
+    assert objective.reconstruction(color, target, t).item() == pytest.approx(expected, rel=1e-5)
 
 
 def test_reallocation_keeps_the_number_and_ends_before_stage_two(tiny_scene, tmp_path, monkeypatch):
@@ -228,7 +231,7 @@ def test_frames_lie_between_training_images_and_count_for_color_only(tmp_path, m
     split = split_views(view.camera.name for view in scene.views)
     images = {image.camera.name: image for image in load_images(scene, scene.views, 64)}
     order = sorted(images)
-    used = []
+    used: list[str] = []
 
     def frame_between(a, b, t):
         """The true image between two; a blend of two that are neighbours."""
@@ -247,6 +250,7 @@ def test_frames_lie_between_training_images_and_count_for_color_only(tmp_path, m
     trainer = trainer_of(scene_folder, tmp_path / "run", monkeypatch)
     trainer.targets.frames = frames
     weights = []
+    target: Target
     add = trainer.state.statistics.add
     trainer.state.statistics.add = lambda *arguments: (weights.append(target.weight), add(*arguments))
     seen = set()

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from clouds import make_cloud
 
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians.cloud import GaussianCloud
@@ -21,6 +20,7 @@ from swag_engine.scene.images import load_images
 from swag_engine.training.optimizer import Optimizer
 from swag_engine.water.medium import Medium
 from swag_engine.water.network import WaterNetwork
+from tests.scenes.clouds import make_cloud
 
 REEF = Path(__file__).resolve().parents[1] / "scenes" / "reef_wreck"
 
@@ -207,7 +207,8 @@ def near_and_far():
     cloud.log_scales[:] = (0.008 * ranges).log()[:, None]
     beta = torch.tensor([0.3, 0.3, 0.3])
     medium = Medium.starting(3.0, "srgb", beta, beta, torch.tensor([0.2, 0.2, 0.2]))
-    return cloud, ranges > 4, Medium(*(t.double() for t in medium.parameters().values()), 3.0, "srgb")
+    parameters = {name: t.double() for name, t in medium.parameters().items()}
+    return cloud, ranges > 4, Medium(**parameters, unit_range=3.0, light="srgb")
 
 
 def test_structure_that_water_dims_is_not_removed_first(monkeypatch):

@@ -136,7 +136,7 @@ def test_every_door_leaves_a_report_and_none_is_spoiled_by_it(tiny_scene, tmp_pa
         request = {"request": "train", "scene": str(tiny_scene), "out": str(tmp_path / name), "settings": settings}
         events = StringIO()
         child = Worker(StringIO(json.dumps(request) + "\n"), events)
-        child.stop.set = lambda: None  # the end of the requests comes at once here; the run is to end by itself
+        child.stop.set = lambda: None  # type: ignore[method-assign] # the end of the requests comes at once here; the run is to end by itself
         child.run()
         return json.loads(events.getvalue().splitlines()[-1])
 

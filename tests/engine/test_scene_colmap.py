@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from dots import dot_positions, make_dot_scene
 
 from swag_engine.scene.colmap import Scene, load_scene, up_direction
 from swag_engine.scene.inspect import describe, inspect_scene
+from tests.scenes.dots import dot_positions, make_dot_scene
 
 shared = Path(__file__).resolve().parents[2].parent / "shared"
 needs_data = pytest.mark.skipif(not (shared / "data").is_dir(), reason="the shared example scenes are not here")

@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from dots import draw_dots, make_dot_scene
 
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images, read_image
 from swag_engine.scene.lenses import Lens
+from tests.scenes.dots import draw_dots, make_dot_scene
 
 # Every camera model of pycolmap that a pinhole picture can be made of, with distortion worth the name.
-LENSES = {
+LENSES: dict[str, list[float]] = {
     "SIMPLE_PINHOLE": [300, 200, 150],
     "PINHOLE": [300, 310, 205, 148],
     "SIMPLE_RADIAL": [300, 200, 150, -0.25],

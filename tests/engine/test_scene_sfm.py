@@ -82,7 +82,7 @@ def test_poses_of_dim_photographs_are_found(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("codec", "suffix"), [("mp4v", ".mp4"), ("MJPG", ".avi")])
 def test_video_frames_are_the_sharp_ones_evenly_spaced_in_motion(tmp_path: Path, codec: str, suffix: str) -> None:
     film = tmp_path / f"Film ü{suffix}"
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*codec), 25, SIZE)
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*codec), 25, SIZE)
     places = np.concatenate([np.linspace(-1, 0, 60), np.zeros(60), np.linspace(0, 1, 60)])  # the camera rests midway
     for number, x in enumerate(places):
         frame = render(x)
@@ -102,7 +102,7 @@ def test_a_video_becomes_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(sfm, "_FEWEST_FRAMES", 10)
     monkeypatch.setattr(sfm, "_MOST_FRAMES", 12)
     film = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"MJPG"), 25, SIZE)
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 25, SIZE)
     for x in np.linspace(-1.5, 1.5, 40):
         writer.write(render(x))
     writer.release()
@@ -113,7 +113,7 @@ def test_a_video_becomes_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_a_video_in_which_nothing_moves_is_refused(tmp_path: Path) -> None:
     film = tmp_path / "still.avi"
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"MJPG"), 25, SIZE)
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 25, SIZE)
     for _ in range(10):
         writer.write(render(0))
     writer.release()

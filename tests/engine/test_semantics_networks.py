@@ -32,9 +32,9 @@ def write_graph(path: Path, graph: str) -> Path:
 
 def write_nodes(path: Path, nodes: list, inputs: list, outputs: list, tables: dict[str, np.ndarray]) -> Path:
     """A graph with tables; inputs and outputs are (name, element type, shape)."""
-    infos = [[helper.make_tensor_value_info(*tensor) for tensor in side] for side in (inputs, outputs)]
+    before, after = ([helper.make_tensor_value_info(*tensor) for tensor in side] for side in (inputs, outputs))
     stored = [numpy_helper.from_array(table, name) for name, table in tables.items()]
-    graph = helper.make_graph(nodes, "net", *infos, stored)
+    graph = helper.make_graph(nodes, "net", before, after, stored)
     onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), path)
     return path
 
@@ -242,7 +242,7 @@ def test_masks_are_drawn_where_the_boxes_are(tmp_path: Path, size: str) -> None:
 def test_words_become_regions(tmp_path: Path, bert: Path) -> None:
     provider = GroundedSam(dino(tmp_path, bert), sam(tmp_path, "H,W,3"))
     pixels = np.zeros((60, 100, 3), np.uint8)
-    image = TrainingImage(None, pixels, np.ones((60, 100), bool))  # type: ignore[arg-type]
+    image = TrainingImage(None, pixels, np.ones((60, 100), bool))
     regions = provider.regions(image, ["coral", "anchor"])
     assert [region.label for region in regions] == ["coral", "anchor"]
     assert regions[1].mask[:30, 50:].all() and regions[1].mask.sum() == 30 * 50

@@ -1,5 +1,6 @@
 """Regions of a scene's photographs: the user's masks, saliency, the cache, and their labels."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -39,9 +40,10 @@ class Boxes:
     name = "Boxes"
 
     def __init__(self, *regions: tuple[str, tuple[int, int, int, int]]) -> None:
-        self.given, self.key, self.asked, self.words = regions, f"boxes:{regions}", 0, [()]
+        self.given, self.key, self.asked = regions, f"boxes:{regions}", 0
+        self.words: list[tuple[str, ...]] = [()]
 
-    def regions(self, image: TrainingImage, words: tuple[str, ...]) -> list[Region]:
+    def regions(self, image: TrainingImage, words: Sequence[str]) -> list[Region]:
         self.asked += 1
         self.words.append(tuple(words))
         return [Region(box(image, *corners), name) for name, corners in self.given]

@@ -4,13 +4,12 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from clouds import make_cloud
-from tiny import make_tiny_scene
 
 from swag_engine.experiments.label_run import search_run
 from swag_engine.formats.ply import read_ply
@@ -28,6 +27,8 @@ from swag_engine.training.guidance import Guidance, find_guidance, is_pruned, op
 from swag_engine.training.objective import Objective
 from swag_engine.training.targets import Target
 from swag_engine.training.trainer import train
+from tests.scenes.clouds import make_cloud
+from tests.scenes.tiny import make_tiny_scene
 
 SETTINGS = TrainSettings(iterations=100, width=64, max_gaussians=400, sh_degree=1)
 ALL_ON = "salient-densification=on,salient-pixels=on,open-water=on,class-pruning=on,reallocation=on"
@@ -147,7 +148,7 @@ def masks_of_another_size(scene: Path, tmp_path: Path) -> dict[str, str]:
     ],
 )
 def test_what_cannot_be_labelled_does_not_harm_a_training(
-    scene: Path, plain: Path, tmp_path: Path, wrong: Callable[[Path, Path], dict[str, str]], note: str
+    scene: Path, plain: Path, tmp_path: Path, wrong: Callable[[Path, Path], dict[str, Any]], note: str
 ) -> None:
     settings = replace(SETTINGS, effects="semantics=on", **wrong(scene, tmp_path))
     result = train(scene, tmp_path / "run", settings)

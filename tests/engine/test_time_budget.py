@@ -5,7 +5,6 @@ import re
 from dataclasses import asdict, replace
 
 import pytest
-from runs import train_with
 
 from swag_engine.app.progress import BARS, sparkline
 from swag_engine.base import timing
@@ -17,6 +16,7 @@ from swag_engine.training.pacing.clock import REPLAN_EVERY, Clock, is_flat, next
 from swag_engine.training.pacing.speed import Extent, Speed, predicted_seconds
 from swag_engine.training.schedule import STANDARD, LearningRates
 from swag_engine.training.trainer import train
+from tests.scenes.runs import train_with
 
 SHORT = TrainSettings(iterations=60, width=64, max_gaussians=300, sh_degree=1)
 NO_CLOSING = replace(STANDARD, closing_seconds=0.1)

@@ -4,11 +4,11 @@ import csv
 import json
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from runs import training_times
 from safetensors.torch import save_file
 
 from swag_engine.app.cli import main
@@ -21,6 +21,7 @@ from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.settings.presets import PRESETS
 from swag_engine.settings.settings import TrainSettings
+from tests.scenes.runs import training_times
 
 GRID = Grid(presets=("draft",), iterations=(4, 24), widths=(32, 64), max_gaussians=(320,), effects=("water=off",))
 
@@ -36,7 +37,7 @@ def done(tiny_scene, tmp_path_factory):
 
 def test_a_point_is_dominated_by_one_that_is_as_fast_and_as_good_and_better_in_one():
     random = np.random.default_rng(0)
-    points = [tuple(map(float, point)) for point in random.integers(0, 6, (40, 2))]
+    points = [(float(seconds), float(quality)) for seconds, quality in random.integers(0, 6, (40, 2))]
     for (seconds, quality), by in zip(points, find_dominating(points), strict=True):
         dominating = [p for p in points if p[0] <= seconds and p[1] >= quality and p != (seconds, quality)]
         assert (by is None) == (not dominating)
@@ -73,8 +74,9 @@ def test_the_grid_holds_every_combination_once():
     wider = replace(GRID, widths=(16, 32, 64), effects=("default", "water=off"))
     assert {run.folder for run in GRID.runs()} < {run.folder for run in wider.runs()}
     for nothing in ("presets", "effects", "widths"):
+        change: dict[str, Any] = {nothing: ()}
         with pytest.raises(InputError, match="nothing to run"):
-            replace(GRID, **{nothing: ()}).runs()
+            replace(GRID, **change).runs()
     with pytest.raises(InputError, match="There is no effect"):
         replace(GRID, effects=("no",)).runs()
 
@@ -131,7 +133,8 @@ def test_runs_that_are_finished_are_kept(done, tiny_scene, tmp_path):
 
 def test_lpips_weights_add_their_figures(done, tiny_scene, tmp_path):
     """Random weights of AlexNet's shapes, and none of VGG16."""
-    weights, random = {}, torch.Generator().manual_seed(0)
+    weights: dict[str, torch.Tensor] = {}
+    random = torch.Generator().manual_seed(0)
     layers = {0: (64, 3, 11), 3: (192, 64, 5), 6: (384, 192, 3), 8: (256, 384, 3), 10: (256, 256, 3)}
     for index, (layer, (outputs, inputs, side)) in enumerate(layers.items()):
         deviation = (inputs * side**2) ** -0.5

@@ -4,16 +4,17 @@ import json
 import shutil
 import sys
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
-from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
 from swag_engine.formats.ply import read_ply
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import checkpoints, load_checkpoint
 from swag_engine.training.trainer import train
+from tests.scenes.tiny import make_tiny_scene
 
 SETTINGS = TrainSettings(iterations=150, width=64, max_gaussians=500, sh_degree=1)
 
@@ -27,7 +28,7 @@ def stop_after(iterations):
 @pytest.fixture(scope="module")
 def whole_run(tiny_scene, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    events = []
+    events: list[dict[str, Any]] = []
     result = train(tiny_scene, folder, SETTINGS, on_event=events.append)
     return folder, result, events
 

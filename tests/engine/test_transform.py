@@ -1,5 +1,7 @@
 """Moved splats look the same to a camera that moved along."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.special import sph_harm_y
@@ -170,7 +172,7 @@ def test_bad_matrices_are_refused():
     ],
 )
 def test_wrong_shapes_and_dtypes_are_refused(change):
-    good = {
+    good: dict[str, Any] = {
         "positions": np.zeros((3, 3), np.float32),
         "rotations": np.zeros((3, 4), np.float32),
         "scales": np.zeros((3, 3), np.float32),
@@ -192,5 +194,5 @@ def test_concatenated_splats_keep_colours_and_extras():
     np.testing.assert_array_equal(both.sh[3:], high.sh)
     np.testing.assert_array_equal(both.rotations[3:], high.rotations)
     np.testing.assert_array_equal(both.extras["label"], [0, 1, 2, 70000, 2])
-    np.testing.assert_array_equal(both.extras["similarity"], np.float32([0, 0, 0, 0.5, 0.5]))
+    np.testing.assert_array_equal(both.extras["similarity"], np.array([0, 0, 0, 0.5, 0.5], np.float32))
     np.testing.assert_array_equal(both.subset(both.extras["label"] == 2).positions, both.positions[[2, 4]])

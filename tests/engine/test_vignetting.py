@@ -13,6 +13,7 @@ from swag_engine.effects.registry import REGISTRY
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.effects.vignetting import LEAST_GAIN, MOST_GAIN, Vignetting
 from swag_engine.evidence.scene_evidence import SceneEvidence
+from swag_engine.kernels.reference.transfer import to_light
 from swag_engine.planning.plan import Plan, PlannedEffect
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
@@ -20,7 +21,7 @@ from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
-from swag_engine.water.light import to_light
+from swag_engine.training.trials import undetermined_effects
 from tests.scenes.effect_scenes import small_scene
 
 EFFECT = REGISTRY["vignetting"]
@@ -78,10 +79,11 @@ def test_the_gain_stays_positive_and_bounded_and_can_return(size):
 
 
 def test_held_out_images_get_it_and_restored_ones_do_not():
-    effects = SceneEffects({"vignetting": vignetting(*COEFFICIENTS)})
+    model = vignetting(*COEFFICIENTS)
+    effects = SceneEffects({"vignetting": model})
     picture = random(9, 16, 3)
     shown = effects.apply_to_image(picture, "no training image")
-    expected = to_light(picture) * effects.models["vignetting"].log_gain("", 9, 16).exp()
+    expected = to_light(picture) * model.log_gain("", 9, 16).exp()
     torch.testing.assert_close(to_light(shown), expected)
     assert torch.equal(effects.apply_to_image(picture, "no training image", amount=0.0), picture)
 
@@ -93,6 +95,7 @@ def test_a_checkpoint_holds_it():
     effects = SceneEffects({"vignetting": vignetting(*COEFFICIENTS, centre=(0.4, 0.6))})
     state = json.loads(json.dumps(effects.state()))
     read = SceneEffects.from_checkpoint(effects.parameters(), state).models["vignetting"]
+    assert isinstance(read, Vignetting)
     assert torch.equal(read.coefficients, effects.parameters()["vignetting.coefficients"])
     assert read.centre == (0.4, 0.6)
 
@@ -131,26 +134,31 @@ def test_a_lens_that_falls_off_is_found_with_its_gain(decided):
     assert decision.evidence["falloff"] == pytest.approx(0.3, abs=0.06)
     start = EFFECT.fitted(evidence)
     context = InitialContext(start, [], 160, 90, 1.0)
-    gain = EFFECT.initial(context).log_gain("any", 90, 160)[..., 0].exp().numpy()
+    model = EFFECT.initial(context)
+    assert isinstance(model, Vignetting)
+    gain = model.log_gain("any", 90, 160)[..., 0].exp().numpy()
     y, x = (np.mgrid[:90, :160] + 0.5 - np.array([45, 80])[:, None, None]) / np.hypot(45, 80)
     np.testing.assert_allclose(gain, 1 - 0.3 * (x * x + y * y), atol=0.06)
     assert start["centre"] == pytest.approx([0.5, 0.5], abs=1e-3)
 
 
-@pytest.mark.parametrize("amounts", [{}, {"vignetting": 0.02}, {"exposure": 0.12}])
+@pytest.mark.parametrize("amounts", [{}, {"vignetting": 0.02, "exposure": 0.12}])
 def test_it_is_off_where_the_lens_does_not_fall_off(decided, amounts):
     _, decision = decided("around", **amounts)
     assert decision.state == "off", decision
 
 
-def test_beside_a_lamp_it_cannot_be_distinguished_from_the_beam(decided):
-    evidence, decision = decided("around", lamp=1.0, vignetting=0.3)
+@pytest.mark.parametrize("amounts", [{"lamp": 1.0}, {"lamp": 1.0, "vignetting": 0.3}])
+def test_beside_a_lamp_it_is_neither_on_nor_tried(decided, amounts):
+    evidence, decision = decided("around", **amounts)
     assert REGISTRY["lamp"].decide(evidence, {}).state == "on"
-    assert decision.state == "unknown" and "beam of a lamp" in decision.reason
-    assert decided("around", lamp=1.0)[1].state != "on"
+    assert decision.state == "unknown" and "beam of the lamp" in decision.reason
+    line = PlannedEffect(decision.state, decision.evidence, decision.reason, 0.0)
+    off = PlannedEffect("off", {}, "", 0.0)
+    assert undetermined_effects(Plan(dict.fromkeys(EFFECTS, off) | {"vignetting": line}, None, "")) == []
 
 
-@pytest.mark.parametrize("amounts", [{}, {"vignetting": 0.3}, {"lamp": 1.0}])
+@pytest.mark.parametrize("amounts", [{"vignetting": 0.3}, {"lamp": 1.0}])
 def test_a_survey_at_constant_height_cannot_show_it(decided, amounts):
     _, decision = decided("survey", **amounts)
     assert decision.state == "unknown" and "vary together" in decision.reason

@@ -29,7 +29,7 @@ def test_a_medium_starts_from_its_coefficients():
     torch.testing.assert_close(medium.beta_D, beta_D)
     torch.testing.assert_close(medium.beta_B, beta_D)
     for degree in (0, 2):
-        water = open_water(medium, *(t.float() for t in CAMERA), 22, 16, degree)
+        water = open_water(medium, CAMERA[0].float(), CAMERA[1].float(), 22, 16, degree)
         torch.testing.assert_close(to_light(water), B.expand(16, 22, 3), atol=1e-5, rtol=0)
     default = Medium.starting(4.0)
     torch.testing.assert_close(default.beta_D * 4, torch.tensor([0.5, 0.25, 0.2]))
@@ -88,9 +88,9 @@ def test_gradients_by_finite_differences(light, degree, through_range):
     directions = torch.nn.functional.normalize(offsets, dim=1)
     ranges = offsets.norm(dim=1, keepdim=True)
 
-    def function(colors, ranges, *parameters):
+    def function(colors, ranges, attenuation, backscatter, veil):
         places = directions * (ranges if through_range else ranges.detach())
-        water = Medium(*parameters, medium.unit_range, light)
+        water = Medium(attenuation, backscatter, veil, medium.unit_range, light)
         seen = through_water(colors, places, water, degree)
         return torch.cat([seen.reshape(-1), open_water(water, *CAMERA, 3, 2, degree).reshape(-1)])
 
@@ -113,7 +113,7 @@ def test_kernels_agree(light, degree):
         parameters = list(medium.parameters().values())
         leaves = [t.requires_grad_() for t in (colors, offsets, *parameters)]
         seen = through_water(colors, offsets, medium, degree, backend=backend)
-        water = open_water(medium, *(t.to(dtype) for t in CAMERA), 22, 16, degree, backend=backend)
+        water = open_water(medium, CAMERA[0].to(dtype), CAMERA[1].to(dtype), 22, 16, degree, backend=backend)
         weights = [torch.randn(t.shape, generator=torch.Generator().manual_seed(3)).to(dtype) for t in (seen, water)]
         gradients = torch.autograd.grad((seen * weights[0]).sum() + (water * weights[1]).sum(), leaves)
         results.append([t.detach().double() for t in (seen, water, *gradients)])
@@ -143,9 +143,10 @@ def test_the_same_bits_for_any_number_of_threads():
 def test_extremes_stay_finite(raw, range_, light, backend):
     colors = torch.tensor([[0.0, 0.5, 1.3]], requires_grad=True)
     offsets = torch.tensor([[0.0, 0.0, range_]], requires_grad=True)
-    parameters = [torch.full((3,), raw), torch.full((3,), raw), torch.zeros(9, 3)]
+    parameters = torch.full((3,), raw), torch.full((3,), raw), torch.zeros(9, 3)
     parameters[2][0] = torch.tensor([-300.0, 0.0, 300.0])  # B = 0 and B = 1 among them
-    parameters = [t.requires_grad_() for t in parameters]
+    for parameter in parameters:
+        parameter.requires_grad_()
     seen = through_water(colors, offsets, Medium(*parameters, 1.0, light), backend=backend)
     assert seen.isfinite().all()
     for gradient in torch.autograd.grad(seen.sum(), [colors, offsets, *parameters]):

@@ -17,9 +17,9 @@ def make(n=30, dtype=torch.float64, seed=0):
     colors = torch.rand(n, 3, generator=random, dtype=torch.float64).to(dtype)
     offsets = (2 * torch.randn(n, 3, generator=random, dtype=torch.float64)).to(dtype)
     network = WaterNetwork.starting(UNIT, seed)
-    tensors = [t.to(dtype) for t in network.parameters().values()]
-    tensors[0] = tensors[0] + 0.05 * torch.randn(len(tensors[0]), generator=random).to(dtype)
-    return colors, offsets, WaterNetwork(*tensors, UNIT)
+    weights, attenuation, backscatter = (t.to(dtype) for t in network.parameters().values())
+    weights = weights + 0.05 * torch.randn(len(weights), generator=random).to(dtype)
+    return colors, offsets, WaterNetwork(weights, attenuation, backscatter, UNIT)
 
 
 def test_the_layers_are_those_of_the_paper():
@@ -35,7 +35,8 @@ def test_the_layers_are_those_of_the_paper():
 def test_it_equals_the_same_network_in_torch_modules():
     """The one long tensor of weights is cut as the docstring says."""
     colors, offsets, network = make()
-    modules, start = [], 0
+    modules: list[torch.nn.Module] = []
+    start = 0
     for inputs, outputs in [(70, 128), (128, 64), (64, 32), (32, 16), (16, 8), (8, 6)]:
         linear = torch.nn.Linear(inputs, outputs).double()
         for parameter in (linear.weight, linear.bias):

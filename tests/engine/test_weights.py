@@ -206,7 +206,8 @@ def test_a_graph_that_fails_or_makes_no_numbers_is_named(tmp_path: Path) -> None
 class Server(http.server.ThreadingHTTPServer):
     """Serves `content`, from where it is asked to if `resumes`; stops after `most` bytes."""
 
-    content, most, resumes, status = b"", None, True, 200
+    content, resumes, status = b"", True, 200
+    most: int | None = None
 
     def __init__(self) -> None:
         super().__init__(("127.0.0.1", 0), Handler)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -108,7 +109,7 @@ def test_a_paused_run_stands_still_and_ends_as_if_it_had_not(tiny_scene, tmp_pat
     from swag_engine.settings.settings import TrainSettings
     from swag_engine.training.trainer import train
 
-    settings = {"iterations": 300, "width": 64, "max_gaussians": 400, "sh_degree": 0}
+    settings: dict[str, Any] = {"iterations": 300, "width": 64, "max_gaussians": 400, "sh_degree": 0}
     train(tiny_scene, tmp_path / "whole", TrainSettings(**settings))
     with Worker() as worker:
         worker.send(request="train", scene=str(tiny_scene), out=str(tmp_path / "run"), settings=settings)

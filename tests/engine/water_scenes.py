@@ -13,9 +13,11 @@ def make_water(n=40, light="linear", seed=0, dtype=torch.float64):
     generator = torch.Generator().manual_seed(seed)
     colors = torch.rand(n, 3, generator=generator, dtype=torch.float64)
     offsets = torch.randn(n, 3, generator=generator, dtype=torch.float64) * 2
-    medium = Medium(*(torch.randn(size, generator=generator).double() for size in ((3,), (3,), (9, 3))), 2.5, light)
+    attenuation, backscatter, veil = (torch.randn(size, generator=generator).double() for size in ((3,), (3,), (9, 3)))
+    medium = Medium(attenuation, backscatter, veil, 2.5, light)
     medium.veil *= 0.5
-    return colors.to(dtype), offsets.to(dtype), Medium(*(t.to(dtype) for t in medium.parameters().values()), 2.5, light)
+    parameters = {name: t.to(dtype) for name, t in medium.parameters().items()}
+    return colors.to(dtype), offsets.to(dtype), Medium(**parameters, unit_range=2.5, light=light)
 
 
 def gain_and_gradients(shape, backend, dtype, device="cpu"):
@@ -24,6 +26,6 @@ def gain_and_gradients(shape, backend, dtype, device="cpu"):
     display = torch.rand(45, 17, 3, generator=generator, dtype=torch.float64) ** 4 * 1.3
     log_gain = torch.randn(shape, generator=generator, dtype=torch.float64)
     leaves = [t.to(device, dtype, copy=True).requires_grad_() for t in (display, log_gain)]
-    shown = apply_gain(*leaves, backend)
+    shown = apply_gain(leaves[0], leaves[1], backend)
     weights = torch.randn(shown.shape, generator=generator, dtype=torch.float64).to(shown)
     return [t.detach().double().cpu() for t in (shown, *torch.autograd.grad((shown * weights).sum(), leaves))]

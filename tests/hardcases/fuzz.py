@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
+sys.path.insert(0, str(ROOT))
 
 import cv2
 import numpy as np
@@ -54,11 +54,10 @@ def words_changed(data: bytes, random: np.random.Generator) -> bytes:
 
 
 def colmap(folder: Path, text: bool) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:
-    from dots import make_dot_scene
-
     from swag_engine.gaussians.init import gaussians_from_points
     from swag_engine.scene.colmap import load_scene
     from swag_engine.scene.inspect import describe, inspect_scene
+    from tests.scenes.dots import make_dot_scene
 
     scene = make_dot_scene(folder, views=3, text=text)
 
@@ -84,8 +83,6 @@ def images(folder: Path) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:
 
 def run_folder(folder: Path) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:
     """Every file of a run that is read again, with each function that reads it."""
-    from tiny import make_tiny_scene
-
     from swag_engine.experiments.evaluate_run import render_run
     from swag_engine.experiments.label_run import label_run, search_run
     from swag_engine.formats.export import ExportOptions, export_run
@@ -94,6 +91,7 @@ def run_folder(folder: Path) -> Iterator[tuple[Path, Door, tuple[Change, ...]]]:
     from swag_engine.settings.settings import TrainSettings
     from swag_engine.training.checkpoint import checkpoints
     from swag_engine.training.trainer import train
+    from tests.scenes.tiny import make_tiny_scene
 
     scene, run = make_tiny_scene(folder / "scene", views=4, width=24, height=18, points=40), folder / "run"
     settings = TrainSettings(

@@ -60,7 +60,7 @@ def main() -> None:
 
     bpy.ops.wm.read_homefile(use_empty=True)
     engine = Kept()
-    import_scene.Engine = lambda: engine
+    import_scene.Engine = lambda: engine  # type: ignore[misc, assignment]
     for line in sys.stdin:
         try:
             for path in json.loads(line):

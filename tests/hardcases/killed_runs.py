@@ -21,15 +21,15 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "scenes")]
+sys.path.insert(0, str(ROOT))
 
 import torch
 from safetensors import safe_open
-from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
 from swag_engine.base.files import LOCK, TEMPORARY_NAMES, locked_folder
@@ -40,6 +40,7 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import checkpoints, load_checkpoint
 from swag_engine.training.schedule import Schedule
 from swag_engine.training.trainer import make_trainer
+from tests.scenes.tiny import make_tiny_scene
 
 SETTINGS = TrainSettings(iterations=40, width=48, max_gaussians=400, sh_degree=1)
 SCHEDULE = Schedule(checkpoint_seconds=0.01, preview_seconds=0.03)
@@ -145,10 +146,16 @@ def check_equal(out: Path, expected: Path) -> None:
         json.loads(line)
 
 
+def remove_hidden_files(folder: Path) -> None:
+    for path in folder.glob(".*"):
+        path.unlink()
+
+
 def killed_runs(folder: Path, kills: int, seed: int) -> dict[str, Any]:
     """Kill so many processes and return counts. Raises AssertionError where something was lost."""
     torch.set_num_threads(1)
-    chance, seen = random.Random(seed), Counter()
+    chance = random.Random(seed)
+    seen: Counter[str] = Counter()
     scene = make_tiny_scene(folder / "scene", width=48, height=36, points=200)
     started = time.monotonic()
     assert in_a_process(lambda: train(scene, folder / "expected")) == 0
@@ -160,7 +167,12 @@ def killed_runs(folder: Path, kills: int, seed: int) -> dict[str, Any]:
         kind = KINDS[turn % len(KINDS)]
         arrange = ending(kind, chance, seconds)
         had = len(checkpoints(out))
-        status = in_a_process(lambda out=out, arrange=arrange: (arrange(), train(scene, out)))
+
+        def work(out: Path = out, arrange: Callable[[], None] = arrange) -> None:
+            arrange()
+            train(scene, out)
+
+        status = in_a_process(work)
         wanted = {"full": REFUSED, "write": -signal.SIGXFSZ}.get(kind, -signal.SIGKILL)
         assert status in (0, wanted), f"{kind}: exit status {status}"
         seen[kind] += status == wanted
@@ -170,7 +182,7 @@ def killed_runs(folder: Path, kills: int, seed: int) -> dict[str, Any]:
         if config.exists() and RunFolder(out).finished():
             seen["finished"] += 1
             if status == wanted:  # the last thing that the process did was to finish
-                in_a_process(lambda out=out: [path.unlink() for path in out.glob(".*")])
+                in_a_process(partial(remove_hidden_files, out))
             check_equal(out, folder / "expected")
             number += 1
     out = folder / f"run {number}"

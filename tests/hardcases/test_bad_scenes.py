@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from dots import make_dot_scene
 
 from swag_engine.base.errors import InputError
 from swag_engine.scene import sfm
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
+from tests.scenes.dots import make_dot_scene
 
 
 def sentence(work: Callable[[], object], *names: object) -> str:

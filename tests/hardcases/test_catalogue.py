@@ -16,8 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hard import CLOUDS, SCENES, WATER, make_hard_scene
-from runs import train_with
 
 from swag_engine.experiments import evaluate_run as evaluation
 from swag_engine.formats.export import export_run
@@ -30,6 +28,8 @@ from swag_engine.planning.plan import plan_scene
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import InitialCloud
+from tests.scenes.hard import CLOUDS, SCENES, WATER, make_hard_scene
+from tests.scenes.runs import train_with
 
 SETTINGS = TrainSettings(iterations=120, width=32, max_gaussians=150, backend="cpu")
 FEW = {"torch": 6, "cuda": 3}
@@ -65,8 +65,8 @@ Blender = Callable[[list[Path]], dict]
 def blender(tmp_path_factory):
     environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path_factory.mktemp("blender"))}
     command = [sys.executable, str(Path(__file__).with_name("in_blender.py"))]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen(command, **pipes, text=True, env=environment) as process:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment) as process:
 
         def imported(paths: list[Path]) -> dict:
             print(json.dumps(list(map(str, paths))), file=process.stdin, flush=True)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -35,7 +36,7 @@ def test_killed_runs_resume_bit_equal():
 
 
 def test_a_file_is_flushed_before_it_is_renamed(tmp_path, monkeypatch):
-    done = []
+    done: list[Path | str] = []
     fsync, replace = os.fsync, os.replace
     monkeypatch.setattr(os, "fsync", lambda f: (done.append(Path(os.readlink(f"/proc/self/fd/{f}"))), fsync(f))[1])
     monkeypatch.setattr(os, "replace", lambda a, b: (done.append("rename"), replace(a, b))[1])
@@ -113,7 +114,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
 def test_a_killed_blender_leaves_a_whole_run_and_no_worker(tiny_scene, tmp_path):
     """When its parent process dies, the worker reaches the end of its pipe, writes the result so far, and ends."""
     run = tmp_path / "run"
-    request = {"request": "train", "scene": str(tiny_scene), "out": str(run)}
+    request: dict[str, Any] = {"request": "train", "scene": str(tiny_scene), "out": str(run)}
     request["settings"] = {"iterations": 100_000, "width": 48, "max_gaussians": 300, "sh_degree": 0}
     code = f"""
 import subprocess, sys, time

@@ -1,6 +1,7 @@
 """Regression tests of what fuzzing and random search found."""
 
 import json
+from typing import Any
 
 import onnx
 import onnx.parser
@@ -8,7 +9,6 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from tiny import make_tiny_scene
 
 from swag_engine.app.protocol import parse_request
 from swag_engine.base.errors import InputError
@@ -21,9 +21,10 @@ from swag_engine.scene.inspect import describe, inspect_scene
 from swag_engine.training.losses import photometric
 from swag_engine.water.medium import Medium
 from swag_engine.weights.onnx import Network
+from tests.scenes.tiny import make_tiny_scene
 
 ANY = st.floats(width=32, allow_nan=True, allow_infinity=True)
-CAMERA = {"width": 16, "height": 12, "cx": 8.0, "cy": 6.0}
+CAMERA: dict[str, Any] = {"width": 16, "height": 12, "cx": 8.0, "cy": 6.0}
 
 
 def numbers(count: int) -> st.SearchStrategy:
@@ -111,7 +112,7 @@ def test_a_point_that_is_too_far_away_is_left_out(tmp_path, far):
 @pytest.mark.parametrize("name", ["recipe", "effects", "backend", "water_type", "time_budget"])
 @pytest.mark.parametrize("value", [{}, [], 3, None])
 def test_settings_that_are_not_text_are_refused(name, value):
-    with pytest.raises(InputError, match="must be (a|one of) "):
+    with pytest.raises(InputError, match="must be a"):
         parse_request(json.dumps({"request": "train", "scene": "a", "out": "b", "settings": {name: value}}))
 
 

@@ -2,14 +2,13 @@
 
 import shutil
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from clouds import make_cloud
-from runs import train_with
 
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.formats.ply import read_ply
@@ -19,6 +18,8 @@ from swag_engine.training.guard import MOST_SKIPPED, Guard, GuardedState, step_p
 from swag_engine.training.optimizer import Optimizer
 from swag_engine.training.schedule import LearningRates, Schedule
 from swag_engine.training.trainer import Trainer, train
+from tests.scenes.clouds import make_cloud
+from tests.scenes.runs import train_with
 
 SETTINGS = TrainSettings(iterations=100, width=64, max_gaussians=500, sh_degree=1)
 
@@ -82,7 +83,7 @@ def test_a_damaged_image_that_can_still_be_read(tiny_scene, tmp_path, damage):
 
 def test_a_run_that_cannot_continue_stops_with_the_last_good_parameters(tiny_scene, tmp_path):
     """All images turn bad at iteration 20."""
-    good = {}
+    good: dict[str, torch.Tensor] = {}
 
     def turn_bad(trainer: Trainer) -> None:
         step = trainer.step
@@ -116,7 +117,7 @@ def test_a_run_that_was_rolled_back_resumes_bit_equal(tiny_scene, tmp_path):
         stops = iter([False] * iterations)
         train_with(
             tiny_scene, tmp_path / "run", short, resume=resume, schedule=schedule,
-            should_stop=lambda stops=stops: next(stops, True),
+            should_stop=partial(next, stops, True),
         )  # fmt: skip
     train_with(tiny_scene, tmp_path / "run", short, resume=True, schedule=schedule)
     (expected, _), (got, _) = load_checkpoint(tmp_path / "whole"), load_checkpoint(tmp_path / "run")

@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from runs import train_with
-from tiny import make_tiny_scene
 from torch.overrides import TorchFunctionMode
 
 from swag_engine.app.cli import main
@@ -25,6 +23,8 @@ from swag_engine.training import trainer as loop
 from swag_engine.training.pacing.memory import FEWEST, NARROWEST, SHARE, fit_memory, free_memory, is_shortage, needed
 from swag_engine.training.pacing.speed import Extent
 from swag_engine.training.targets import Target
+from tests.scenes.runs import train_with
+from tests.scenes.tiny import make_tiny_scene
 
 SETTINGS = TrainSettings(iterations=60, width=64, max_gaussians=500, sh_degree=1)
 EXTENT = Extent(training=90, held_out=10, points=9000, width=1000, height=800)

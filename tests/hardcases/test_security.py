@@ -8,13 +8,13 @@ import sys
 from pathlib import Path
 
 import pytest
-from tiny import make_tiny_scene
 
 from swag_engine.base.errors import InputError
 from swag_engine.experiments.evaluate_run import evaluate_run, render_run
 from swag_engine.scene.colmap import load_scene
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
+from tests.scenes.tiny import make_tiny_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = [

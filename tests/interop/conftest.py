@@ -69,9 +69,9 @@ def browser(npm_packages, missing):
         with ThreadingHTTPServer(("127.0.0.1", 0), Server) as server, tempfile.TemporaryDirectory() as profile:
             threading.Thread(target=server.serve_forever, daemon=True).start()
             address = f"http://127.0.0.1:{server.server_port}/{page}?width={width}&height={height}"
-            command = [CHROMIUM / "chromium", *CHROMIUM_FLAGS, f"--user-data-dir={profile}", address]
-            silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-            process = subprocess.Popen(command, env=environment, **silent)
+            command = [str(CHROMIUM / "chromium"), *CHROMIUM_FLAGS, f"--user-data-dir={profile}", address]
+            nowhere = subprocess.DEVNULL
+            process = subprocess.Popen(command, env=environment, stdout=nowhere, stderr=nowhere)
             try:
                 answered.wait(120)
             finally:

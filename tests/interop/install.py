@@ -32,7 +32,7 @@ def install() -> None:
             return
         # npm and the packages' programs look for node on the path.
         environment = os.environ | {"PATH": f"{NODE.parent}{os.pathsep}{os.environ['PATH']}"}
-        npm = [NODE.with_name("npm"), "ci", "--ignore-scripts", "--omit=peer", "--no-audit", "--no-fund"]
+        npm = [str(NODE.with_name("npm")), "ci", "--ignore-scripts", "--omit=peer", "--no-audit", "--no-fund"]
         subprocess.run(npm, cwd=HERE, env=environment, check=True, timeout=300)
         shutil.rmtree(CHROMIUM, ignore_errors=True)
         CHROMIUM.mkdir()

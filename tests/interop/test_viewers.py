@@ -30,7 +30,8 @@ def heap():
         random.uniform(0.1, 1, count),
         sh,
     )
-    return Splats(*(column.astype(np.float32) for column in columns))
+    positions, rotations, scales, opacities, sh = (column.astype(np.float32) for column in columns)
+    return Splats(positions, rotations, scales, opacities, sh)
 
 
 def side_camera():

@@ -57,7 +57,7 @@ def texture(random: np.random.Generator, base: np.ndarray, windows: bool) -> lis
 def street(seed: int) -> Place:
     """Two rows of houses along x; those far ahead are bluer and duller than those near by."""
     random = np.random.default_rng((seed, 11))
-    boxes = [[[-80, -60, -1], [120, 60, 0]]]
+    boxes: list[list[list[float]]] = [[[-80, -60, -1], [120, 60, 0]]]
     bases = [np.array([0.12, 0.12, 0.12])]
     for side in (-1, 1):
         x = -25.0

@@ -7,6 +7,7 @@ folder. Places: the reef and the wreck by Cycles, and those of boxes.py.
 """
 
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,8 @@ FISHY = 0.4
 """Fraction of the images that fish swim through in scenes with fish."""
 VIEWS = 20
 SIZE = (320, 180)
+SMALL = (12, 160, 90)
+"""Views, width and height of scenes that are made in seconds."""
 
 
 def looking(centre: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
@@ -84,12 +87,17 @@ def small_scene(out: Path, pattern: str, seed: int, **effects: object) -> Path:
     """Write a scene over a place of boxes that is made in seconds, in air or with the given water; returns `out`."""
     air = Water((0, 0, 0), (0, 0, 0), (0, 0, 0))
     chosen: dict = {"water": air} | effects
-    settings = Settings(out, views=12, width=160, height=90, points=500, seed=seed, **chosen)
+    make_scene(Settings(out, *SMALL, seed=seed, points=500, **chosen), _small_passes(pattern, seed))
+    return out
+
+
+@cache
+def _small_passes(pattern: str, seed: int) -> Rendered:
+    settings = Settings(Path(), *SMALL)
     poses, place = camera_poses(pattern, settings.views), PLACES[pattern](seed)
     size = (settings.width * settings.supersample, settings.height * settings.supersample)
     still = [passes_of(place, pose, *size, focal_length(settings) * settings.supersample) for pose in poses]
-    make_scene(settings, Rendered(poses, still, still, None))
-    return out
+    return Rendered(poses, still, still, None)
 
 
 PASSES = {"colour": "f2", "alpha": "f2", "range": "f4", "sun_share": "f2", "fish": "f2"}
@@ -100,7 +108,8 @@ def render_clean(folder: Path, seed: int) -> None:
     of the views."""
     settings = settings_for(folder)
     factor = settings.supersample
-    width, height, focal = (n * factor for n in (settings.width, settings.height, focal_length(settings)))
+    width, height = settings.width * factor, settings.height * factor
+    focal = focal_length(settings) * factor
     renderer = Renderer(Model(seed), width, height, focal, settings.samples)
     folder.mkdir(parents=True, exist_ok=True)
     for pattern in PATTERNS:
@@ -143,7 +152,9 @@ def rendered(folder: Path, pattern: str, seed: int, fish: bool = False) -> Rende
 
     def passes(views: list[np.ndarray]) -> list[Passes]:
         label = np.zeros(views[0].shape[1:3], np.uint8)
-        return [Passes(*(values.astype(np.float32) for values in view), label) for view in zip(*views, strict=True)]
+        by_name = ({name: values.astype(np.float32) for name, values in zip(PASSES, view, strict=True)}
+                   for view in zip(*views, strict=True))  # fmt: skip
+        return [Passes(**view, label=label) for view in by_name]
 
     seen = clean = passes(still)
     if fish:

@@ -7,9 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from tiny import make_tiny_scene
 
 from swag_engine.gaussians.cloud import GaussianCloud
+from tests.scenes.tiny import make_tiny_scene
 
 
 def _model(folder: Path, name: str) -> Path:
@@ -127,7 +127,7 @@ SCENES: dict[str, dict[str, Edit | Sizes]] = {
     },
     "content of images": {
         "black photographs": _images(lambda p: 0 * p),
-        "photographs of one color": _images(lambda p: 0 * p + np.uint8([200, 90, 30])),
+        "photographs of one color": _images(lambda p: 0 * p + np.array([200, 90, 30], np.uint8)),
         "grey photographs": _images(lambda p: cv2.cvtColor(p, cv2.COLOR_BGR2GRAY)),
         "photographs of noise": _images(_noise),
         "white photographs": _images(lambda p: 0 * p + 255),

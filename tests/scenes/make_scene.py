@@ -22,7 +22,7 @@ import shutil
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import cv2  # before pycolmap
 import numpy as np
@@ -83,7 +83,7 @@ class Settings:
     """The views whose clean image and range are written."""
 
 
-VOLUME = {  # per metre; beam attenuation is absorption + scattering
+VOLUME: dict[str, Any] = {  # per metre; beam attenuation is absorption + scattering
     "absorption": (0.17, 0.045, 0.025),
     "scattering": (0.05, 0.05, 0.05),
     "anisotropy": 0.6,
@@ -347,7 +347,8 @@ class Rendered:
 
 def render(settings: Settings) -> Rendered:
     factor = settings.supersample
-    width, height, focal = (n * factor for n in (settings.width, settings.height, focal_length(settings)))
+    width, height = settings.width * factor, settings.height * factor
+    focal = focal_length(settings) * factor
     renderer = Renderer(Model(settings.seed), width, height, focal, settings.samples)
     poses = camera_path(settings.views)
     still = []

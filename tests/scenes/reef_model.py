@@ -4,7 +4,7 @@ World: metres, z up, the sand at about z = 0. The hull lies along x at the origi
 Everything is seeded, so the same seed gives the same scene.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
+from numpy.typing import ArrayLike
 
 SUN = np.array([-0.42, -0.38, 0.82]) / np.linalg.norm([-0.42, -0.38, 0.82])  # towards the sun
 RGB = tuple[float, float, float]
@@ -111,7 +112,7 @@ def slab(corners: np.ndarray, thickness: np.ndarray, tint: float = 0.0) -> Mesh:
     return v, np.concatenate([f, [[3, 2, 1, 0], [last, last + 1, last + 2, last + 3]]]), t
 
 
-def board(start: np.ndarray, end: np.ndarray, width: float, thick: float, tint: float = 0.0, pieces: int = 2) -> Mesh:
+def board(start: ArrayLike, end: ArrayLike, width: float, thick: float, tint: float = 0.0, pieces: int = 2) -> Mesh:
     start, end = np.asarray(start, float), np.asarray(end, float)
     along = (end - start) / np.linalg.norm(end - start)
     side = np.cross(along, [0, 0, 1.0] if abs(along[2]) < 0.9 else [0, 1.0, 0])
@@ -155,7 +156,7 @@ def material(
     fine: float = 6.0,
     cells: float = 0.0,
     tip: tuple[float, float, float] | None = None,
-    growth: list[tuple[tuple[float, float, float], float, float]] = (),
+    growth: Sequence[tuple[tuple[float, float, float], float, float]] = (),
     vary: float = 0.06,
     bump: float = 0.4,
     wave: float = 0.0,
@@ -434,7 +435,7 @@ def rock(rng: np.random.Generator) -> Mesh:
 LENGTH = 4.6  # half the hull's length
 
 
-def hull(t: np.ndarray, s: np.ndarray, inset: float = 0.0) -> np.ndarray:
+def hull(t: ArrayLike, s: ArrayLike, inset: float = 0.0) -> np.ndarray:
     """Points of the hull's skin: t from bow (-1) to stern (1), s from keel (0) to gunwale (1), negative to port."""
     t, s = np.broadcast_arrays(np.asarray(t, float), np.asarray(s, float))
     breadth = 1.5 * np.clip(1 - np.abs(t) ** 2.4, 0, None) ** 0.8 + 0.03
@@ -504,11 +505,11 @@ def wreck(rng: np.random.Generator) -> tuple[Mesh, Mesh]:
             timber.append(board([a[0], y, a[2] + z], [b[0], y, b[2] + z], 0.15, 0.045, rng.random()))
     keel = hull(np.linspace(-1, 1, 40), 0.0)
     timber.append(tube(keel - [0, 0, 0.05], 0.1, 6, 0.2))
-    bow = hull(np.full(14, -0.985), np.linspace(0, 1.15, 14)) * [1, 0, 1]
+    bow: np.ndarray = hull(np.full(14, -0.985), np.linspace(0, 1.15, 14)) * [1, 0, 1]
     bow[:, 0] -= np.linspace(0, 1, 14) ** 2 * 0.75
     bow[:, 2] += np.linspace(0, 1, 14) ** 2 * 0.5
     timber.append(slab(np.stack([bow - [0.12, 0.07, 0], bow - [0.12, -0.07, 0]], axis=1), np.array([0.24, 0, 0]), 0.4))
-    stern = hull(np.full(14, 0.985), np.linspace(0, 1.0, 14)) * [1, 0, 1]
+    stern: np.ndarray = hull(np.full(14, 0.985), np.linspace(0, 1.0, 14)) * [1, 0, 1]
     stern[:, 0] += np.linspace(0, 1, 14) ** 2 * 0.4
     timber.append(slab(np.stack([stern - [0.1, 0.07, 0], stern - [0.1, -0.07, 0]], axis=1), np.array([0.2, 0, 0]), 0.7))
     for side in (-1, 1):  # wales: two thick strakes

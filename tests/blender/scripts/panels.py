@@ -3,6 +3,7 @@
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import bpy
 from bl_ext.user_default.swag_splatting import operators
@@ -69,7 +70,8 @@ def operators_and_menu():
     """Names of all operators and of those in the menu, and classes and properties without a description."""
     classes = [cls for module in operators._MODULES for cls in module.CLASSES if issubclass(cls, bpy.types.Operator)]
     layout = RecordingLayout()
-    operators.SWAG_MT_splatting.draw(type("Menu", (), {"layout": layout}), bpy.context)
+    menu: Any = type("Menu", (), {"layout": layout})
+    operators.SWAG_MT_splatting.draw(menu, bpy.context)
     groups = (properties.SwagScene, properties.effects.SwagEffect)
     undescribed = [
         (cls.__name__, name)
