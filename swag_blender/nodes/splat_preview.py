@@ -97,7 +97,9 @@ def _input(obj: bpy.types.Object, name: str) -> tuple[Any, str, str] | None:
     if (modifier := modifier_of(obj)) is None:
         return None
     items: Any = _items(modifier)
-    key = next(i.identifier for i in items if i.name == name and getattr(i, "in_out", "") == "INPUT")
+    key = next((i.identifier for i in items if i.name == name and getattr(i, "in_out", "") == "INPUT"), None)
+    if key is None:  # a preview of an earlier version, which lacks this input
+        return None
     if hasattr(modifier, "properties"):  # Blender 5.2 and later
         return getattr(cast(Any, modifier).properties.inputs, key), "value", f".properties.inputs.{key}.value"
     return modifier, key, f'["{key}"]'

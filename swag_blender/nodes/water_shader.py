@@ -35,7 +35,7 @@ _NO_SURFACES = {"ShaderNodeMixShader", "ShaderNodeAddShader", "ShaderNodeBsdfTra
 def node_group(obj: bpy.types.Object, scene: bpy.types.Scene, values: WaterValues) -> bpy.types.NodeTree:
     """The node group of a splat object's water, with these values; made once per object."""
     tree = obj.get(GROUP_KEY)
-    if tree is None:
+    if tree is None or not set(values.inputs()) <= set(tree.nodes.keys()):  # or the group of an earlier version
         tree = _new_group(obj, scene)
         obj[GROUP_KEY] = tree
     for name, value in values.inputs().items():

@@ -86,6 +86,10 @@ def test_objects_are_rendered_through_the_same_water(blender, medium, tmp_path):
         assert error.max() < (2e-3 if medium.light == "linear" else 0.06)
 
 
+def test_nodes_of_an_earlier_version_are_replaced_or_left_as_they_are(blender):
+    blender.run("water_objects.nodes_of_an_earlier_version")
+
+
 def test_scale_by_a_known_distance(blender):
     """Two cameras 3 units apart that are 1.5 m apart: afterwards the scene is in metres and its water per metre."""
     blender.run("water_objects.set_scale")

@@ -114,6 +114,21 @@ def set_scale():
     assert abs(scene.swag.metres_per_unit - 4) < 1e-5
 
 
+def nodes_of_an_earlier_version():
+    """Show water on a preview and a group of the water that lack what later versions added."""
+    obj = splats.new_splat_object("reef", random_splats(10, 1), scene.collection)
+    water.remember_water(obj, WATER, 0.0)
+    old = water.node_group(obj)
+    preview = splat_preview.modifier_of(obj).node_group
+    items = preview.interface.items_tree
+    for item in [item for item in items if item.name.startswith("Background Light")]:
+        preview.interface.remove(item)
+    old.nodes.remove(old.nodes["Background Light 8"])
+    water.remember_water(obj, WATER, 0.0)
+    splat_preview.set_input(obj, "Background Light 8", (0.1, 0.2, 0.3))
+    assert water.node_group(obj) != old and "Background Light 8" in water.node_group(obj).nodes
+
+
 def save_copy_and_remove(folder):
     obj = splats.new_splat_object("reef", random_splats(10, 1), scene.collection)
     data = WATER | {"light": "srgb", "per": "metre"}
