@@ -4,6 +4,7 @@ from . import operators
 from .swag_blender import (
     assets,
     commands,
+    display,
     engine_process,
     job,
     label_list,
@@ -12,6 +13,7 @@ from .swag_blender import (
     preferences,
     properties,
     translations,
+    viewport,
     water,
 )
 
@@ -21,10 +23,12 @@ _MODULES = (
     engine_process,
     job,
     labels,
+    display,
     operators,
     label_list,
     panels,
     water,
+    viewport,
     assets,
     commands,
     translations,

@@ -16,6 +16,7 @@ from mathutils import Matrix
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.splats.splats import Splats
+from . import display
 from .blender_types import present
 from .nodes import splat_preview
 
@@ -68,6 +69,7 @@ def new_splat_object(
     obj.parent = parent
     if not hasattr(obj.data, "type"):
         splat_preview.add_modifier(obj)
+        display.apply(obj)
     return obj
 
 
@@ -83,7 +85,7 @@ def replace_splats(obj: bpy.types.Object, splats: Splats) -> None:
 
 def read_splats(obj: bpy.types.Object) -> Splats:
     """The splats of the object in its own frame, without its transform and modifiers."""
-    return _splats_of(pointcloud_of(obj))
+    return splats_of(pointcloud_of(obj))
 
 
 def read_modified_splats(obj: bpy.types.Object) -> Splats:
@@ -102,10 +104,24 @@ def read_modified_splats(obj: bpy.types.Object) -> Splats:
         data = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
         if not isinstance(data, bpy.types.PointCloud) or BASE not in data.attributes or not len(data.points):
             raise InputError(f"The modifiers of {obj.name} leave no splats; turn them off in the viewport.")
-        return _splats_of(data)
+        return splats_of(data)
     finally:
         for modifier in previews:
             modifier.show_viewport = True
+
+
+def shown_pointcloud(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bpy.types.PointCloud:
+    """The point cloud of a splat object with its modifiers applied, where they leave splats in viewports."""
+    if has_other_modifiers(obj):
+        evaluated = obj.evaluated_get(depsgraph).data
+        if isinstance(evaluated, bpy.types.PointCloud) and BASE in evaluated.attributes and len(evaluated.points):
+            return evaluated
+    return pointcloud_of(obj)
+
+
+def has_other_modifiers(obj: bpy.types.Object) -> bool:
+    """Whether a splat object has modifiers besides the preview that are on in viewports."""
+    return any(modifier.show_viewport and not _is_preview(modifier) for modifier in obj.modifiers)
 
 
 def _is_preview(modifier: bpy.types.Modifier) -> bool:
@@ -113,7 +129,8 @@ def _is_preview(modifier: bpy.types.Modifier) -> bool:
     return group is not None and group.name.startswith(splat_preview.NAME)
 
 
-def _splats_of(pointcloud: bpy.types.PointCloud) -> Splats:
+def splats_of(pointcloud: bpy.types.PointCloud) -> Splats:
+    """The splats of a point cloud that has their attributes."""
     attributes = pointcloud.attributes
     base = _read(attributes[BASE], 4)
     sh = [base[:, :3]]

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import bpy
 
-from . import splats
+from . import display, splats
 from .blender_types import present, set_button
 from .nodes import splat_preview, water_shader
 from .properties import swag_of
@@ -159,8 +159,10 @@ class SWAG_PT_preview(SwagPanel):
         column = present(self.layout).column()
         column.use_property_split = True
         column.use_property_decorate = False
-        for name in splat_preview.SHOWN_INPUTS:
-            splat_preview.draw_input(column, present(context.active_object), name)
+        obj = present(context.active_object)
+        for name in ("style", "density", "exposure", "sh_degree"):
+            column.prop(display.display_of(obj), name)
+        splat_preview.draw_input(column, obj, splat_preview.FACE_CAMERA)
 
 
 _CLASSES = (SWAG_PT_water, SWAG_PT_preview)

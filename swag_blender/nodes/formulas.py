@@ -15,6 +15,7 @@ _SH_1 = 0.4886025119029199
 _SH_2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 _SH_3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
 """Factors of the real spherical harmonics with the order and signs of 3DGS files: 1 / (2 sqrt(pi)) and so on."""
+SH_FACTORS = (_SH_1, *_SH_2, *_SH_3)
 
 
 def harmonics(direction: Field) -> list[list[Field]]:

@@ -12,6 +12,9 @@ active camera. The shape is drawn in one of three ways:
   with the distance d of the ray from the center: the largest value of the 3D Gaussian along the ray.
 - in the viewport ("Points in Viewport"): coloured points, smaller for fainter splats, fast for any number.
 
+In viewports the nodes give the points without any shape unless an input asks for points or shapes: swag_blender/viewport
+draws the splats there, except in Rendered shading.
+
 Training blends sRGB values. Two ways to blend here:
 - linear light (default): colors are converted from sRGB and blended as light, as Cycles and EEVEE do with everything.
   Right beside other objects, under the view transform Standard, but semi-transparent splats in front of others are
@@ -45,9 +48,9 @@ BLEND_DISPLAY = "Blend Display Values"
 PIXEL_SIZE = "Pixel Size"
 FACE_CAMERA = "Face Camera"
 POINTS_IN_VIEWPORT = "Points in Viewport"
+SHAPES_IN_VIEWPORT = "Shapes in Viewport"
 DENSITY = "Viewport Density"
 WATER = "Water"
-SHOWN_INPUTS = (POINTS_IN_VIEWPORT, DENSITY, SH_DEGREE, FACE_CAMERA)
 
 
 def add_modifier(obj: bpy.types.Object) -> bpy.types.NodesModifier:
@@ -199,8 +202,9 @@ def node_group() -> bpy.types.NodeTree:
     facing = splat_shapes.rectangles(tree, geometry, position, camera, opacity, inputs[PIXEL_SIZE])
     points = splat_shapes.points(tree, geometry, opacity)
 
-    shown = _switch(tree, inputs[POINTS_IN_VIEWPORT], ellipsoids, points)
     rendered = _switch(tree, inputs[FACE_CAMERA], ellipsoids, facing)
+    shown = _switch(tree, inputs[POINTS_IN_VIEWPORT], splat_shapes.no_shape(tree, inputs["Geometry"]), points)
+    shown = _switch(tree, inputs[SHAPES_IN_VIEWPORT], shown, rendered)
     add(tree, "NodeGroupOutput", Geometry=_switch(tree, in_viewport, rendered, shown))
     arranged(tree)
     return tree
@@ -229,9 +233,8 @@ def _interface(tree: bpy.types.NodeTree) -> None:
     switch(
         FACE_CAMERA, True, "Render splats exactly as seen from the active camera; off: ellipsoids, for every direction"
     )
-    switch(
-        POINTS_IN_VIEWPORT, True, "Draw coloured points in the viewport, which is fast; renders always show the splats"
-    )
+    switch(POINTS_IN_VIEWPORT, False, "Draw coloured points in viewports")
+    switch(SHAPES_IN_VIEWPORT, False, "Draw in viewports what renders show, for Rendered shading")
     number(
         DENSITY, "Float", "Percentage of the splats in the viewport; renders show all", 100.0, 0.0, 100.0, "PERCENTAGE"
     )

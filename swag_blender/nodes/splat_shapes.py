@@ -35,6 +35,11 @@ def points(tree: bpy.types.NodeTree, geometry: Field, opacity: Field) -> Field:
     return Field(made.outputs["Geometry"])
 
 
+def no_shape(tree: bpy.types.NodeTree, geometry: Field) -> Field:
+    """The points with all attributes and a radius of 0, so that nothing of them is drawn."""
+    return Field(add(tree, "GeometryNodeSetPointRadius", Points=geometry, Radius=0.0).outputs["Points"])
+
+
 def ellipsoids(
     tree: bpy.types.NodeTree, points: Field, ray: Field, view: bpy.types.NodeOutputs, pixel_size: Field
 ) -> Field:

@@ -1,0 +1,93 @@
+"""How a splat object is shown in viewports: as splats or points, how many, how bright, and its crop box."""
+
+from typing import Annotated, Any, cast
+
+import bpy
+from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty
+from bpy.types import PropertyGroup
+
+from .blender_types import with_properties
+from .nodes import splat_preview
+
+
+@with_properties
+class SwagDisplay(PropertyGroup):
+    """`object.swag_display`: how viewports show the splats of an object."""
+
+    style: Annotated[
+        str,
+        EnumProperty(
+            name="Display As",
+            description="What viewports show, except in Rendered shading",
+            items=[
+                ("SPLATS", "Splats", "The splats as trained, with view-dependent colours"),
+                ("POINTS", "Points", "A coloured point for each splat, which any graphics card draws fast"),
+            ],
+            update=lambda self, context: apply(self.id_data),
+        ),
+    ]
+    density: Annotated[
+        float,
+        FloatProperty(
+            name="Density",
+            description="Percentage of the splats that viewports show; renders show all",
+            default=100.0,
+            min=0.0,
+            max=100.0,
+            subtype="PERCENTAGE",
+            update=lambda self, context: apply(self.id_data),
+        ),
+    ]
+    sh_degree: Annotated[
+        int,
+        IntProperty(
+            name="SH Degree",
+            description="Highest degree of spherical harmonics in viewports and renders; 0 makes colours the same from "
+            "every view",
+            default=3,
+            min=0,
+            max=3,
+            update=lambda self, context: apply(self.id_data),
+        ),
+    ]
+    exposure: Annotated[
+        float,
+        FloatProperty(
+            name="Exposure",
+            description="Brightness of the splats in viewports, in stops",
+            soft_min=-5.0,
+            soft_max=5.0,
+            min=-20.0,
+            max=20.0,
+            update=lambda self, context: apply(self.id_data),
+        ),
+    ]
+
+
+def display_of(obj: bpy.types.Object) -> SwagDisplay:
+    """How viewports show a splat object."""
+    return cast(Any, obj).swag_display
+
+
+def apply(obj: bpy.types.Object) -> None:
+    """Show a splat object as its settings say; for a new object, and after a change."""
+    display = display_of(obj)
+    as_points = display.style == "POINTS"
+    # Viewports draw nothing but a box of an object that is displayed as bounds; renders are not affected.
+    obj.display_type = "TEXTURED" if as_points else "BOUNDS"
+    splat_preview.set_input(obj, splat_preview.POINTS_IN_VIEWPORT, as_points)
+    splat_preview.set_input(obj, splat_preview.DENSITY, display.density)
+    splat_preview.set_input(obj, splat_preview.SH_DEGREE, display.sh_degree)
+    obj.update_tag()
+
+
+def register() -> None:
+    """Register the properties with objects."""
+    bpy.utils.register_class(SwagDisplay)
+    cast(Any, bpy.types.Object).swag_display = PointerProperty(type=SwagDisplay)
+
+
+def unregister() -> None:
+    """Undo `register`."""
+    del cast(Any, bpy.types.Object).swag_display
+    bpy.utils.unregister_class(SwagDisplay)

@@ -1,0 +1,140 @@
+"""Splats in 3D viewports: the handlers that draw them and keep their textures up to date."""
+
+import traceback
+from typing import Any
+
+import bpy
+
+from .. import splats
+from ..display import apply, display_of
+from ..nodes import splat_preview
+from .drawing import TICK_SECONDS, ViewportDrawing
+
+_drawing: ViewportDrawing | None = None
+"""The ViewportDrawing, made when splats are drawn for the first time; None before, and after all splats are gone."""
+_handler: Any = None
+_shapes_shown = False
+_failed = False
+
+
+def drawing() -> ViewportDrawing | None:
+    """What draws, for measurements and tests; None where nothing has been drawn."""
+    return _drawing
+
+
+def _draw() -> None:
+    """Draw the splats of the viewport's scene; Blender calls this after it has drawn the viewport's objects."""
+    global _drawing, _failed
+    context = bpy.context
+    _follow_rendered_shading()
+    objects = [obj for obj in context.view_layer.objects if _draws(obj)]
+    if not objects or context.space_data.shading.type == "RENDERED" or _failed:
+        if not objects:
+            _drawing = None
+        return
+    try:
+        if _drawing is None:
+            _drawing = ViewportDrawing()
+        _drawing.draw(context, objects)
+    except Exception:
+        # Blender would print the same error at each redraw.
+        _failed = True
+        traceback.print_exc()
+        return
+    if _drawing.is_waiting() and not bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.register(_tick, first_interval=TICK_SECONDS)
+
+
+def _tick() -> float | None:
+    if _drawing is None or not _drawing.is_waiting():
+        return None
+    _drawing.tag_redraws()
+    return TICK_SECONDS
+
+
+def _follow_rendered_shading() -> None:
+    """Have the preview's nodes give shapes while a viewport is in Rendered shading, and only then."""
+    rendered = any(
+        area.type == "VIEW_3D" and area.spaces.active.shading.type == "RENDERED"
+        for window in bpy.context.window_manager.windows
+        for area in window.screen.areas
+    )
+    if rendered != _shapes_shown and not bpy.app.timers.is_registered(_switch_shapes):
+        # Nothing may be changed while Blender draws.
+        bpy.app.timers.register(_switch_shapes, first_interval=0.0)
+
+
+def _switch_shapes() -> None:
+    global _shapes_shown
+    _shapes_shown = not _shapes_shown
+    for obj in bpy.data.objects:
+        if _draws(obj):
+            splat_preview.set_input(obj, splat_preview.SHAPES_IN_VIEWPORT, _shapes_shown)
+
+
+def _draws(obj: bpy.types.Object) -> bool:
+    """Whether the extension draws the object's splats. Blender 5.3 and later draw splats themselves."""
+    return splats.is_splats(obj) and not hasattr(obj.data, "type") and display_of(obj).style == "SPLATS"
+
+
+@bpy.app.handlers.persistent
+def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    if _drawing is not None:
+        for update in depsgraph.updates:
+            if update.is_updated_geometry:
+                _drawing.store.mark_stale(update.id.original.session_uid)
+
+
+@bpy.app.handlers.persistent
+def _after_undo(*_: object) -> None:
+    if _drawing is not None:
+        _drawing.store.mark_stale(None)
+
+
+@bpy.app.handlers.persistent
+def _before_load(*_: object) -> None:
+    global _drawing, _shapes_shown
+    _drawing, _shapes_shown = None, False
+
+
+@bpy.app.handlers.persistent
+def _after_load(*_: object) -> None:
+    # Files of earlier versions show points, and a file may have been saved with a viewport in Rendered shading.
+    for obj in bpy.data.objects:
+        if splats.is_splats(obj):
+            apply(obj)
+        if _draws(obj):
+            splat_preview.set_input(obj, splat_preview.SHAPES_IN_VIEWPORT, False)
+
+
+_HANDLERS = (
+    ("depsgraph_update_post", _after_update),
+    ("undo_post", _after_undo),
+    ("redo_post", _after_undo),
+    ("load_pre", _before_load),
+    ("load_post", _after_load),
+)
+
+
+def register() -> None:
+    """Draw from now on; there are no viewports without a window."""
+    global _handler
+    if bpy.app.background:
+        return
+    _handler = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+    for name, function in _HANDLERS:
+        getattr(bpy.app.handlers, name).append(function)
+
+
+def unregister() -> None:
+    """Undo `register`."""
+    global _handler, _drawing, _failed
+    if _handler is None:
+        return
+    for name, function in _HANDLERS:
+        getattr(bpy.app.handlers, name).remove(function)
+    for timer in (_tick, _switch_shapes):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
+    bpy.types.SpaceView3D.draw_handler_remove(_handler, "WINDOW")
+    _handler, _drawing, _failed = None, None, False

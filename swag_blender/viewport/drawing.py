@@ -1,0 +1,305 @@
+"""Drawing of splats in every 3D viewport that is not in Rendered shading.
+
+The splats go into a picture of their own, in display values and at the depth of what Blender has drawn, and the picture
+is then laid over the viewport. While nothing changes the picture is laid over again, which costs little.
+"""
+
+import time
+import zlib
+from collections.abc import Sequence
+from typing import Any, cast
+
+import bpy
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+from mathutils import Color
+
+from .. import display, water
+from ..blender_types import present
+from ..properties import swag_of
+from .depth_order import Sorter
+from .packing import HARMONICS_TEXELS, OBJECT_TEXELS, ObjectTexels
+from .shaders import NEAR, VIEW_FLOATS, Shaders, frustum_limits
+from .splat_store import SplatStore, new_texture
+
+REST_SECONDS = 0.25
+"""Time without a change of the view after which it counts as resting and all splats are drawn."""
+TICK_SECONDS = 0.02
+"""Time between two looks at sorts that are under way."""
+BUDGET, SOFTWARE_BUDGET = 1_000_000, 50_000
+"""Most splats drawn while the view moves: with a graphics card, and where the processor draws."""
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swiftshader", "lavapipe")
+_CORNERS = {"corner": [(-1, -1), (1, -1), (-1, 1), (1, 1)]}
+
+
+class ViewportDrawing:
+    """All that is drawn with: shaders, textures of the splats, a picture for each viewport.
+
+    Attributes:
+        store: The splats' textures.
+        frames: Number of pictures drawn; for measurements.
+    """
+
+    def __init__(self) -> None:
+        self.store = SplatStore()
+        self.frames = 0
+        self._shaders = Shaders()
+        self._quads = {
+            name: batch_for_shader(getattr(self._shaders, name), "TRI_STRIP", _CORNERS)
+            for name in ("splats", "depth", "background", "composite")
+        }
+        self._views: dict[int, _View] = {}
+        renderer = gpu.platform.renderer_get().lower()
+        self._budget = SOFTWARE_BUDGET if any(name in renderer for name in SOFTWARE_RENDERERS) else BUDGET
+
+    def draw(self, context: bpy.types.Context, objects: Sequence[bpy.types.Object]) -> None:
+        """Draw these splat objects into the viewport of the context.
+
+        Args:
+            context: That of a draw handler of a 3D viewport.
+            objects: The objects to upload; those that the viewport does not show are not drawn.
+        """
+        # Taken first: making a texture or a picture can bind another one.
+        framebuffer = gpu.state.active_framebuffer_get()
+        region = present(context.region)
+        depth = framebuffer.read_depth(0, 0, region.width, region.height)
+        self.store.update(objects, context.evaluated_depsgraph_get())
+        view = self._view(context)
+        texels = _object_texels(context, objects)
+        view.follow_movement()
+        self._update_order(view, objects, texels)
+        if view.order is None:
+            return
+        if not view.is_order_of(self.store.splats_version):
+            self._lay_over(view, framebuffer)
+            return
+        table = np.stack([one.texels() for one in texels])
+        key = (view.matrices, view.size, table.tobytes(), self.store.version, view.orders, zlib.crc32(depth))
+        if key != view.picture_key:
+            self._draw_picture(view, table, depth)
+            view.picture_key = key
+        self._lay_over(view, framebuffer)
+
+    def is_waiting(self) -> bool:
+        """Whether a viewport waits for a sort, or for its view to rest."""
+        return any(view.is_waiting for view in self._views.values())
+
+    def tag_redraws(self) -> None:
+        """Have the viewports redrawn whose order is ready or whose view has come to rest."""
+        for window in present(bpy.context.window_manager).windows:
+            for area in window.screen.areas:
+                for region in area.regions:
+                    view = self._views.get(region.as_pointer())
+                    if view is not None and view.can_go_on:
+                        region.tag_redraw()
+
+    def _view(self, context: bpy.types.Context) -> "_View":
+        region = present(context.region)
+        pointer = region.as_pointer()
+        if pointer not in self._views:
+            regions = {
+                region.as_pointer()
+                for window in present(context.window_manager).windows
+                for area in window.screen.areas
+                for region in area.regions
+            }
+            self._views = {known: view for known, view in self._views.items() if known in regions}
+            self._views[pointer] = _View()
+        view = self._views[pointer]
+        view.set(present(context.region_data), (region.width, region.height))
+        view.background = _background_color(context)
+        return view
+
+    def _update_order(
+        self, view: "_View", objects: Sequence[bpy.types.Object], texels: Sequence[ObjectTexels]
+    ) -> None:
+        drawn = [
+            (part, -one.object_to_view[2])
+            for obj, one in zip(objects, texels, strict=True)
+            if one.is_drawn and (part := self.store.part(obj)) is not None
+        ]
+        count = sum(len(part.positions) for part, _ in drawn)
+        limit = self._budget if view.is_moving and count > self._budget else None
+        near = None if view.is_orthographic else NEAR
+        rows = [row for _, row in drawn]
+        key = (self.store.splats_version, np.array(rows).tobytes(), [part.first for part, _ in drawn], near, limit)
+        view.sorter.request(key, [part for part, _ in drawn], rows, near, limit)
+        view.wanted_order = key
+        if (order := view.sorter.take()) is not None:
+            view.order, view.order_count = self.store.order_texture(order), len(order)
+            view.orders += 1
+
+    def _draw_picture(self, view: "_View", table: np.ndarray, depth: gpu.types.Buffer) -> None:
+        store, shaders = self.store, self._shaders
+        objects = new_texture(table, (OBJECT_TEXELS, len(table)), "RGBA32F")
+        scene_depth = gpu.types.GPUTexture(view.size, format="R32F", data=depth)
+        store.uploaded += table.nbytes + len(depth) * view.size[0] * 4
+        block = view.block(store.width, HARMONICS_TEXELS[store.degree])
+        picture = view.picture
+        with picture.bind():
+            buffer = gpu.state.active_framebuffer_get()
+            buffer.clear(color=(0.0, 0.0, 0.0, 0.0), depth=1.0)
+            gpu.state.blend_set("NONE")
+            gpu.state.color_mask_set(False, False, False, False)
+            gpu.state.depth_mask_set(True)
+            gpu.state.depth_test_set("ALWAYS")
+            shaders.depth.bind()
+            shaders.depth.uniform_sampler("depths", scene_depth)
+            self._quads["depth"].draw(shaders.depth)
+            gpu.state.color_mask_set(True, True, True, True)
+            gpu.state.depth_mask_set(False)
+            gpu.state.depth_test_set("LESS_EQUAL")
+            in_water = np.flatnonzero((table[:, 6, 3] > 0) & (table[:, 4, 0] > 0))
+            if len(in_water):
+                shaders.background.bind()
+                shaders.background.uniform_block("view", block)
+                shaders.background.uniform_sampler("objects", objects)
+                shaders.background.uniform_int("water_object", int(in_water[0]))
+                self._quads["background"].draw(shaders.background)
+            if view.order_count:
+                gpu.state.blend_set("ALPHA_PREMULT")
+                shaders.splats.bind()
+                shaders.splats.uniform_block("view", block)
+                for name, texture in (
+                    ("geometry", store.geometry),
+                    ("harmonic_data", store.harmonics),
+                    ("states", store.states),
+                    ("order", view.order),
+                    ("objects", objects),
+                ):
+                    shaders.splats.uniform_sampler(name, texture)
+                self._quads["splats"].draw_instanced(
+                    shaders.splats, instance_start=0, instance_count=view.order_count
+                )
+        self.frames += 1
+
+    def _lay_over(self, view: "_View", framebuffer: Any) -> None:
+        with framebuffer.bind():
+            gpu.state.blend_set("ALPHA_PREMULT")
+            gpu.state.depth_test_set("NONE")
+            gpu.state.depth_mask_set(False)
+            composite = self._shaders.composite
+            composite.bind()
+            composite.uniform_float("background", (*view.background, 1.0))
+            composite.uniform_sampler("picture", view.picture.texture_color)
+            self._quads["composite"].draw(composite)
+            gpu.state.blend_set("NONE")
+
+
+class _View:
+    """One viewport: its matrices, the order of its splats, its picture."""
+
+    def __init__(self) -> None:
+        self.sorter = Sorter()
+        self.order: gpu.types.GPUTexture | None = None
+        self.order_count, self.orders = 0, 0
+        self.wanted_order: object = None
+        self.background = (0.0, 0.0, 0.0)
+        self.size = (0, 0)
+        self.matrices = b""
+        self.picture_key: object = None
+        self.picture: Any = None
+        self._followed = b""
+        self._moved_at = -REST_SECONDS
+
+    def set(self, region_data: bpy.types.RegionView3D, size: tuple[int, int]) -> None:
+        """Take matrices and size of the viewport."""
+        self._projection = np.array(region_data.window_matrix, np.float64)
+        to_view = np.array(region_data.view_matrix, np.float64)
+        self._clip = np.zeros((0, 4))
+        if region_data.use_clip_planes:
+            planes = np.array([list(plane) for plane in region_data.clip_planes][:4], np.float64)
+            self._clip = planes @ np.linalg.inv(to_view)
+        self.matrices = b"".join(matrix.tobytes() for matrix in (self._projection, to_view, self._clip))
+        if size != self.size:
+            self.size, self.picture_key = size, None
+            self.picture = gpu.types.GPUOffScreen(*size, format="RGBA16F")
+
+    def follow_movement(self) -> None:
+        """Note whether the view has changed since the last call."""
+        if self._followed and self._followed != self.matrices:
+            self._moved_at = time.monotonic()
+        self._followed = self.matrices
+
+    def is_order_of(self, splats_version: int) -> bool:
+        """Whether the order names the splats by the numbers that they have in the textures now."""
+        taken: Any = self.sorter.taken
+        return taken[0] == splats_version
+
+    @property
+    def is_orthographic(self) -> bool:
+        """Whether rays are parallel."""
+        return bool(self._projection[3, 3] == 1.0)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the view changed a moment ago."""
+        return time.monotonic() - self._moved_at < REST_SECONDS
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the viewport shows an older order than it should, or is moving."""
+        return self.sorter.is_sorting or self.sorter.taken != self.wanted_order or self.is_moving or self._shows_less
+
+    @property
+    def can_go_on(self) -> bool:
+        """Whether a redraw would show something newer."""
+        return self.sorter.is_done or (self._shows_less and not self.is_moving)
+
+    @property
+    def _shows_less(self) -> bool:
+        """Whether only the splats of the largest contribution are shown."""
+        taken: Any = self.sorter.taken
+        return taken is not None and taken[-1] is not None
+
+    def block(self, width: int, harmonics_texels: int) -> gpu.types.GPUUniformBuf:
+        """The uniform buffer of the shaders, as shaders.py declares it."""
+        values = np.zeros(VIEW_FLOATS, np.float32)
+        projection = self._projection
+        values[:16] = projection.T.ravel()
+        values[16:20] = projection[0, 0] * self.size[0] / 2, projection[1, 1] * self.size[1] / 2, *self.size
+        values[20:24] = frustum_limits(projection)
+        layout = values[24:28].view(np.int32)
+        layout[:] = width, harmonics_texels, len(self._clip), self.is_orthographic
+        values[28 : 28 + self._clip.size] = self._clip.ravel()
+        return gpu.types.GPUUniformBuf(gpu.types.Buffer("FLOAT", VIEW_FLOATS, values))
+
+
+def _object_texels(context: bpy.types.Context, objects: Sequence[bpy.types.Object]) -> list[ObjectTexels]:
+    """What the shaders need to know of each object in the viewport of the context."""
+    to_view = np.array(present(context.region_data).view_matrix, np.float64)
+    depsgraph = context.evaluated_depsgraph_get()
+    space: Any = context.space_data
+    amount = swag_of(context.scene).water
+    made = []
+    for obj in objects:
+        settings = display.display_of(obj)
+        own_water = water.water_of(obj)
+        made.append(
+            ObjectTexels(
+                # The evaluated matrix has parents, constraints and animation in it.
+                object_to_view=to_view @ np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64),
+                is_drawn=obj.visible_in_viewport_get(space) and space.show_object_viewport_pointcloud,
+                sh_degree=settings.sh_degree,
+                density=settings.density / 100,
+                gain=2.0**settings.exposure,
+                water=own_water,
+                water_amount=amount if own_water else 0.0,
+            )
+        )
+    return made
+
+
+def _background_color(context: bpy.types.Context) -> tuple[float, float, float]:
+    """The sRGB color of the viewport's background where nothing is drawn; of a gradient, its upper color."""
+    shading = cast(bpy.types.SpaceView3D, context.space_data).shading
+    world = present(context.scene).world
+    if shading.type in {"SOLID", "WIREFRAME"} and shading.background_type == "VIEWPORT":
+        color = Color(shading.background_color).from_scene_linear_to_srgb()
+    elif shading.type in {"SOLID", "WIREFRAME"} and shading.background_type == "WORLD" and world is not None:
+        color = Color(world.color).from_scene_linear_to_srgb()
+    else:
+        color = present(context.preferences).themes[0].view_3d.space.gradients.high_gradient
+    red, green, blue = color[:]
+    return red, green, blue

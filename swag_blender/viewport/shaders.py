@@ -1,0 +1,299 @@
+"""Shaders that draw splats as the engine's rasteriser does: EWA splatting (Zwicker et al. 2001) as in Kerbl et al. 2023.
+
+Splats are blended in display values (sRGB), as in training, in a buffer of their own. A last shader converts the blended
+values to linear light, which is what Blender's overlay buffer holds. Where splats are transparent the result is that of
+display values over the viewport's background, and close to it over other objects.
+"""
+
+from typing import Any
+
+import gpu
+
+from ..nodes.formulas import SH_0, SH_FACTORS
+from ..nodes.splat_shapes import FRUSTUM_MARGIN, MIN_ALPHA, PIXEL_VARIANCE
+from .packing import GEOMETRY_TEXELS, HIDDEN_ALPHA
+
+MAX_ALPHA = 0.99
+"""Alphas are clamped to it, as in the engine."""
+NEAR = 0.01
+"""Depth below which centres are not drawn, as in the engine, scene units."""
+VIEW_FLOATS = 52
+"""Floats of the uniform buffer: 208 bytes, of which every device takes at least 16 KB."""
+
+_VIEW = """
+struct View {
+  mat4 projection;
+  vec4 focal_size;      /* focal lengths and size, in pixels */
+  vec4 limits;          /* where x/z and y/z stop in the linearised projection: left, right, bottom, top */
+  ivec4 layout_;        /* texture width, harmonics texels a splat, clip planes in use, orthographic */
+  vec4 clip[6];         /* clip planes, in view space */
+};
+"""
+_WATER = """
+vec3 to_light(vec3 v) {
+  vec3 curved = pow(max((v + 0.055) / 1.055, vec3(0.0)), vec3(2.4));
+  return mix(v / 12.92, curved, vec3(greaterThan(v, vec3(0.04045))));
+}
+vec3 to_display(vec3 v) {
+  vec3 curved = 1.055 * pow(max(v, vec3(0.0)), vec3(1.0 / 2.4)) - 0.055;
+  return mix(v * 12.92, curved, vec3(greaterThan(v, vec3(0.0031308))));
+}
+void harmonics(vec3 d, out float y[16]) {
+  float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z, around = 4.0 * zz - xx - yy;
+  y[0] = %(sh_0)s;
+  y[1] = -%(f0)s * d.y; y[2] = %(f0)s * d.z; y[3] = -%(f0)s * d.x;
+  y[4] = %(f1)s * d.x * d.y; y[5] = -%(f1)s * d.y * d.z; y[6] = %(f2)s * (2.0 * zz - xx - yy);
+  y[7] = -%(f1)s * d.x * d.z; y[8] = %(f3)s * (xx - yy);
+  y[9] = -%(f4)s * d.y * (3.0 * xx - yy); y[10] = %(f5)s * d.x * d.y * d.z; y[11] = -%(f6)s * d.y * around;
+  y[12] = %(f7)s * d.z * (2.0 * zz - 3.0 * xx - 3.0 * yy); y[13] = -%(f6)s * d.x * around;
+  y[14] = %(f8)s * d.z * (xx - yy); y[15] = -%(f4)s * d.x * (xx - 3.0 * yy);
+}
+vec4 object_texel(int object, int row) { return texelFetch(objects, ivec2(row, object), 0); }
+vec3 background_light(int object, vec3 direction) {
+  float y[16];
+  harmonics(direction, y);
+  vec3 total = vec3(0.0);
+  for (int k = 0; k < 9; k++) { total += object_texel(object, 8 + k).rgb * y[k]; }
+  return object_texel(object, 6).a / (1.0 + exp(-total));
+}
+""" % {
+    "sh_0": SH_0,
+    **{f"f{number}": factor for number, factor in enumerate(SH_FACTORS)},
+}
+_SPLAT_VERTEX = """
+ivec2 texel(int number) { return ivec2(number % view.layout_.x, number / view.layout_.x); }
+
+vec3 colour(int splat, int object, vec3 direction, int degree) {
+  int first = splat * view.layout_.y;
+  vec3 total = texelFetch(harmonic_data, texel(first), 0).rgb * SH_0;
+  if (degree > 0) {
+    float y[16];
+    harmonics(direction, y);
+    total = vec3(0.0);
+    int last = (degree + 1) * (degree + 1);
+    for (int k = 0; k < last; k += 4) {
+      int at = first + k / 4 * 3;
+      vec4 a = texelFetch(harmonic_data, texel(at), 0);
+      total += a.rgb * y[k];
+      if (k + 1 < last) {
+        vec4 b = texelFetch(harmonic_data, texel(at + 1), 0), c = texelFetch(harmonic_data, texel(at + 2), 0);
+        total += vec3(a.a, b.rg) * y[k + 1] + vec3(b.ba, c.r) * y[k + 2] + c.gba * y[k + 3];
+      }
+    }
+  }
+  return max(total + 0.5, vec3(0.0));
+}
+
+vec3 through_water(int object, vec3 display, vec3 direction, float range) {
+  vec4 attenuation = object_texel(object, 6), backscatter = object_texel(object, 7);
+  bool of_display = backscatter.a > 0.5;
+  vec3 own = of_display ? display : to_light(display);
+  float path = range * attenuation.a;
+  own = own * exp(-attenuation.rgb * path) +
+        background_light(object, direction) * (1.0 - exp(-backscatter.rgb * path));
+  return of_display ? own : to_display(own);
+}
+
+float random(int number) {
+  uint h = uint(number) * 747796405u + 2891336453u;
+  h = ((h >> ((h >> 28u) + 4u)) ^ h) * 277803737u;
+  return float((h >> 22u) ^ h) / 4294967296.0;
+}
+
+void main() {
+  gl_Position = vec4(0.0, 0.0, 2.0, 1.0);  /* outside: not drawn */
+  int number = int(texelFetch(order, texel(gl_InstanceID), 0).r + 0.5);
+  vec4 state = texelFetch(states, texel(number), 0);
+  if (state.a > HIDDEN - 0.002) { return; }
+  ivec2 first = texel(number * GEOMETRY);
+  vec4 centre = texelFetch(geometry, first, 0);
+  vec4 upper = texelFetch(geometry, texel(number * GEOMETRY + 1), 0);
+  vec4 lower = texelFetch(geometry, texel(number * GEOMETRY + 2), 0);
+  int object = int(lower.z + 0.5);
+  vec4 display = object_texel(object, 4);
+  if (display.x < 0.5 || random(number) >= display.z || centre.w * 255.0 <= 1.0) { return; }
+  if (display.w > 0.5) {
+    vec4 p = vec4(centre.xyz, 1.0);
+    vec3 inside = vec3(dot(object_texel(object, 17), p), dot(object_texel(object, 18), p),
+                       dot(object_texel(object, 19), p));
+    if (any(greaterThan(abs(inside), vec3(1.0)))) { return; }
+  }
+  vec4 x_row = object_texel(object, 0), y_row = object_texel(object, 1), z_row = object_texel(object, 2);
+  vec4 p = vec4(centre.xyz, 1.0);
+  vec3 v = vec3(dot(x_row, p), dot(y_row, p), dot(z_row, p));
+  bool orthographic = view.layout_.w != 0;
+  if (!orthographic && -v.z <= NEAR) { return; }
+  for (int plane = 0; plane < view.layout_.z; plane++) {
+    if (dot(view.clip[plane], vec4(v, 1.0)) < 0.0) { return; }
+  }
+
+  /* Rows of J R: how the image moves, in pixels, with the centre in the object's own space. */
+  float inverse_z = orthographic ? 1.0 : 1.0 / -v.z;
+  vec2 slope = orthographic ? vec2(0.0) : clamp(v.xy * inverse_z, view.limits.xz, view.limits.yw);
+  vec3 along_x = view.focal_size.x * inverse_z * (x_row.xyz + slope.x * z_row.xyz);
+  vec3 along_y = view.focal_size.y * inverse_z * (y_row.xyz + slope.y * z_row.xyz);
+  mat3 covariance = mat3(upper.x, upper.y, upper.z, upper.y, upper.w, lower.x, upper.z, lower.x, lower.y);
+  vec3 c_x = covariance * along_x, c_y = covariance * along_y;
+  float xx = dot(along_x, c_x) + BLUR, xy = dot(along_x, c_y), yy = dot(along_y, c_y) + BLUR;
+  float middle = 0.5 * (xx + yy), difference = 0.5 * (xx - yy);
+  float apart = sqrt(max(difference * difference + xy * xy, 1e-20));
+  float longest = middle + apart, widest = max(middle - apart, BLUR);
+  vec2 axis = abs(xy) > 1e-9 * middle ? normalize(vec2(xy, longest - xx))
+                                      : (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0));
+  float reach = sqrt(2.0 * log(centre.w * 255.0));
+  vec2 offset = corner.x * axis * sqrt(longest) * reach + corner.y * vec2(-axis.y, axis.x) * sqrt(widest) * reach;
+  vec4 projected = view.projection * vec4(v, 1.0);
+  projected.xy += offset * 2.0 / view.focal_size.zw * projected.w;
+
+  vec4 eye = object_texel(object, 3);
+  vec3 ray = centre.xyz - eye.xyz;
+  vec3 direction = orthographic ? -object_texel(object, 5).xyz : normalize(ray);
+  vec3 rgb = colour(number, object, direction, min(int(display.y), view.layout_.y == 1 ? 0 : 3));
+  if (object_texel(object, 6).a > 0.0) {
+    rgb = through_water(object, rgb, direction, orthographic ? max(0.0, -v.z) : length(ray));
+  }
+  if (eye.w != 1.0) { rgb = to_display(to_light(rgb) * eye.w); }
+  rgb = mix(rgb, to_display(state.rgb), state.a);
+  tint = vec4(rgb, centre.w);
+  place = corner * reach;
+  gl_Position = projected;
+}
+"""
+_SPLAT_FRAGMENT = """
+void main() {
+  float alpha = tint.a * exp(-0.5 * dot(place, place));
+  if (alpha < LEAST) { discard; }
+  alpha = min(alpha, MOST);
+  blended = vec4(tint.rgb * alpha, alpha);
+}
+"""
+_SCREEN_VERTEX = """
+void main() {
+  place = corner * 0.5 + 0.5;
+  gl_Position = vec4(corner, DEPTH, 1.0);
+}
+"""
+_DEPTH_FRAGMENT = """
+void main() { gl_FragDepth = texture(depths, place).r; }
+"""
+_BACKGROUND_FRAGMENT = """
+void main() {
+  /* The view's ray of this pixel, in the space of the object whose water it is. */
+  vec2 at = place * 2.0 - 1.0;
+  vec3 ray = view.layout_.w != 0 ? vec3(0.0, 0.0, -1.0)
+      : vec3((at + vec2(view.projection[2][0], view.projection[2][1])) /
+             vec2(view.projection[0][0], view.projection[1][1]), -1.0);
+  int object = water_object;
+  vec3 direction = normalize(object_texel(object, 20).xyz * ray.x + object_texel(object, 21).xyz * ray.y +
+                             object_texel(object, 22).xyz * ray.z);
+  vec3 light = background_light(object, direction);
+  vec3 rgb = object_texel(object, 7).a > 0.5 ? light : to_display(light);
+  float gain = object_texel(object, 3).a;
+  if (gain != 1.0) { rgb = to_display(to_light(rgb) * gain); }
+  blended = vec4(rgb, 1.0);
+}
+"""
+_COMPOSITE_FRAGMENT = """
+void main() {
+  vec4 found = texture(picture, place);
+  if (found.a < 1e-4) { discard; }
+  /* Blender blends this in linear light. It comes out as blended in display values over the viewport's background. */
+  vec3 behind = to_light(background.rgb);
+  vec3 wanted = to_light(clamp(found.rgb + (1.0 - found.a) * background.rgb, 0.0, 1.0));
+  vec3 darker = 1.0 - wanted / max(behind, vec3(1e-6));
+  float alpha = clamp(max(found.a, max(darker.r, max(darker.g, darker.b))), 0.0, 1.0);
+  light = vec4(wanted - (1.0 - alpha) * behind, alpha);
+}
+"""
+
+
+class Shaders:
+    """The four shaders, compiled: splats, scene depth, background light of the water, composite."""
+
+    def __init__(self) -> None:
+        self.splats = _compile(
+            _SPLAT_VERTEX,
+            _SPLAT_FRAGMENT,
+            output="blended",
+            samplers=("geometry", "harmonic_data", "states", "order", "objects"),
+            varyings=(("VEC2", "place"), ("VEC4", "tint")),
+            library=_WATER,
+            has_view=True,
+        )
+        self.depth = _compile(_SCREEN_VERTEX, _DEPTH_FRAGMENT, samplers=("depths",), writes_depth=True)
+        self.background = _compile(
+            _SCREEN_VERTEX,
+            _BACKGROUND_FRAGMENT,
+            output="blended",
+            samplers=("objects",),
+            library=_WATER,
+            has_view=True,
+            constants=(("INT", "water_object"),),
+            depth="1.0",
+        )
+        library = _WATER[: _WATER.index("void harmonics")]
+        self.composite = _compile(
+            _SCREEN_VERTEX, _COMPOSITE_FRAGMENT, output="light", samplers=("picture",), library=library,
+            constants=(("VEC4", "background"),),
+        )
+
+
+def _compile(
+    vertex: str,
+    fragment: str,
+    *,
+    samplers: tuple[str, ...],
+    output: str = "",
+    varyings: tuple[tuple[str, str], ...] = (("VEC2", "place"),),
+    library: str = "",
+    has_view: bool = False,
+    constants: tuple[tuple[str, str], ...] = (),
+    writes_depth: bool = False,
+    depth: str = "0.0",
+) -> gpu.types.GPUShader:
+    info: Any = gpu.types.GPUShaderCreateInfo()
+    for slot, name in enumerate(samplers):
+        info.sampler(slot, "FLOAT_2D", name)
+    if has_view:
+        info.typedef_source(_VIEW)
+        info.uniform_buf(0, "View", "view")
+    for kind, name in constants:
+        info.push_constant(kind, name)
+    interface: Any = gpu.types.GPUStageInterfaceInfo("swag_" + "_".join(name for _, name in varyings))
+    for kind, name in varyings:
+        (interface.flat if name == "tint" else interface.smooth)(kind, name)
+    info.vertex_in(0, "VEC2", "corner")
+    info.vertex_out(interface)
+    if output:
+        info.fragment_out(0, "VEC4", output)
+    if writes_depth:
+        info.depth_write("ANY")
+    for name, value in (
+        ("SH_0", SH_0),
+        ("BLUR", PIXEL_VARIANCE),
+        ("LEAST", MIN_ALPHA),
+        ("MOST", MAX_ALPHA),
+        ("NEAR", NEAR),
+        ("HIDDEN", HIDDEN_ALPHA),
+        ("GEOMETRY", GEOMETRY_TEXELS),
+        ("DEPTH", depth),
+    ):
+        info.define(name, str(value))
+    is_vertex_library = "texelFetch(order" in vertex
+    info.vertex_source((library if is_vertex_library else "") + vertex)
+    info.fragment_source(("" if is_vertex_library else library) + fragment)
+    return gpu.shader.create_from_info(info)
+
+
+def frustum_limits(projection: Any) -> tuple[float, float, float, float]:
+    """Where x/z and y/z stop in the linearised projection: left, right, bottom, top, half the margin beyond the image.
+
+    Args:
+        projection: (4, 4) perspective matrix of OpenGL.
+    """
+    margin = FRUSTUM_MARGIN
+    limits = []
+    for axis in (0, 1):
+        scale, shift = projection[axis][axis], projection[axis][2]
+        limits += [(-margin + shift) / scale, (margin + shift) / scale]
+    return limits[0], limits[1], limits[2], limits[3]
