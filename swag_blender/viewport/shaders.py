@@ -1,7 +1,7 @@
 """Shaders that draw splats as the engine's rasteriser does: EWA splatting (Zwicker et al. 2001) as in Kerbl et al. 2023.
 
 Splats are blended in display values (sRGB), as in training, in a buffer of their own. A last shader converts the blended
-values to linear light, which is what Blender's overlay buffer holds. Where splats are transparent the result is that of
+values to what Blender's overlay buffer holds. Where splats are transparent the result is that of
 display values over the viewport's background, and close to it over other objects.
 """
 
@@ -17,6 +17,9 @@ MAX_ALPHA = 0.99
 """Alphas are clamped to it, as in the engine."""
 NEAR = 0.01
 """Depth below which centres are not drawn, as in the engine, scene units."""
+OVERLAY_GAMMA = 2.2
+"""Exponent with which Blender lays its overlays over the scene, on any display (measured in 5.2: sRGB's own curve is
+up to 7 levels of 255 off)."""
 VIEW_FLOATS = 52
 """Floats of the uniform buffer: 208 bytes, of which every device takes at least 16 KB."""
 
@@ -197,9 +200,9 @@ _COMPOSITE_FRAGMENT = """
 void main() {
   vec4 found = texture(picture, place);
   if (found.a < 1e-4) { discard; }
-  /* Blender blends this in linear light. It comes out as blended in display values over the viewport's background. */
-  vec3 behind = to_light(background.rgb);
-  vec3 wanted = to_light(clamp(found.rgb + (1.0 - found.a) * background.rgb, 0.0, 1.0));
+  /* Blender blends this with a gamma. It comes out as blended in display values over the viewport's background. */
+  vec3 behind = pow(background.rgb, vec3(GAMMA));
+  vec3 wanted = pow(clamp(found.rgb + (1.0 - found.a) * background.rgb, 0.0, 1.0), vec3(GAMMA));
   vec3 darker = 1.0 - wanted / max(behind, vec3(1e-6));
   float alpha = clamp(max(found.a, max(darker.r, max(darker.g, darker.b))), 0.0, 1.0);
   light = vec4(wanted - (1.0 - alpha) * behind, alpha);
@@ -231,9 +234,8 @@ class Shaders:
             constants=(("INT", "water_object"),),
             depth="1.0",
         )
-        library = _WATER[: _WATER.index("void harmonics")]
         self.composite = _compile(
-            _SCREEN_VERTEX, _COMPOSITE_FRAGMENT, output="light", samplers=("picture",), library=library,
+            _SCREEN_VERTEX, _COMPOSITE_FRAGMENT, output="light", samplers=("picture",),
             constants=(("VEC4", "background"),),
         )
 
@@ -277,6 +279,7 @@ def _compile(
         ("HIDDEN", HIDDEN_ALPHA),
         ("GEOMETRY", GEOMETRY_TEXELS),
         ("DEPTH", depth),
+        ("GAMMA", OVERLAY_GAMMA),
     ):
         info.define(name, str(value))
     is_vertex_library = "texelFetch(order" in vertex
