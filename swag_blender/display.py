@@ -81,6 +81,12 @@ def apply(obj: bpy.types.Object) -> None:
     obj.update_tag()
 
 
+def copy_settings(source: bpy.types.Object, target: bpy.types.Object) -> None:
+    """Show one splat object as another is shown."""
+    for name in SwagDisplay.__annotations__:
+        setattr(display_of(target), name, getattr(display_of(source), name))
+
+
 def register() -> None:
     """Register the properties with objects."""
     bpy.utils.register_class(SwagDisplay)

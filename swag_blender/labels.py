@@ -31,7 +31,7 @@ from ..swag_engine.base.errors import InputError
 from ..swag_engine.base.strict_json import from_json
 from ..swag_engine.splats.splats import Splats, concatenate
 from ..swag_engine.splats.transform import transformed
-from . import splats, water
+from . import display, splats, water
 from .blender_types import present, with_properties
 from .nodes.splat_preview import HIDDEN, TINT, copy_inputs
 
@@ -395,9 +395,10 @@ def _copy_settings(source: bpy.types.Object, target: bpy.types.Object) -> None:
         copied["visible"], copied["color"] = entry.visible, tuple(entry.color)
     labels_of(target)["tinted"] = labels_of(source).tinted
     for key in source.keys():  # noqa: SIM118 (an ID, not a dict)
-        if key.startswith("swag_") and key != "swag_labels":
+        if key.startswith("swag_") and key not in {"swag_labels", "swag_display"}:
             target[key] = source[key]
     copy_inputs(source, target)
+    display.copy_settings(source, target)
     water.follow_slider(target)
 
 

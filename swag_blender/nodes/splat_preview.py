@@ -204,7 +204,8 @@ def node_group() -> bpy.types.NodeTree:
 
     rendered = _switch(tree, inputs[FACE_CAMERA], ellipsoids, facing)
     shown = _switch(tree, inputs[POINTS_IN_VIEWPORT], splat_shapes.no_shape(tree, inputs["Geometry"]), points)
-    shown = _switch(tree, inputs[SHAPES_IN_VIEWPORT], shown, rendered)
+    # The view of a viewport is seldom the active camera's, which rectangles face.
+    shown = _switch(tree, inputs[SHAPES_IN_VIEWPORT], shown, ellipsoids)
     add(tree, "NodeGroupOutput", Geometry=_switch(tree, in_viewport, rendered, shown))
     arranged(tree)
     return tree
@@ -234,7 +235,7 @@ def _interface(tree: bpy.types.NodeTree) -> None:
         FACE_CAMERA, True, "Render splats exactly as seen from the active camera; off: ellipsoids, for every direction"
     )
     switch(POINTS_IN_VIEWPORT, False, "Draw coloured points in viewports")
-    switch(SHAPES_IN_VIEWPORT, False, "Draw in viewports what renders show, for Rendered shading")
+    switch(SHAPES_IN_VIEWPORT, False, "Draw ellipsoids in viewports, for Rendered shading")
     number(
         DENSITY, "Float", "Percentage of the splats in the viewport; renders show all", 100.0, 0.0, 100.0, "PERCENTAGE"
     )

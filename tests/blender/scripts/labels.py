@@ -47,8 +47,10 @@ def instance_count():
     return sum(instance.is_instance for instance in graph.object_instances)
 
 
-def show_as_points(obj, as_points):
-    splat_preview.set_input(obj, splat_preview.POINTS_IN_VIEWPORT, as_points)
+def show_as(obj, name):
+    """Have the viewport's nodes give points or shapes, which can be counted without a window."""
+    for wanted in (splat_preview.POINTS_IN_VIEWPORT, splat_preview.SHAPES_IN_VIEWPORT):
+        splat_preview.set_input(obj, wanted, wanted == name)
 
 
 def assert_refused(operator, message, **arguments):
@@ -62,7 +64,7 @@ def assert_refused(operator, message, **arguments):
 
 def list_and_hide(folder):
     obj, made = labelled_object([1] * 50 + [2] * 30 + [0] * 20 + [7] * 5)
-    show_as_points(obj, False)
+    show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)
     assert instance_count() == 105
     assert bpy.ops.swag.read_labels(directory=folder) == {"FINISHED"}
     entries = obj.swag_labels.entries
@@ -104,7 +106,7 @@ def tint(folder):
     entries[0].color = (0, 1, 0)
     tint = tints()
     assert np.allclose(tint[0, :3], (0, 1, 0)) and 0 < tint[0, 3] < 1 and not tint[85].any() and tint[60, 3] > 0
-    show_as_points(obj, True)
+    show_as(obj, splat_preview.POINTS_IN_VIEWPORT)
     tinted = shown_colors()
     obj.swag_labels.tinted = False
     plain = shown_colors()
@@ -116,7 +118,7 @@ def tint(folder):
 
 def save_and_open(folder):
     obj, _ = labelled_object([1] * 50 + [2] * 30 + [0] * 20 + [7] * 5)
-    show_as_points(obj, False)
+    show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)
     bpy.ops.swag.read_labels(directory=folder)
     obj.swag_labels.entries[0].visible = False
     name = obj.name
@@ -153,7 +155,7 @@ def select_and_keep_mask(folder):
     modifier = obj.modifiers.new("mask", "NODES")
     modifier.node_group = tree
     obj.modifiers.move(1, 0)
-    show_as_points(obj, False)
+    show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)
     assert instance_count() == 50
 
 

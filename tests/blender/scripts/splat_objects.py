@@ -119,13 +119,25 @@ def show_points_or_splats():
         graph.update()
         return sum(instance.is_instance for instance in graph.object_instances)
 
-    assert instance_count() == 0
+    def shown_radius():
+        radius = np.empty(500, "f4")
+        bpy.context.view_layer.update()
+        shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+        shown.attributes["radius"].data.foreach_get("value", radius)
+        return radius
+
+    # The extension draws the splats itself; Blender draws the box of their points, which have no size.
+    assert instance_count() == 0 and obj.display_type == "BOUNDS" and not shown_radius().any()
+    obj.swag_display.style = "POINTS"
     # Transparent and elongated splats are drawn small, so as not to hide others; the stored radius is unchanged.
+    assert instance_count() == 0 and obj.display_type == "TEXTURED"
+    assert np.allclose(shown_radius(), 1.5 * np.median(made.scales, 1) * made.opacities, atol=1e-6)
     radius = np.empty(500, "f4")
-    shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-    shown.attributes["radius"].data.foreach_get("value", radius)
-    assert np.allclose(radius, 1.5 * np.median(made.scales, 1) * made.opacities, atol=1e-6)
     obj.data.attributes["radius"].data.foreach_get("value", radius)
     assert np.allclose(radius, made.scales.mean(1), atol=1e-6)
-    splat_preview.set_input(obj, splat_preview.POINTS_IN_VIEWPORT, False)
+    obj.swag_display.density = 40
+    assert 150 < len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.points) < 250
+    obj.swag_display.density = 100
+    # In Rendered shading Cycles and EEVEE draw the shapes that renders have.
+    splat_preview.set_input(obj, splat_preview.SHAPES_IN_VIEWPORT, True)
     assert instance_count() == 500
