@@ -7,7 +7,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+import torch
+
+from swag_engine.base.transfer import linear_to_srgb, srgb_to_linear
+from swag_engine.formats.ply import write_ply
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.splats.splats import Splats
+from swag_engine.splats.transform import sh_basis
 
 TOOLS = Path(__file__).resolve().parents[2].parent / "shared" / "real-blender"
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
@@ -113,3 +122,156 @@ def test_command_line_of_the_real_blender(real_blender, folder, shared_python):
     assert trained.returncode == 0, trained.stdout + trained.stderr
     assert "iterations/s" in trained.stdout and "Test views: PSNR" in trained.stdout
     assert (folder / "run/result.ply").exists()
+
+
+@pytest.fixture(scope="module")
+def viewport_pictures(real_blender, extension_zip, tmp_path_factory):
+    """Report of real_window_viewport.py and its pictures (H, W, 3) in 0..1, of the viewport's region alone."""
+    folder = real_blender / "gui" / "viewport"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    shutil.copy(extension_zip, folder / "extension.zip")
+    shutil.copy(Path(__file__).with_name("window.py"), folder)
+    write_ply(folder / "splats.ply", cloud())
+    (folder / "water.json").write_text(json.dumps(WATER))
+    environment = {
+        "SWAG_ZIP": "/gui/viewport/extension.zip", "SWAG_OUT": "/gui/viewport",
+        "BLENDER_USER_RESOURCES": "/gui/viewport/user",
+    }  # fmt: skip
+    done = subprocess.run(
+        ["bash", str(TOOLS / "gui"), str(real_blender), str(Path(__file__).with_name("real_window_viewport.py")),
+         str(tmp_path_factory.mktemp("viewport") / "last.png")],
+        env=os.environ | environment, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    printed = done.stdout + done.stderr
+    assert (folder / "report.json").exists(), printed
+    report = json.loads((folder / "report.json").read_text())
+    assert "traceback" not in report and "Traceback" not in printed, report.get("traceback", printed)
+    x, y, width, height = report["region"]
+    pictures = {}
+    for name in report["pictures"]:
+        whole = cv2.imread(str(folder / f"{name}.png"))[..., ::-1] / 255
+        pictures[name] = whole[len(whole) - y - height : len(whole) - y, x : x + width]
+    return report, pictures
+
+
+BACKGROUND = np.array([0.05, 0.1, 0.2])
+"""Linear light of the viewport's background in real_window_viewport.py."""
+WATER = {
+    "beta_D": [0.09, 0.04, 0.03], "beta_B": [0.07, 0.05, 0.06],
+    "veil_sh": [[-2.0, 1.0, 2.0], *np.random.default_rng(4).normal(size=(8, 3)).round(3).tolist()],
+    "light": "linear", "per": "unit",
+}  # fmt: skip
+
+
+def cloud():
+    """4000 splats of SH degree 3 in a box, of all sizes, opacities and proportions."""
+    random = np.random.default_rng(2)
+    count = 4000
+    rotations = random.normal(size=(count, 4))
+    return Splats(
+        random.uniform(-3, 3, (count, 3)).astype("f4"),
+        (rotations / np.linalg.norm(rotations, axis=1, keepdims=True)).astype("f4"),
+        np.exp(random.uniform(-5, -1.2, (count, 3))).astype("f4"),
+        random.uniform(0.05, 1, count).astype("f4"),
+        (random.normal(size=(count, 16, 3)) * np.array([1.0, *[0.2] * 15])[:, None]).astype("f4"),
+    )
+
+
+def engine_picture(report, name, keep=None, water=False):
+    """The engine's picture (H, W, 3) of the cloud for the matrices of a viewport's picture."""
+    splats, shown = cloud(), report["pictures"][name]
+    if keep is not None:
+        splats = splats.subset(keep)
+    projection, to_view = np.array(shown["projection"]), np.array(shown["view"])
+    width, height = report["region"][2:]
+    fx, fy = projection[0, 0] * width / 2, projection[1, 1] * height / 2
+    cx, cy = (1 - projection[0, 2]) * width / 2, (1 + projection[1, 2]) * height / 2
+    if projection[3, 3] == 1:  # parallel rays: seen from very far with a very long lens
+        far = 1e3
+        to_view[2, 3] -= far
+        fx, fy = fx * far, fy * far
+        centre = to_view @ np.array([0, 0, 0, 1])
+        fx, fy = fx * -centre[2] / far, fy * -centre[2] / far
+    to_view = np.diag([1.0, -1, -1, 1]) @ to_view
+    eye = np.linalg.inv(to_view)[:3, 3]
+    rays = splats.positions - eye
+    ranges = np.linalg.norm(rays, axis=1, keepdims=True)
+    basis = sh_basis(rays / ranges, 3)
+    colors = np.maximum(0.5 + np.einsum("nk,nkc->nc", basis, splats.sh), 0)
+    background = linear_to_srgb(BACKGROUND)
+    if water:
+        lights = open_water(rays / ranges)
+        transmission, gained = np.exp(-ranges * WATER["beta_D"]), 1 - np.exp(-ranges * WATER["beta_B"])
+        colors = linear_to_srgb(srgb_to_linear(colors) * transmission + lights * gained)
+    kernels = KERNELS["cpu"]
+    tensor = lambda values: torch.tensor(np.asarray(values), dtype=torch.float32)  # noqa: E731
+    intrinsics = tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    opacities, colors = tensor(splats.opacities), tensor(colors)
+    projected = kernels.project(
+        tensor(splats.positions), tensor(splats.rotations), tensor(splats.scales), opacities, colors,
+        tensor(to_view), intrinsics, width, height,
+    )  # fmt: skip
+    image, alpha = kernels.blend(projected, opacities, colors, tensor(background), width, height)
+    image, alpha = image.numpy(), alpha.numpy()[..., None]
+    if water:
+        v, u = np.mgrid[:height, :width] + 0.5
+        directions = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1) @ to_view[:3, :3]
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        behind = linear_to_srgb(open_water(directions.reshape(-1, 3))).reshape(height, width, 3)
+        image = image + (1 - alpha) * (behind - background)
+    return np.clip(image, 0, 1)
+
+
+def open_water(directions):
+    """Background light (N, 3) along unit directions (N, 3)."""
+    return 1 / (1 + np.exp(-sh_basis(directions, 2) @ np.array(WATER["veil_sh"])))
+
+
+def psnr(a, b):
+    return -10 * np.log10(np.mean((a - b) ** 2))
+
+
+@pytest.mark.parametrize("name", ["solid", "turned", "wireframe", "camera", "orthographic", "water", "separated"])
+def test_viewport_shows_the_engines_picture(viewport_pictures, name):
+    report, pictures = viewport_pictures
+    shown, wanted = pictures[name], engine_picture(report, name, water=name == "water")
+    inside = (slice(30, -5), slice(5, -5))  # without the rounded corners of the region
+    assert np.ptp(wanted[inside]) > 0.5
+    found = psnr(shown[inside], wanted[inside])
+    assert found > (35 if name == "orthographic" else 38), found
+
+
+def test_hidden_objects_and_local_view(viewport_pictures):
+    report, pictures = viewport_pictures
+    even = np.arange(4000) % 2 == 0
+    for name in ("half", "local_view"):
+        assert psnr(pictures[name], engine_picture(report, name, keep=even)) > 38
+    assert psnr(pictures["deleted"], engine_picture(report, "deleted", keep=~even)) > 38
+    assert psnr(pictures["undone"], pictures["separated"]) > 45, "undo shows the deleted splats again"
+    for name in ("after", "enabled"):
+        assert psnr(pictures[name], pictures["separated"]) > 45, name
+
+
+def test_a_mesh_hides_the_splats_behind_it(viewport_pictures):
+    report, pictures = viewport_pictures
+    to_view = np.array(report["pictures"]["wall"]["view"])
+    depths = -(cloud().positions @ to_view[2, :3] + to_view[2, 3])
+    wanted = engine_picture(report, "wall", keep=depths < report["wall_depth"])
+    inside = (slice(30, -5), slice(5, -5))
+    assert psnr(pictures["wall"][inside], wanted[inside]) > 38
+
+
+def test_nothing_is_left_on_the_graphics_card(viewport_pictures):
+    report, _ = viewport_pictures
+    assert report["shading"] == "SOLID" and report["display"] == "BOUNDS"
+    assert report["windows"] == 2 and report["views"] == 2
+    assert report["after_disabling"] == report["after_removing"] == report["after_new_file"] == 0
+    assert report["after_opening"] and not report["failed"]
+
+
+def test_a_turning_view_uploads_no_splats_and_a_resting_one_draws_nothing(viewport_pictures):
+    turned = viewport_pictures[0]["turned"]
+    assert viewport_pictures[0]["frames_at_rest"] == 0
+    # Order and depth as 4 bytes each; orders fill whole rows of 16384 texels.
+    assert turned["bytes"] <= turned["frames"] * 1.5 * (4 * turned["pixels"] + 4 * 16384 + 4096), turned
