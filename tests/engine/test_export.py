@@ -149,10 +149,12 @@ def test_what_cannot_be_chosen_is_said(run, tmp_path):
         ({"labels": ("7",)}, "No splat is left"),
         ({"min_opacity": 1.0}, "No splat is left"),
         ({"box": (0, 0, 0, 1, 1, 0)}, "corner of the box"),
-        ({"min_opacity": 1.5}, "min opacity must be from 0 to 1"),
-        ({"water": -1}, "water must be from 0 to 1"),
-        ({"sh_degree": 4}, "sh degree must be from 0 to 3"),
-        ({"metres_per_unit": 0.0}, "metres per unit"),
+        ({"min_opacity": 1.5}, "min opacity must be a number from 0 to 1, not 1.5"),
+        ({"water": -1}, "water must be a number from 0 to 1"),
+        ({"sh_degree": 4}, "sh degree must be a whole number from 0 to 3"),
+        ({"labels": "coral"}, "labels must be a tuple"),
+        ({"up": "x-up"}, "up must be one of scene, y-down"),
+        ({"metres_per_unit": -1.0}, "metres per unit"),
         ({"metres_per_unit": float("nan")}, "metres per unit"),
     ]
     for options, sentence in cases:
