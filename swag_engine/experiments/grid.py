@@ -24,7 +24,10 @@ class Grid:
     """
 
     presets: tuple[str, ...] = setting(
-        tuple(PRESETS), "Presets", "Presets to train with", choices={name: size.description for name, size in PRESETS.items()}
+        tuple(PRESETS),
+        "Presets",
+        "Presets to train with",
+        choices={name: size.description for name, size in PRESETS.items()},
     )
     iterations: tuple[int, ...] = setting(
         (0,), "Iterations", "Numbers of optimisation steps", zero="as many as the preset has"

@@ -54,7 +54,9 @@ class ExportOptions:
         least=0,
         most=1,
     )
-    labels: tuple[str, ...] = setting((), "Labels", "Only splats with these labels, by name or number; none: all splats")
+    labels: tuple[str, ...] = setting(
+        (), "Labels", "Only splats with these labels, by name or number; none: all splats"
+    )
     box: tuple[float, float, float, float, float, float] | None = setting(
         None, "Box", "Only splats in the box between two corners x y z x y z, in coordinates of the scene"
     )
@@ -145,12 +147,14 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
     if options.forecast:
         return result
     target.write(out, splats, up, cameras)
+    result["notes"] = target.notes(splats)
     files = [out]
     if options.cameras and scene:
         beside = cameras_folder(out)
         points = scene.points.positions @ into_file[:3, :3].T
         images = _posed_images(scene, into_file, beside)
-        written, result["notes"] = write_cameras(beside, images, points, scene.points.colors)
+        written, notes = write_cameras(beside, images, points, scene.points.colors)
+        result["notes"] += notes
         files += written
         if medium:
             in_file = transform_water(medium, rotation, metres or 1.0, settings.metres_per_unit, bool(metres))
