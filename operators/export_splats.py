@@ -15,7 +15,7 @@ from ..swag_blender.splat_formats import FILE_FILTER, is_splat_file, menu_text
 
 @with_properties
 class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
-    """Save splat objects as one PLY or GLB file, their transforms and modifiers applied"""
+    """Save splat objects as one PLY, GLB or SPZ file, their transforms and modifiers applied"""
 
     bl_idname = "swag.export_splats"
     bl_label = "Export Gaussian Splats"
@@ -51,9 +51,9 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
         EnumProperty(
             name="Axes",
             items=[
-                ("UPRIGHT", "Upright", "Blender's up is up in other programs: y down in a PLY, y up in a GLB"),
-                ("Y_UP", "Y Up", "PLY with y up, for programs that do not turn a PLY; a GLB always has y up"),
-                ("Z_UP", "Z Up", "PLY with Blender's own axes; a GLB always has y up"),
+                ("UPRIGHT", "Upright", "Blender's up is up in other programs: y down in a PLY, y up in a GLB or SPZ"),
+                ("Y_UP", "Y Up", "PLY with y up, for programs that do not turn a PLY; a GLB or SPZ always has y up"),
+                ("Z_UP", "Z Up", "PLY with Blender's own axes; a GLB or SPZ always has y up"),
                 ("SCENE", "COLMAP Scene", "PLY in the COLMAP coordinates of the imported scene"),
             ],
         ),

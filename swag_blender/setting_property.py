@@ -19,7 +19,7 @@ def setting_property(default: Any, described: Setting) -> Any:
     """
     words: dict[str, Any] = {"name": described.label, "description": described.description, "default": default}
     if isinstance(default, tuple):
-        words["description"] += "; with commas between several"
+        words["description"] += " (separated by commas)"
         return StringProperty(**words | {"default": ", ".join(default)})
     if described.choices:
         return EnumProperty(items=[(choice, choice, text) for choice, text in described.choices.items()], **words)

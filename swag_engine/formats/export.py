@@ -55,7 +55,7 @@ class ExportOptions:
         most=1,
     )
     labels: tuple[str, ...] = setting(
-        (), "Labels", "Only splats with these labels, by name or number; none: all splats"
+        (), "Labels", "Only splats with these labels, by name or number; all splats where none is given"
     )
     box: tuple[float, float, float, float, float, float] | None = setting(
         None, "Box", "Only splats in the box between two corners x y z x y z, in coordinates of the scene"
