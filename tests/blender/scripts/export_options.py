@@ -3,10 +3,12 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import bpy
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import labels, splats
+from bl_ext.user_default.swag_splatting.swag_blender.blender_types import with_properties
 from bl_ext.user_default.swag_splatting.swag_blender.splat_export import ExportOptions, ExportSettings, expected_size
 from files import add_imported_scene, export_splats, import_splats, matrix_in_file_frame, refusal
 
@@ -115,8 +117,11 @@ def options(folder):
     return {"to_box": to_box, "expected sizes": sizes, "messages": messages}
 
 
+@with_properties
 class CropSettings(bpy.types.PropertyGroup):
-    crop: bpy.props.PointerProperty(type=bpy.types.Object)
+    """What of `object.swag_display` an export reads."""
+
+    crop: Annotated[bpy.types.Object | None, bpy.props.PointerProperty(type=bpy.types.Object)]
 
 
 def parts(folder):
