@@ -4,7 +4,7 @@ Written is version 4, read are versions 1 to 4. All numbers are little-endian. V
 extensions, a table with the packed and unpacked bytes of each attribute, and the attributes, each packed with zstd.
 Versions 1 to 3 are one gzip stream of a header of 16 bytes, the attributes, and extensions. Attributes, in this order:
 
-- positions: three numbers with a sign and 24 bits, of which the header says how many are behind the point; in version 1
+- positions: three fixed-point numbers of 24 bits; the header says how many bits are behind the point; in version 1
   half floats
 - opacities: 0..1 in 8 bits
 - colors: (0.15 f_dc + 0.5) in 8 bits
@@ -13,7 +13,7 @@ Versions 1 to 3 are one gzip stream of a header of 16 bytes, the attributes, and
   of the others a sign and 9 bits of its size up to 1/sqrt(2); before that x, y and z from -1 to 1 in 8 bits, w positive
 - further spherical harmonics: 128 (1 + value) in 8 bits, R, G and B of one coefficient after the other
 
-The axes are x right, y up and z back, unless the extension of Adobe says others. Splats have no further properties.
+The axes are x right, y up and z back, unless the extension of Adobe says others. There is no place for extras.
 The format is described at https://github.com/nianticlabs/spz; details were checked against files of gaussforge.
 """
 
