@@ -22,12 +22,11 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 
 from benchmarks.common import processor, write_results
-from swag_engine.formats.gltf import read_glb, write_glb
-from swag_engine.formats.ply import read_ply, write_ply
+from swag_engine.formats.gltf import COLMAP_UP
+from swag_engine.formats.registry import FORMATS
 from swag_engine.splats.splats import Splats
 
 ROUNDS = 5
-FORMATS = {"ply": (write_ply, read_ply), "glb": (write_glb, read_glb)}
 
 
 def make_splats(count: int) -> Splats:
@@ -67,13 +66,13 @@ def write(name: str, path: Path, count: int) -> dict[str, float]:
     """Measure writing `count` splats."""
     before = held()
     splats = make_splats(count)
-    return measure(lambda: FORMATS[name][0](path, splats), before)
+    return measure(lambda: FORMATS[name].write(path, splats, COLMAP_UP, ()), before)
 
 
 def read(name: str, path: Path, count: int) -> dict[str, float]:
     """Measure reading the file that `write` made."""
     before = held()
-    return measure(lambda: FORMATS[name][1](path), before)
+    return measure(lambda: FORMATS[name].read(path, COLMAP_UP), before)
 
 
 def main() -> None:
@@ -82,7 +81,7 @@ def main() -> None:
     result: dict[str, object] = {"machine": processor(), "splats": count, "sh_degree": 3, "rounds": ROUNDS}
     with tempfile.TemporaryDirectory() as folder:
         for name in FORMATS:
-            path = Path(folder) / f"million.{name}"
+            path = Path(folder) / f"million{FORMATS[name].suffix}"
             for work in (write, read):
                 with multiprocessing.get_context("spawn").Pool(1) as pool:
                     figures = pool.apply(work, (name, path, count))

@@ -1,22 +1,21 @@
 """Save splats for other programs."""
 
-import dataclasses
 from pathlib import Path
 from typing import Annotated, Any, cast
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from ..swag_blender.blender_types import present, with_properties
 from ..swag_blender.operator_base import ReportingOperator
-from ..swag_blender.splat_export import ExportSettings, expected_size, save_splats
+from ..swag_blender.splat_export import OPTION_PROPERTIES, ExportSettings, expected_size, save_splats
 from ..swag_blender.splat_formats import FILE_FILTER, is_splat_file, menu_text
 
 
 @with_properties
 class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
-    """Save splat objects as one PLY or GLB file, their transforms and modifiers applied"""
+    """Save splat objects as one PLY, GLB or SPZ file, their transforms and modifiers applied"""
 
     bl_idname = "swag.export_splats"
     bl_label = "Export Gaussian Splats"
@@ -35,14 +34,26 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
             ],
         ),
     ]
+    part: Annotated[
+        str,
+        EnumProperty(
+            name="Splats",
+            items=[
+                ("ALL", "All", "All splats of the objects, hidden ones too"),
+                ("VISIBLE", "Visible", "Splats that are not hidden and lie inside the crop box of their object"),
+                ("SELECTED", "Selected", "The selected splats"),
+            ],
+            default="VISIBLE",
+        ),
+    ]
     frame: Annotated[
         str,
         EnumProperty(
             name="Axes",
             items=[
-                ("UPRIGHT", "Upright", "Blender's up is up in other programs: y down in a PLY, y up in a GLB"),
-                ("Y_UP", "Y Up", "PLY with y up, for programs that do not turn a PLY; a GLB always has y up"),
-                ("Z_UP", "Z Up", "PLY with Blender's own axes; a GLB always has y up"),
+                ("UPRIGHT", "Upright", "Blender's up is up in other programs: y down in a PLY, y up in a GLB or SPZ"),
+                ("Y_UP", "Y Up", "PLY with y up, for programs that do not turn a PLY; a GLB or SPZ always has y up"),
+                ("Z_UP", "Z Up", "PLY with Blender's own axes; a GLB or SPZ always has y up"),
                 ("SCENE", "COLMAP Scene", "PLY in the COLMAP coordinates of the imported scene"),
             ],
         ),
@@ -57,64 +68,13 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
             soft_max=100.0,
         ),
     ]
-    water: Annotated[
-        float,
-        FloatProperty(
-            name="Water",
-            description="Fraction of the fitted water in the colours, from 0 (none) to 1 (as photographed). Colours "
-            "with water are right from the cameras of the photos only, and the file has no water behind the splats",
-            min=0.0,
-            max=1.0,
-            subtype="FACTOR",
-        ),
-    ]
-    labels: Annotated[
-        str,
-        StringProperty(
-            name="Labels", description="Only splats with these labels: names or numbers with commas; empty for all"
-        ),
-    ]
     crop_object: Annotated[
         str,
         StringProperty(
             name="Crop Box", description="Only splats inside the bounding box of this object; an empty has its cube"
         ),
     ]
-    min_opacity: Annotated[
-        float,
-        FloatProperty(
-            name="Minimum Opacity",
-            description="Only splats of at least this opacity",
-            min=0.0,
-            max=1.0,
-            subtype="FACTOR",
-        ),
-    ]
-    sh_degree: Annotated[
-        int,
-        IntProperty(
-            name="SH Degree",
-            description="Highest degree of spherical harmonics; 0 makes colours the same from every view, and the "
-            "smallest file",
-            default=3,
-            min=0,
-            max=3,
-        ),
-    ]
-    extras: Annotated[
-        bool,
-        BoolProperty(
-            name="Extra Properties", description="Save labels and other properties of the splats too", default=True
-        ),
-    ]
-    cameras: Annotated[
-        bool,
-        BoolProperty(
-            name="Cameras",
-            description="Save the cameras of the photos too, without lens distortion: in a GLB, and beside the file as "
-            "a COLMAP text model, transforms.json and, where the run has a water, water.json",
-        ),
-    ]
+    # The options that the command line has, too, are added below the class.
     forecast: Annotated[str, StringProperty(options={"HIDDEN", "SKIP_SAVE"})]
     forecast_of: Annotated[str, StringProperty(options={"HIDDEN", "SKIP_SAVE"})]
 
@@ -136,7 +96,7 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
         layout.use_property_split = True
         layout.use_property_decorate = False
         for names in (
-            ("use", "frame", "metres_per_unit"),
+            ("use", "part", "frame", "metres_per_unit"),
             ("labels", "crop_object", "min_opacity"),
             ("water", "sh_degree", "extras", "cameras"),
         ):
@@ -151,7 +111,7 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
     def work(self, context: bpy.types.Context) -> str:
         """Save the file."""
         path = Path(bpy.path.abspath(self._filepath()))
-        count, notes = save_splats(context, path, self._settings())
+        count, notes = save_splats(context, path, ExportSettings.from_dialog(self))
         for note in notes:
             self.report({"WARNING"}, note)
         return f"Saved {count} splats to {path}."
@@ -160,17 +120,17 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
         """The chosen file, a property that ExportHelper has and fake-bpy-module does not declare."""
         return cast(Any, self).filepath
 
-    def _settings(self) -> ExportSettings:
-        return ExportSettings(**{field.name: getattr(self, field.name) for field in dataclasses.fields(ExportSettings)})
-
     def _update_forecast(self, context: bpy.types.Context) -> bool:
         """Show the size of the file; returns whether the options have changed."""
-        path, settings = Path(self._filepath()), self._settings()
+        path, settings = Path(self._filepath()), ExportSettings.from_dialog(self)
         of = f"{path.suffix.lower()} {settings}"
         if of == self.forecast_of:
             return False
         self.forecast_of, self.forecast = of, expected_size(context, path, settings)
         return True
+
+
+SWAG_OT_export_splats.__annotations__ |= OPTION_PROPERTIES
 
 
 _parent_menu: Any = bpy.types.TOPBAR_MT_file_export  # as Any: the stubs declare another signature of append

@@ -14,7 +14,7 @@ from ..swag_blender.splat_import import open_splats
 
 @with_properties
 class SWAG_OT_import_splats(bpy.types.Operator):
-    """Open Gaussian splats from PLY or GLB files"""
+    """Open Gaussian splats from PLY, GLB or SPZ files"""
 
     bl_idname = "swag.import_splats"
     bl_label = "Import Gaussian Splats"
@@ -36,7 +36,7 @@ class SWAG_OT_import_splats(bpy.types.Operator):
                 (
                     "UPRIGHT",
                     "Upright",
-                    "As splat viewers show the file: a PLY has its y axis down, a GLB its y axis up",
+                    "As splat viewers show the file: a PLY has its y axis down, a GLB or SPZ its y axis up",
                 ),
                 ("SCENE", "COLMAP Scene", "In the COLMAP coordinates of the imported scene that the file belongs to"),
             ],

@@ -6,41 +6,18 @@ from pathlib import Path
 from typing import Annotated, Any, cast
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 from bpy.types import PropertyGroup
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.run_folder import RunFolder
-from ..swag_engine.settings.field import Setting, settings_of
+from ..swag_engine.settings.field import settings_of
 from ..swag_engine.settings.settings import TrainSettings
 from . import effects
 from .blender_types import with_properties
+from .setting_property import setting_property
 
 SETTINGS = tuple(name for name, _, _ in settings_of(TrainSettings))
-
-
-def setting_property(default: Any, described: Setting) -> Any:
-    """Make the property of one setting of the engine.
-
-    Args:
-        default: Default value; its type chooses the kind of property.
-        described: Label, help, range and choices.
-
-    Returns:
-        What Blender takes as a property's annotation.
-    """
-    words: dict[str, Any] = {"name": described.label, "description": described.description, "default": default}
-    if described.choices:
-        return EnumProperty(items=[(choice, choice, text) for choice, text in described.choices.items()], **words)
-    if isinstance(default, bool):
-        return BoolProperty(**words)
-    if isinstance(default, str):
-        return StringProperty(subtype="DIR_PATH" if described.is_folder else "NONE", **words)
-    words["min"] = 0 if described.zero else described.least
-    words["max"] = described.most
-    if isinstance(default, int):
-        return IntProperty(subtype="PIXEL" if described.unit == "px" else "NONE", **words)
-    return FloatProperty(precision=4, **words)
 
 
 @with_properties

@@ -1,7 +1,7 @@
 """Splat objects as files for other programs."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +11,23 @@ from mathutils import Matrix
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.cameras import PosedImage, transform_camera, write_cameras
-from ..swag_engine.formats.export import cameras_folder, with_water
+from ..swag_engine.formats.export import ExportOptions, cameras_folder, with_water
 from ..swag_engine.formats.gltf import COLMAP_UP
 from ..swag_engine.formats.registry import find_format
 from ..swag_engine.formats.run_folder import RunFolder, read_json, write_json
-from ..swag_engine.formats.select import SplatSelection, label_ids, require_splats
+from ..swag_engine.formats.select import SplatSelection, inside_box, label_ids, require_splats
 from ..swag_engine.formats.water import transform_water
 from ..swag_engine.scene.cameras import Camera
+from ..swag_engine.settings.field import settings_of
 from ..swag_engine.splats.splats import Splats, concatenate
 from ..swag_engine.splats.transform import rotation_to_y_up, transformed
 from . import scene_import, splats
 from .blender_types import present
 from .cameras import cameras_of
+from .labels import SELECTED
+from .nodes.splat_preview import HIDDEN
 from .runs import RUN_KEY
+from .setting_property import setting_property, texts_of
 
 FRAMES = {
     "UPRIGHT": splats.FILE_FRAME,
@@ -31,6 +35,21 @@ FRAMES = {
     "Z_UP": Matrix.Identity(4),
 }
 """Axes that the user chooses for a file: the matrix from file to Blender world."""
+NOTHING = {
+    "ALL": "The objects have no splats: choose others.",
+    "VISIBLE": "No splats are visible: show their labels, move the crop box, or choose All.",
+    "SELECTED": "No splats are selected: select splats first, or choose Visible or All.",
+}
+"""Which splats of an object are written, and what is said where these are none."""
+OPTIONS = ("water", "labels", "min_opacity", "sh_degree", "extras", "cameras")
+"""Options of the engine that the dialog offers. In place of the others it has an object to crop by, axes named after
+Blender's, the length of a Blender unit, and the size of the file."""
+OPTION_PROPERTIES = {
+    name: setting_property(default, described)
+    for name, default, described in settings_of(ExportOptions)
+    if name in OPTIONS
+}
+"""Blender's properties of these options."""
 
 
 @dataclass(frozen=True)
@@ -39,27 +58,26 @@ class ExportSettings:
 
     Attributes:
         use: "SELECTED" or "VISIBLE" splat objects.
+        part: which of their splats, a key of NOTHING.
         frame: a key of FRAMES, or "SCENE" for the COLMAP frame; a format with fixed axes has "UPRIGHT" or "SCENE".
         metres_per_unit: length of a Blender unit in metres; the file is in metres.
-        water: fraction of the fitted water in the colours, 0 to 1.
-        labels: names or numbers of the labels to write, separated by commas; "" for all.
         crop_object: name of the object whose bounding box crops the splats; "" for none.
-        min_opacity: lowest opacity to write, 0 to 1.
-        sh_degree: highest degree of spherical harmonics, 0 to 3.
-        extras: whether to write labels and other properties of the splats.
-        cameras: whether to write the cameras too.
+        options: the options of OPTIONS; the others are not used.
     """
 
-    use: str
-    frame: str
-    metres_per_unit: float
-    water: float
-    labels: str
-    crop_object: str
-    min_opacity: float
-    sh_degree: int
-    extras: bool
-    cameras: bool
+    use: str = "SELECTED"
+    part: str = "VISIBLE"
+    frame: str = "UPRIGHT"
+    metres_per_unit: float = 1.0
+    crop_object: str = ""
+    options: ExportOptions = field(default_factory=ExportOptions)
+
+    @classmethod
+    def from_dialog(cls, dialog: Any) -> "ExportSettings":
+        """Take the settings from an operator that has them as properties."""
+        own = {each.name: getattr(dialog, each.name) for each in fields(cls) if each.name != "options"}
+        values = {name: getattr(dialog, name) for name in OPTIONS}
+        return cls(**own, options=ExportOptions(**values | {"labels": texts_of(values["labels"])}))
 
 
 def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings) -> tuple[int, list[str]]:
@@ -76,23 +94,24 @@ def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings
     to_file, up = _file_frame(objects, path, settings)
     parts = []
     for obj, placement, part in _selected_splats(context, objects, settings):
-        if settings.water and len(part):
-            part = _add_water(context, obj, part, settings.water)
+        if settings.options.water and len(part):
+            part = _add_water(context, obj, part, settings.options.water)
         parts.append(transformed(part, to_file @ placement))
     joined = require_splats(concatenate(parts))
     cameras = []
-    if settings.cameras:
+    if settings.options.cameras:
         cameras = [transform_camera(camera, to_file) for camera in cameras_of(context, _roots(objects))]
         if not cameras:
             raise InputError("There are no cameras to save: import the scene, add a camera, or turn Cameras off.")
     format.write(path, joined, up, cameras)
+    notes = format.notes(joined)
     if not cameras:
-        return len(joined), []
+        return len(joined), notes
     turn = np.eye(4)
     if "up" not in format.options:
         turn[:3, :3] = rotation_to_y_up(up)
     folder = cameras_folder(path)
-    notes = _save_cameras(folder, [transform_camera(camera, turn) for camera in cameras])
+    notes += _save_cameras(folder, [transform_camera(camera, turn) for camera in cameras])
     _save_water(objects[0], turn @ to_file, folder / "water.json", settings.metres_per_unit)
     return len(joined), notes
 
@@ -139,17 +158,51 @@ def _file_frame(objects: list[bpy.types.Object], path: Path, settings: ExportSet
 def _selected_splats(
     context: bpy.types.Context, objects: list[bpy.types.Object], settings: ExportSettings
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray, Splats]]:
-    """Each object with its matrix (4, 4) to Blender's world and, in its own frame, the splats to write of it."""
+    """Each object with its matrix (4, 4) to Blender's world and, in its own frame, the splats to write of it.
+
+    Raises:
+        InputError: no object has splats of the asked part, or labels or the crop object are not there.
+    """
     depsgraph = context.evaluated_depsgraph_get()
-    words = [word.strip() for word in settings.labels.split(",") if word.strip()]
+    options = settings.options
+    found = False
     for obj in objects:
         # The evaluated matrix has parents, constraints and animation in it.
         placement = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)
         names = Path(bpy.path.abspath(obj.get(RUN_KEY, ""))) / "labels.json"
-        labels = label_ids(words, names) if words else None
-        box = _crop_box(context, settings.crop_object) @ placement if settings.crop_object else None
-        selection = SplatSelection(labels, box, settings.min_opacity, settings.sh_degree, settings.extras)
-        yield obj, placement, selection.apply(splats.read_modified_splats(obj))
+        labels = label_ids(options.labels, names) if options.labels else None
+        box = _bounding_box(context, settings.crop_object) @ placement if settings.crop_object else None
+        selection = SplatSelection(labels, box, options.min_opacity, options.sh_degree, options.extras)
+        part = _part_of(obj, placement, settings.part)
+        found |= bool(len(part))
+        yield obj, placement, selection.apply(part)
+    if not found:
+        raise InputError(NOTHING[settings.part])
+
+
+def _part_of(obj: bpy.types.Object, placement: np.ndarray, part: str) -> Splats:
+    """All splats of an object in its own frame, those that the viewport shows, or those that are selected."""
+    if part == "SELECTED":
+        own, selected = splats.read_modified_splats(obj, SELECTED)
+        return own.subset(selected)
+    own, hidden = splats.read_modified_splats(obj, HIDDEN)
+    if part == "ALL":
+        return own
+    box = crop_box(obj)
+    shown = ~hidden if box is None else ~hidden & inside_box(own.positions, box @ placement)
+    return own if shown.all() else own.subset(shown)
+
+
+def crop_box(obj: bpy.types.Object) -> np.ndarray | None:
+    """Matrix (4, 4) from Blender's world to a space in which the object's own crop box reaches from -1 to 1.
+
+    None where the object has no crop box, or one without volume.
+    """
+    box = getattr(getattr(obj, "swag_display", None), "crop", None)
+    if box is None:
+        return None
+    half = box.empty_display_size if box.type == "EMPTY" else 1.0
+    return _to_unit_box(box, np.zeros(3), np.full(3, half))
 
 
 def _add_water(context: bpy.types.Context, obj: bpy.types.Object, dry: Splats, amount: float) -> Splats:
@@ -194,7 +247,7 @@ def _water_of_run(obj: bpy.types.Object) -> tuple[dict[str, Any] | None, float]:
     return read_json(run.water, ""), run.read_config()[1].metres_per_unit
 
 
-def _crop_box(context: bpy.types.Context, name: str) -> np.ndarray:
+def _bounding_box(context: bpy.types.Context, name: str) -> np.ndarray:
     """Matrix (4, 4) from Blender's world to a space in which the object's bounding box reaches from -1 to 1."""
     obj = present(context.scene).objects.get(name)
     if obj is None:
@@ -203,7 +256,21 @@ def _crop_box(context: bpy.types.Context, name: str) -> np.ndarray:
     if obj.type == "EMPTY":
         corners = np.array([[-1.0] * 3, [1.0] * 3]) * obj.empty_display_size
     lower, upper = corners.min(axis=0), corners.max(axis=0)
+    matrix = _to_unit_box(obj, (lower + upper) / 2, (upper - lower) / 2)
+    if matrix is None:
+        raise InputError(f"{name} has a scale of 0, so that no splats are inside: scale it, or choose another object.")
+    return matrix
+
+
+def _to_unit_box(obj: bpy.types.Object, centre: np.ndarray, half: np.ndarray) -> np.ndarray | None:
+    """Matrix (4, 4) from Blender's world to a space in which a box in the object's frame reaches from -1 to 1.
+
+    None where the object is scaled to 0.
+    """
     # A flat object has no extent along an axis; the matrix must be invertible.
-    half = np.diag([*np.maximum((upper - lower) / 2, 1e-9), 1.0])
-    half[:3, 3] = (lower + upper) / 2
-    return np.linalg.inv(np.array(obj.matrix_world, np.float64) @ half)
+    box = np.diag([*np.maximum(half, 1e-9), 1.0])
+    box[:3, 3] = centre
+    placement = np.array(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world, np.float64)
+    if not np.linalg.det(placement):
+        return None
+    return np.linalg.inv(placement @ box)

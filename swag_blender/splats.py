@@ -88,23 +88,33 @@ def read_splats(obj: bpy.types.Object) -> Splats:
     return splats_of(pointcloud_of(obj))
 
 
-def read_modified_splats(obj: bpy.types.Object) -> Splats:
-    """The splats of the object in its own frame with its modifiers applied, except the preview.
+def read_modified_splats(obj: bpy.types.Object, mask: str = "") -> tuple[Splats, np.ndarray]:
+    """The splats of the object in its own frame with its modifiers applied, except the preview; and a mask of them.
 
     Modifiers that are off in the viewport do not count. A modifier that moves points moves splats; sizes, rotations
-    and colours are those of the attributes. Raises InputError when the modifiers leave no splats.
+    and colours are those of the attributes.
+
+    Args:
+        obj: a splat object.
+        mask: name of a BOOLEAN attribute.
+
+    Returns:
+        The splats, and the values (N,) bool of that attribute: False where the object does not have it.
+
+    Raises:
+        InputError: the modifiers leave no splats.
     """
     shown = [modifier for modifier in obj.modifiers if modifier.show_viewport]
     previews = [modifier for modifier in shown if _is_preview(modifier)]
     if len(previews) == len(shown):
-        return read_splats(obj)
+        return read_splats(obj), _read_mask(pointcloud_of(obj), mask)
     try:
         for modifier in previews:
             modifier.show_viewport = False
         data = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
         if not isinstance(data, bpy.types.PointCloud) or BASE not in data.attributes or not len(data.points):
             raise InputError(f"The modifiers of {obj.name} leave no splats; turn them off in the viewport.")
-        return splats_of(data)
+        return splats_of(data), _read_mask(data, mask)
     finally:
         for modifier in previews:
             modifier.show_viewport = True
@@ -147,6 +157,14 @@ def splats_of(pointcloud: bpy.types.PointCloud) -> Splats:
         sh=np.stack(sh, axis=1),
         extras={a.name.removeprefix(OWN_PREFIX): _read(a, 1)[:, 0] for a in own},
     )
+
+
+def _read_mask(pointcloud: bpy.types.PointCloud, name: str) -> np.ndarray:
+    values = np.zeros(len(pointcloud.points), bool)
+    attribute: Any = pointcloud.attributes.get(name)
+    if attribute is not None and attribute.data_type == "BOOLEAN":
+        attribute.data.foreach_get("value", values)
+    return values
 
 
 def new_pointcloud(name: str, positions: np.ndarray) -> bpy.types.PointCloud:

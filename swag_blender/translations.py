@@ -48,13 +48,13 @@ GERMAN = {
     "Package Index": "Paketverzeichnis",
     "Folder of Wheels": "Ordner mit Wheels",
     "Open Preferences": "Einstellungen öffnen",
-    "As splat viewers show the file: a PLY has its y axis down, a GLB its y axis up": (
-        "Wie Splat-Betrachter die Datei zeigen: Im PLY zeigt die y-Achse nach unten, im GLB nach oben"
+    "As splat viewers show the file: a PLY has its y axis down, a GLB or SPZ its y axis up": (
+        "Wie Splat-Betrachter die Datei zeigen: Im PLY zeigt die y-Achse nach unten, im GLB und SPZ nach oben"
     ),
     "Axes": "Achsen",
     "Backend": "Rechenweg",
-    "Blender's up is up in other programs: y down in a PLY, y up in a GLB": (
-        "Was in Blender oben ist, ist es auch in anderen Programmen: y nach unten im PLY, nach oben im GLB"
+    "Blender's up is up in other programs: y down in a PLY, y up in a GLB or SPZ": (
+        "Was in Blender oben ist, ist es auch in anderen Programmen: y nach unten im PLY, nach oben im GLB und SPZ"
     ),
     "COLMAP Scene (folder)": "COLMAP-Szene (Ordner)",
     "Cameras": "Kameras",
@@ -110,10 +110,11 @@ GERMAN = {
     "Node Groups as Assets": "Knotengruppen als Assets",
     "Objects": "Objekte",
     "Only splats of at least this opacity": "Nur Splats von mindestens dieser Deckkraft",
-    "Only splats with these labels: names or numbers with commas; empty for all": (
-        "Nur Splats mit diesen Etiketten: Namen oder Nummern mit Kommas; leer für alle"
+    "Only splats with these labels, by name or number; all splats where none is given (separated by commas)": (
+        "Nur Splats mit diesen Etiketten, nach Name oder Nummer; alle Splats, wenn keines genannt ist (durch Kommas "
+        "getrennt)"
     ),
-    "Open Gaussian splats from PLY or GLB files": "Gauß-Splats aus PLY- oder GLB-Dateien öffnen",
+    "Open Gaussian splats from PLY, GLB or SPZ files": "Gauß-Splats aus PLY-, GLB- oder SPZ-Dateien öffnen",
     "Open the engine's log of the last job in a text editor": (
         "Das Protokoll des Rechenkerns vom letzten Auftrag in einem Texteditor öffnen"
     ),
@@ -122,8 +123,8 @@ GERMAN = {
     "Read Labels": "Etiketten lesen",
     "Remove": "Entfernen",
     "Run": "Lauf",
-    "Save splat objects as one PLY or GLB file, their transforms and modifiers applied": (
-        "Splat-Objekte als eine PLY- oder GLB-Datei speichern, Transformationen und Modifikatoren angewandt"
+    "Save splat objects as one PLY, GLB or SPZ file, their transforms and modifiers applied": (
+        "Splat-Objekte als eine PLY-, GLB- oder SPZ-Datei speichern, Transformationen und Modifikatoren angewandt"
     ),
     ("Scale the scene to metres by the distance between two selected objects, such as cameras, or two points"): (
         "Die Szene auf Meter bringen, nach dem Abstand zweier gewählter Objekte, etwa Kameras, oder zweier Punkte"
@@ -295,11 +296,11 @@ GERMAN = {
         "Vorhersage für jede Güte und die Einstellungen, für die sie gilt, als JSON"
     ),
     (
-        "Fraction of the fitted water in the colours, from 0 (none) to 1 (as photographed). Colours with "
-        "water are right from the cameras of the photos only, and the file has no water behind the splats"
+        "How much water the colors show, from 0 (removed) to 1 (as photographed); with water they are right only from "
+        "where the photos were taken, and open water behind the splats is missing"
     ): (
-        "Anteil des angepassten Wassers in den Farben, von 0 (keins) bis 1 (wie fotografiert). Farben mit "
-        "Wasser stimmen nur von den Kameras der Fotos aus, und hinter den Splats hat die Datei kein Wasser"
+        "Wie viel Wasser die Farben zeigen, von 0 (entfernt) bis 1 (wie fotografiert); mit Wasser stimmen sie nur von "
+        "dort aus, wo die Fotos gemacht wurden, und offenes Wasser hinter den Splats fehlt"
     ),
     "Fraction of the fitted water that is shown: 0 none, 1 as photographed; it can be animated": (
         "Anteil des angepassten Wassers, der gezeigt wird: 0 keins, 1 wie fotografiert; er lässt sich animieren"
@@ -309,7 +310,7 @@ GERMAN = {
         "Jedem Splat des Laufs ein Etikett geben: aus eigenen Masken, aus Worten oder aus auffälligen "
         "Bereichen; Escape bricht ab"
     ),
-    ("Highest degree of spherical harmonics; 0 makes colours the same from every view, and the smallest file"): (
+    "Highest degree of spherical harmonics; 0 makes colors the same from every view, and the smallest file": (
         "Höchster Grad der Kugelflächenfunktionen; mit 0 sind Farben aus jedem Blick gleich und die Datei am kleinsten"
     ),
     (
@@ -358,9 +359,11 @@ GERMAN = {
     ),
     "Other photos were chosen after the plan was made": "Nach dem Plan wurden andere Fotos gewählt",
     "PLY in the COLMAP coordinates of the imported scene": "PLY in den COLMAP-Koordinaten der importierten Szene",
-    "PLY with Blender's own axes; a GLB always has y up": "PLY mit Blenders eigenen Achsen; ein GLB hat y immer oben",
-    "PLY with y up, for programs that do not turn a PLY; a GLB always has y up": (
-        "PLY mit y oben, für Programme, die ein PLY nicht drehen; ein GLB hat y immer oben"
+    "PLY with Blender's own axes; a GLB or SPZ always has y up": (
+        "PLY mit Blenders eigenen Achsen; ein GLB oder SPZ hat y immer oben"
+    ),
+    "PLY with y up, for programs that do not turn a PLY; a GLB or SPZ always has y up": (
+        "PLY mit y oben, für Programme, die ein PLY nicht drehen; ein GLB oder SPZ hat y immer oben"
     ),
     "PSNR on held-out photos, in dB": "PSNR an zurückgehaltenen Fotos, in dB",
     "Pause or Resume": "Anhalten oder fortsetzen",
@@ -383,15 +386,22 @@ GERMAN = {
     "SSIM on held-out photos": "SSIM an zurückgehaltenen Fotos",
     "Salient Regions": "Auffällige Bereiche",
     "Save as Mask": "Als Maske speichern",
-    "Save labels and other properties of the splats too": (
-        "Auch Etiketten und andere Eigenschaften der Splats speichern"
+    "All": "Alle",
+    "All splats of the objects, hidden ones too": "Alle Splats der Objekte, auch verborgene",
+    "Splats": "Splats",
+    "Splats that are not hidden and lie inside the crop box of their object": (
+        "Splats, die nicht verborgen sind und im Ausschnitt ihres Objekts liegen"
+    ),
+    "The selected splats": "Die gewählten Splats",
+    "Write labels and other properties of the splats, too": (
+        "Auch Etiketten und andere Eigenschaften der Splats schreiben"
     ),
     (
-        "Save the cameras of the photos too, without lens distortion: in a GLB, and beside the file as a "
-        "COLMAP text model, transforms.json and, where the run has a water, water.json"
+        "Write the cameras, too: into a GLB, and to the folder NAME_cameras beside the file as a COLMAP text model, "
+        "transforms.json and, where the run models water, water.json"
     ): (
-        "Auch die Kameras der Fotos speichern, ohne Verzeichnung: im GLB, und neben der Datei als COLMAP-"
-        "Textmodell, transforms.json und, wo der Lauf ein Wasser hat, water.json"
+        "Auch die Kameras schreiben: in ein GLB, und in den Ordner NAME_cameras neben der Datei als COLMAP-"
+        "Textmodell, transforms.json und, wo der Lauf Wasser modelliert, water.json"
     ),
     "Save the selection as an attribute mask:NAME, for geometry nodes": (
         "Die Auswahl als Attribut mask:NAME speichern, für Geometrieknoten"

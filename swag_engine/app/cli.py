@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_origin
 
 import tyro
 
@@ -34,14 +34,18 @@ STARTED = time.monotonic()
 
 def describe_options(options: type) -> None:
     """Show the help and the choices of a dataclass of settings (settings/field.py) on the command line."""
-    for name, default, described in settings_of(options):
-        kind: Any = Literal[tuple(described.choices)] if described.choices else type(default)
+    for name, _, described in settings_of(options):
+        kind: Any = options.__annotations__[name]
+        if described.choices:
+            one: Any = Literal[tuple(described.choices)]
+            kind = tuple[one, ...] if get_origin(kind) is tuple else one
         sentences = "".join(f" {choice}: {text}." for choice, text in described.choices.items())
         help_text = tyro.conf.arg(help=f"{described.description}.{sentences}")
         options.__annotations__[name] = Annotated[kind, help_text]
 
 
-describe_options(TrainSettings)
+for described_options in (TrainSettings, ExportOptions, Grid):
+    describe_options(described_options)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,9 @@ from itertools import product
 from typing import Any
 
 from ..base.errors import InputError
+from ..settings.field import check_settings, setting
 from ..settings.presets import PRESETS
+from ..settings.recipes import RECIPES
 from ..settings.settings import TrainSettings
 
 DEFAULT = "default"
@@ -14,22 +16,43 @@ DEFAULT = "default"
 
 @dataclass(frozen=True)
 class Grid:
-    """Runs of a tradeoff: all combinations of these values. 0 stands for the preset's own."""
+    """Runs of a tradeoff: all combinations of these values.
 
-    presets: tuple[str, ...] = tuple(PRESETS)
-    """Presets: draft, standard, high."""
-    iterations: tuple[int, ...] = (0,)
-    """Numbers of optimisation steps, in place of the presets' own."""
-    widths: tuple[int, ...] = (0,)
-    """Widths in pixels of the training images, in place of the presets' own."""
-    max_gaussians: tuple[int, ...] = (0,)
-    """Largest numbers of Gaussians, in place of the presets' own."""
-    effects: tuple[str, ...] = (DEFAULT, "water=off")
-    """Sets of effects switched by hand, as in --effects of train; default stands for none."""
-    recipe: str = "swag"
-    """Recipe of all runs (docs/recipes.md)."""
-    seed: int = 0
-    """Seed of all random numbers."""
+    Raises:
+        InputError: For a value of another type, or a preset or method that there is not. The ranges of numbers are
+            those of `TrainSettings`, which `runs` checks.
+    """
+
+    presets: tuple[str, ...] = setting(
+        tuple(PRESETS),
+        "Presets",
+        "Presets to train with",
+        choices={name: size.description for name, size in PRESETS.items()},
+    )
+    iterations: tuple[int, ...] = setting(
+        (0,), "Iterations", "Numbers of optimisation steps", zero="as many as the preset has"
+    )
+    widths: tuple[int, ...] = setting(
+        (0,), "Widths", "Widths in pixels of the training images", zero="as the preset has it"
+    )
+    max_gaussians: tuple[int, ...] = setting(
+        (0,), "Max Gaussians", "Largest numbers of Gaussians", zero="as many as the preset has"
+    )
+    effects: tuple[str, ...] = setting(
+        (DEFAULT, "water=off"),
+        "Effects",
+        "Sets of effects switched by hand, as in --effects of train; default stands for none",
+    )
+    recipe: str = setting(
+        "swag",
+        "Method",
+        "Method of all runs (docs/recipes.md)",
+        choices={name: recipe.description for name, recipe in RECIPES.items()},
+    )
+    seed: int = setting(0, "Seed", "Seed of all random numbers")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
 
     def runs(self) -> list["Run"]:
         """List all combinations in the order of the grid, each run once.

@@ -4,12 +4,13 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..base.errors import InputError
 from ..scene.cameras import Camera
+from ..settings.field import check_settings, setting
 from ..splats.splats import Splats
 from ..splats.transform import rotation_to_y_up, transformed
 from .cameras import PosedImage, transform_camera, write_cameras
@@ -22,8 +23,13 @@ from .water import bake_water, transform_water
 if TYPE_CHECKING:
     from ..scene.colmap import Scene
 
-Up = Literal["scene", "y-down", "y-up", "z-up"]
-"""Axes of an exported file: those of the scene, or turned so that this axis is up."""
+AXES = {
+    "scene": "Those of the scene",
+    "y-down": "Turned so that -y is up, as viewers of PLY files expect",
+    "y-up": "Turned so that y is up",
+    "z-up": "Turned so that z is up, as in Blender",
+}
+"""Axes of an exported file, with a description of each."""
 FROM_Y_UP = {
     "y-up": np.eye(3),
     "y-down": np.diag([1.0, -1, -1]),
@@ -40,38 +46,49 @@ class ExportOptions:
         InputError: If a value is outside its range.
     """
 
-    water: float = 0.0
-    """How much water the colors show, from 0 (removed) to 1: each splat has the color that it had in the image taken at
-    the median range. From other places the color is not right, and open water behind the splats is not in the file."""
-    labels: tuple[str, ...] = ()
-    """Only splats with these labels, by name or number; without it, all splats."""
-    box: tuple[float, float, float, float, float, float] | None = None
-    """Only splats in the box between two corners x y z x y z, in coordinates of the scene."""
-    min_opacity: float = 0.0
-    """Only splats of at least this opacity, 0 to 1."""
-    sh_degree: int = 3
-    """Highest degree of spherical harmonics, 0 to 3: 0 keeps colors that do not change with the view, and makes the
-    smallest file."""
-    extras: bool = True
-    """Keep further properties of the splats, such as labels."""
-    up: Up = "scene"
-    """Axes of a PLY: those of the scene, or turned so that this axis is up (viewers of PLY files expect y-down). A GLB
-    always has y up."""
-    metres_per_unit: float | None = None
-    """Length of one scene unit in metres; the file is then in metres. Without it the run's own value is used, and
-    without that the file keeps scene units."""
-    cameras: bool = False
-    """Write the cameras too: into a GLB, and to the folder NAME_cameras beside the file as a COLMAP text model,
-    transforms.json and, where the run models water, water.json, all in the file's axes and scale."""
-    forecast: bool = False
-    """Write nothing, only report how large the file would be."""
+    water: float = setting(
+        0.0,
+        "Water",
+        "How much water the colors show, from 0 (removed) to 1 (as photographed); with water they are right only from "
+        "where the photos were taken, and open water behind the splats is missing",
+        least=0,
+        most=1,
+    )
+    labels: tuple[str, ...] = setting(
+        (), "Labels", "Only splats with these labels, by name or number; all splats where none is given"
+    )
+    box: tuple[float, float, float, float, float, float] | None = setting(
+        None, "Box", "Only splats in the box between two corners x y z x y z, in coordinates of the scene"
+    )
+    min_opacity: float = setting(0.0, "Minimum Opacity", "Only splats of at least this opacity", least=0, most=1)
+    sh_degree: int = setting(
+        3,
+        "SH Degree",
+        "Highest degree of spherical harmonics; 0 makes colors the same from every view, and the smallest file",
+        least=0,
+        most=3,
+    )
+    extras: bool = setting(True, "Extra Properties", "Write labels and other properties of the splats, too")
+    up: str = setting("scene", "Axes", "Axes of a PLY; a GLB and an SPZ always have y up", choices=AXES)
+    metres_per_unit: float = setting(
+        0.0,
+        "Metres per Unit",
+        "Length in metres of one unit of the scene's coordinates; the file is then in metres",
+        least=1e-9,
+        most=1e9,
+        unit="m",
+        zero="the length that the run was given, or else the scene's units are kept",
+    )
+    cameras: bool = setting(
+        False,
+        "Cameras",
+        "Write the cameras, too: into a GLB, and to the folder NAME_cameras beside the file as a COLMAP text model, "
+        "transforms.json and, where the run models water, water.json",
+    )
+    forecast: bool = setting(False, "Forecast", "Write nothing, and only report how large the file would be")
 
     def __post_init__(self) -> None:
-        for name, most in (("water", 1), ("min_opacity", 1), ("sh_degree", 3)):
-            if not 0 <= getattr(self, name) <= most:
-                raise InputError(f"The {name.replace('_', ' ')} must be from 0 to {most}, not {getattr(self, name)}.")
-        if self.metres_per_unit is not None and not 0 < self.metres_per_unit < float("inf"):
-            raise InputError(f"The metres per unit must be more than 0, not {self.metres_per_unit}.")
+        check_settings(self)
 
 
 def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptions | None = None) -> dict[str, Any]:
@@ -130,12 +147,14 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
     if options.forecast:
         return result
     target.write(out, splats, up, cameras)
+    result["notes"] = target.notes(splats)
     files = [out]
     if options.cameras and scene:
         beside = cameras_folder(out)
         points = scene.points.positions @ into_file[:3, :3].T
         images = _posed_images(scene, into_file, beside)
-        written, result["notes"] = write_cameras(beside, images, points, scene.points.colors)
+        written, notes = write_cameras(beside, images, points, scene.points.colors)
+        result["notes"] += notes
         files += written
         if medium:
             in_file = transform_water(medium, rotation, metres or 1.0, settings.metres_per_unit, bool(metres))

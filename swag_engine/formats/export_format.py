@@ -12,7 +12,7 @@ from ..splats.splats import Splats
 
 Direction = Sequence[float] | np.ndarray
 """Three numbers; their length does not matter."""
-Option = Literal["up", "cameras"]
+Option = Literal["up", "cameras", "extras"]
 """An export option that only some formats take."""
 
 
@@ -26,7 +26,9 @@ class ExportFormat:
         title: Label of the format in the interface.
         description: What the format is for, one sentence for the user.
         options: Which of these it takes. `up`: the file has the axes that the user chose; without it y is up.
-            `cameras`: the file holds cameras; without it they are only beside the file.
+            `cameras`: the file holds cameras; without it they are only beside the file. `extras`: the file holds
+            further properties such as labels, and every number as it is; without it numbers are rounded, and such
+            properties are left out.
         write: Writes splats to a file, which is whole or absent. Arguments: path; splats; the direction that is up in
             their world; cameras of that world. Raises InputError where that cannot be done.
         size: Size in bytes of the file that `write` makes of the same arguments; raises what `write` raises before it
@@ -43,3 +45,10 @@ class ExportFormat:
     write: Callable[[Path, Splats, Direction, Sequence[Camera]], None]
     size: Callable[[Path, Splats, Direction, Sequence[Camera]], int]
     read: Callable[[Path, Direction], Splats]
+
+    def notes(self, splats: Splats) -> list[str]:
+        """Return sentences for the user about what a file of this format leaves out of splats."""
+        if not splats.extras or "extras" in self.options:
+            return []
+        names = ", ".join(splats.extras)
+        return [f"{self.title} has no place for these properties, which were left out: {names}. PLY and GLB keep them."]

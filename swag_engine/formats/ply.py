@@ -193,7 +193,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
         raise InputError(f"{path} is empty.")
     if start[:2] in (b"\x1f\x8b", b"PK") or start == b"NGSP":
         raise InputError(
-            f"{path} is a compressed splat file (SPZ or SOG), not a PLY; convert it to an uncompressed PLY."
+            f"{path} is a compressed splat file, not a PLY: give an SPZ file the ending .spz, and convert a SOG file."
         )
     if start[:3] != b"ply" or start[3:] not in (b"\n", b"\r"):
         raise InputError(f"{path} is not a PLY file.")
@@ -325,7 +325,7 @@ FORMAT = ExportFormat(
     suffix=".ply",
     title="PLY (3DGS)",
     description="The 3D Gaussian Splatting layout that most splat programs read.",
-    options=frozenset({"up"}),
+    options=frozenset({"up", "extras"}),
     write=lambda path, splats, up, cameras: write_ply(path, splats),
     size=lambda path, splats, up, cameras: ply_size(path, splats),
     read=lambda path, up: read_ply(path),

@@ -10,6 +10,7 @@ from .export_format import ExportFormat
 MODULES = (
     "ply",
     "gltf",
+    "spz",
 )
 """Files of this folder that define a FORMAT, in the order in which the interface shows them."""
 FORMATS: dict[str, ExportFormat] = {

@@ -42,8 +42,10 @@ class RunFolder:
 
     @property
     def results(self) -> dict[str, Path]:
-        """The file of the result in every export format, by the format's name."""
-        return {name: self.path / f"result{format.suffix}" for name, format in FORMATS.items()}
+        """The file of the result in every export format that leaves nothing out, by the format's name."""
+        return {
+            name: self.path / f"result{format.suffix}" for name, format in FORMATS.items() if "extras" in format.options
+        }
 
     @property
     def ply(self) -> Path:
@@ -51,7 +53,7 @@ class RunFolder:
         return self.results["ply"]
 
     def write_result(self, splats: Splats, up: Sequence[float] | np.ndarray) -> None:
-        """Write the result in every export format.
+        """Write the files of `results`.
 
         Args:
             splats: Splats of the run.

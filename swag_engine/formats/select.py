@@ -51,12 +51,16 @@ class SplatSelection:
                 raise InputError("The splats have no labels to select by; label them first, or leave labels empty.")
             kept &= np.isin(splats.extras[LABEL], list(self.labels))
         if self.box is not None:
-            inside = splats.positions @ self.box[:3, :3].T + self.box[:3, 3]
-            kept &= (np.abs(inside) <= 1).all(axis=1)
+            kept &= inside_box(splats.positions, self.box)
         chosen = splats if kept.all() else splats.subset(kept)
         sh = chosen.sh[:, : (self.sh_degree + 1) ** 2]
         extras = chosen.extras if self.extras else {}
         return Splats(chosen.positions, chosen.rotations, chosen.scales, chosen.opacities, sh, extras)
+
+
+def inside_box(positions: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Return which positions (N, 3) lie in a box, (N,) bool; `box` as in `SplatSelection`."""
+    return (np.abs(positions @ box[:3, :3].T + box[:3, 3]) <= 1).all(axis=1)
 
 
 def require_splats(splats: Splats) -> Splats:

@@ -7,7 +7,8 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, get_args, get_origin
 
 from ..base.errors import InputError
 
@@ -52,42 +53,62 @@ class Setting:
             return ""
         return f"{self.least} to {self.most} {self.unit}".rstrip()
 
-    def check(self, name: str, value: Any, default: Any) -> None:
+    def check(self, name: str, value: Any, kind: Any) -> None:
         """Check a value.
 
         Args:
             name: Name of the field, for the message.
             value: The value.
-            default: The field's default, which gives the type.
+            kind: Type of the field: bool, int, float or str, a tuple of these, or one of these or None.
 
         Raises:
             InputError: Says which setting is wrong and what it may be.
         """
         title = f"The setting {name.replace('_', ' ')}"
-        if isinstance(default, bool):
+        if isinstance(kind, UnionType):
+            if value is None:
+                return
+            kind = next(other for other in get_args(kind) if other is not NoneType)
+        if get_origin(kind) is not tuple:
+            self._check_one(title, value, kind)
+            return
+        kinds = get_args(kind)
+        if not isinstance(value, tuple):
+            raise InputError(f"{title} must be a tuple of values, not {value!r}.")
+        if kinds[-1] is Ellipsis:
+            kinds = kinds[:1] * len(value)
+        if len(value) != len(kinds):
+            raise InputError(f"{title} must have {len(kinds)} values, not {len(value)}.")
+        for one, its_kind in zip(value, kinds, strict=True):
+            self._check_one(title, one, its_kind)
+
+    def _check_one(self, title: str, value: Any, kind: type) -> None:
+        """Check a value that is not a tuple."""
+        if kind is bool:
             if not isinstance(value, bool):
                 raise InputError(f"{title} must be true or false, not {value!r}.")
-        elif isinstance(default, str):
+        elif kind is str:
             if not isinstance(value, str):
                 raise InputError(f"{title} must be a text, not {value!r}.")
             if self.choices and value not in self.choices:
                 raise InputError(f"{title} must be one of {', '.join(self.choices)}, not {value!r}.")
-        elif isinstance(default, int | float):
-            kinds: Any = int if isinstance(default, int) else int | float
+        else:
+            kinds: Any = int if kind is int else int | float
             is_number = isinstance(value, kinds) and not isinstance(value, bool)
             means_default = bool(self.zero) and is_number and value == 0
             # A comparison with NaN is false, so NaN is refused, too.
             if not is_number or not (means_default or self.least <= value <= self.most):
-                kind = "a whole number" if kinds is int else "a number"
-                also = f", or 0 ({self.zero})" if self.zero else ""
-                raise InputError(f"{title} must be {kind} from {self.range}{also}, not {value!r}.")
+                number = "a whole number" if kind is int else "a number"
+                allowed = f" from {self.range}" if self.range else ""
+                also = f", or 0 ({self.zero})" if self.zero and self.range else ""
+                raise InputError(f"{title} must be {number}{allowed}{also}, not {value!r}.")
 
 
 def setting(default: Any, label: str, help: str, **more: Any) -> Any:
     """Declare a field of a dataclass of settings.
 
     Args:
-        default: Default value; its type is the setting's.
+        default: Default value.
         label: Noun of one to three words for a panel.
         help: One sentence without its full stop.
         **more: Further attributes of `Setting`.
@@ -118,5 +139,6 @@ def check_settings(options: Any) -> None:
     Raises:
         InputError: Names the first wrong setting.
     """
-    for name, default, described in settings_of(options):
-        described.check(name, getattr(options, name), default)
+    kinds = {field.name: field.type for field in dataclasses.fields(options)}
+    for name, _, described in settings_of(options):
+        described.check(name, getattr(options, name), kinds[name])

@@ -7,6 +7,7 @@ import pytest
 
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply, write_ply
+from swag_engine.formats.spz import read_spz
 from swag_engine.splats.splats import Splats
 from swag_engine.splats.transform import covariances, sh_basis, transformed
 
@@ -68,13 +69,31 @@ def test_the_objects_transform_is_applied(blender, tmp_path):
 
 
 def test_upright_files_have_blenders_up_direction(blender, tmp_path):
-    """A point two units above Blender's ground: y is -2 in the PLY (its viewers show -y as up), +2 in the GLB."""
+    """A point two units above Blender's ground: y is -2 in the PLY (its viewers show -y as up), else +2."""
     one = some_splats(1, 0)
     one.positions[:] = 0
     write_ply(tmp_path / "one.ply", one)
     blender.run("export.raise_by_two_units", tmp_path)
     assert np.allclose(read_ply(tmp_path / "up.ply").positions, (0, -2, 0), atol=1e-6)
     assert np.allclose(read_glb(tmp_path / "up.glb", up=(0, 1, 0)).positions, (0, 2, 0), atol=1e-6)
+    assert np.allclose(read_spz(tmp_path / "up.spz", up=(0, 1, 0)).positions, (0, 2, 0), atol=1e-6)
+
+
+def test_an_spz_out_of_blender_and_into_it(blender, tmp_path):
+    """The same splats to the precision of the format; that labels were left out is said."""
+    made = some_splats()
+    made.sh *= 0.2
+    write_ply(tmp_path / "reef.ply", made)
+    expected = blender.run("export.spz_there_and_back", tmp_path)
+    back = read_ply(tmp_path / "back.ply")
+    assert len(back) == len(made) and not back.extras
+    assert np.allclose(back.positions, made.positions, atol=1e-3)
+    assert np.allclose(np.sort(back.scales), np.sort(made.scales), rtol=0.04)
+    assert np.allclose(back.sh[:, 0], made.sh[:, 0], atol=0.02)
+    assert np.sqrt(np.mean((back.sh - made.sh) ** 2)) < 0.04
+    assert "were left out: label" in blender.printed
+    size = (tmp_path / "reef.spz").stat().st_size
+    assert expected.startswith("200 splats, ") and abs(float(expected.split()[2]) * 1e6 - size) < 0.05e6 + 0.02 * size
 
 
 def test_several_files_are_imported_with_fewer_harmonics_beside_a_damaged_one(blender, tmp_path):
@@ -83,7 +102,7 @@ def test_several_files_are_imported_with_fewer_harmonics_beside_a_damaged_one(bl
     (tmp_path / "broken.ply").write_bytes((tmp_path / "a.ply").read_bytes()[:2000])
     found = blender.run("export.import_several", tmp_path)
     assert "broken.ply" in found["message"] and "\n" not in found["message"]
-    assert found["extensions"] == ".ply;.glb" and found["operator"] == "swag.import_splats"
+    assert found["extensions"] == ".ply;.glb;.spz" and found["operator"] == "swag.import_splats"
 
 
 def test_refusals_are_one_sentence(blender, tmp_path):

@@ -137,6 +137,32 @@ def test_each_option_selects_or_converts_the_splats(blender, tmp_path):
     assert not list(tmp_path.glob("refused*"))
 
 
+def test_all_visible_or_selected_splats_are_exported(blender, tmp_path):
+    """After isolating a label, only what is shown is written by default; a crop box moves with its object."""
+    made = heap()
+    write_ply(tmp_path / "heap.ply", made)
+    messages = blender.run("export_options.parts", tmp_path)
+    read = {path.stem: read_ply(path) for path in tmp_path.glob("*.ply")}
+    label = made.extras["label"]
+    shown = made.positions[label == 2]
+    np.testing.assert_allclose(read["visible"].positions, np.concatenate([shown, shown]), atol=1e-6)
+    # What was exported later was moved by 7 as an object, and by 1 with a modifier.
+    moved = made.positions + (8, 0, 0)
+    selected = (np.arange(len(made)) < 50) | (label == 1)
+    np.testing.assert_allclose(read["selected"].positions, moved[selected], atol=2e-6)
+    np.testing.assert_allclose(read["all"].positions, moved, atol=2e-6)
+    assert set(read["all"].extras) == {"label"}, "what the viewport shows is no property of the file"
+    x, y, z = made.positions.T  # Blender's z is -y of the file
+    inside = (np.abs(x) <= 0.5) & (np.abs(y) <= 2) & (np.abs(z) <= 0.5) & (label == 2)
+    np.testing.assert_allclose(read["cropped"].positions, moved[inside], atol=2e-6)
+    assert 20 < inside.sum() < (label == 2).sum() / 2
+    assert len(read["flat"]) == len(shown), "a box without volume does not crop"
+    assert len(read["outside"]) == len(made)
+    for words, message in messages.items():
+        assert words in message and message.endswith("."), (words, message)
+    assert not (tmp_path / "refused.ply").exists()
+
+
 @pytest.mark.parametrize("suffix", ["ply", "glb"])
 def test_water_and_cameras_of_an_imported_scene_are_exported(blender, tmp_path, suffix):
     """The scene was moved and scaled in Blender: the exported cameras see what the cameras of the scene saw."""

@@ -2,12 +2,14 @@
 
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import pytest
 
 from swag_engine.base.errors import InputError
+from swag_engine.experiments.grid import Grid
+from swag_engine.formats.export import ExportOptions
 from swag_engine.kernels.backends import KERNELS
 from swag_engine.settings.field import check_settings, setting, settings_of
 from swag_engine.settings.settings import BACKENDS, TrainSettings
@@ -22,14 +24,21 @@ class Example:
     kind: str = setting("a", "Kind", "Which", choices={"a": "First", "b": "Second"})
     text: str = setting("", "Text", "What")
     flag: bool = setting(False, "Flag", "Whether")
+    counts: tuple[int, ...] = setting((), "Counts", "How many of each", least=1, most=5)
+    kinds: tuple[str, ...] = setting(("a",), "Kinds", "Which", choices={"a": "First", "b": "Second"})
+    corner: tuple[float, float] | None = setting(None, "Corner", "Where")
 
     def __post_init__(self) -> None:
         check_settings(self)
 
 
 @pytest.mark.parametrize(
-    "values", [{}, {"count": 0}, {"count": 9}, {"scale": 2}, {"kind": "b"}, {"text": "x"}, {"flag": True}]
-)
+    "values",
+    [
+        {}, {"count": 0}, {"count": 9}, {"scale": 2}, {"kind": "b"}, {"text": "x"}, {"flag": True}, {"counts": (1, 5)},
+        {"kinds": ()}, {"kinds": ("b", "a")}, {"corner": None}, {"corner": (1, -2.5)},
+    ],
+)  # fmt: skip
 def test_values_within_the_range_are_accepted(values):
     example = Example(**values)
     assert all(getattr(example, name) == value for name, value in values.items())
@@ -50,6 +59,14 @@ def test_values_within_the_range_are_accepted(values):
         ({"kind": ["a"]}, "a text"),
         ({"text": 5}, "a text, not 5"),
         ({"flag": 1}, "true or false, not 1"),
+        ({"counts": (1, 6)}, "a whole number from 1 to 5, not 6"),
+        ({"counts": (1, 2.0)}, "a whole number from 1 to 5, not 2.0"),
+        ({"counts": 3}, "a tuple of values, not 3"),
+        ({"counts": None}, "a tuple of values, not None"),
+        ({"kinds": ("a", "c")}, "one of a, b, not 'c'"),
+        ({"corner": (1.0,)}, "2 values, not 1"),
+        ({"corner": (1.0, float("nan"))}, "a number, not nan"),
+        ({"corner": "12"}, "a tuple of values, not '12'"),
     ],
 )
 def test_a_wrong_value_is_refused_with_the_allowed_ones(values, words):
@@ -58,23 +75,26 @@ def test_a_wrong_value_is_refused_with_the_allowed_ones(values, words):
     assert words in str(refused.value) and next(iter(values)) in str(refused.value)
 
 
-def test_every_setting_is_described():
+@pytest.mark.parametrize("options", [TrainSettings, ExportOptions, Grid])
+def test_every_setting_is_described(options):
     names = []
-    for name, default, described in settings_of(TrainSettings):
+    for name, default, described in settings_of(options):
         names.append(name)
         assert described.label and described.help and not described.help.endswith("."), name
-        assert not isinstance(default, int | float) or isinstance(default, bool) or described.range, name
-        described.check(name, default, default)
-    assert names == list(TrainSettings().to_json())
+        is_number = isinstance(default, int | float) and not isinstance(default, bool)
+        assert not is_number or described.range or options is Grid, name
+        assert getattr(options(), name) == default
+    assert names == [field.name for field in fields(options)]
 
 
-def test_the_command_line_shows_every_setting_with_its_help():
+@pytest.mark.parametrize(("command", "options"), [("train", TrainSettings), ("export", ExportOptions)])
+def test_the_command_line_shows_every_setting_with_its_help(command, options):
     printed = subprocess.run(
-        [sys.executable, "-m", "swag_engine", "train", "--help"],
+        [sys.executable, "-m", "swag_engine", command, "--help"],
         cwd=ROOT, capture_output=True, text=True, timeout=120, check=True,
     ).stdout  # fmt: skip
     words = " ".join(printed.replace("│", " ").split())
-    for name, _, described in settings_of(TrainSettings):
+    for name, _, described in settings_of(options):
         assert f"--{name.replace('_', '-')}" in words and described.description in words, name
         assert all(f"{choice}: {text}." in words for choice, text in described.choices.items()), name
 

@@ -1,5 +1,6 @@
 """Hostile and damaged splat files are read or refused in one sentence, with little memory and nothing written."""
 
+import gzip
 import json
 import re
 import struct
@@ -14,11 +15,12 @@ import pytest
 from swag_engine.base.errors import InputError
 from swag_engine.formats.gltf import read_glb, write_glb
 from swag_engine.formats.ply import read_ply, write_ply
+from swag_engine.formats.spz import read_spz, write_spz
 from swag_engine.scene.cameras import Camera
 from tests.hardcases.changed_files import NUMBERS, bytes_changed, some_splats, values_changed
 
 INPUTS = 1000
-"""Changed files of each kind; there are five kinds."""
+"""Changed files of each kind; there are seven kinds."""
 WORDS = [b"nan", b"-inf", b"1e999", b"", b"x", b"\xff", b"uchar", b"double", b"list uchar int", b"\n", b"vertex", b"sh"]
 
 
@@ -52,6 +54,22 @@ def glb(path: Path) -> bytes:
     camera = Camera("a", 64, 48, 50.0, 50.0, 32.0, 24.0, np.eye(4))
     write_glb(path, some_splats(), cameras=[camera])
     return path.read_bytes()
+
+
+def spz(path: Path) -> bytes:
+    write_spz(path, some_splats())
+    return path.read_bytes()
+
+
+def old_spz(path: Path) -> bytes:
+    """Version 3, with random attributes."""
+    head = struct.pack("<4sIIBBBB", b"NGSP", 3, 40, 1, 12, 0, 0)
+    return gzip.compress(head + np.random.default_rng(3).bytes(40 * (9 + 1 + 3 + 3 + 4 + 9)), mtime=0)
+
+
+def contents_changed(data: bytes, random: np.random.Generator) -> bytes:
+    """Apply bytes_changed to what is in a gzip file."""
+    return gzip.compress(bytes_changed(gzip.decompress(data), random), mtime=0)
 
 
 def header_changed(data: bytes, random: np.random.Generator) -> bytes:
@@ -104,8 +122,10 @@ def glb_json_changed(data: bytes, random: np.random.Generator) -> bytes:
         (packed_ply, (bytes_changed, header_changed), read_ply),
         (glb, (glb_json_changed,), read_glb),
         (glb, (bytes_changed,), read_glb),
+        (spz, (bytes_changed,), read_spz),
+        (old_spz, (bytes_changed, contents_changed), read_spz),
     ],
-    ids=["binary PLY", "text PLY", "compressed PLY", "GLB's JSON", "GLB's bytes"],
+    ids=["binary PLY", "text PLY", "compressed PLY", "GLB's JSON", "GLB's bytes", "SPZ", "SPZ of version 3"],
 )
 def test_changed_files(tmp_path: Path, make: Callable, change: tuple[Callable, ...], read: Callable) -> None:
     """1000 files each, from one seed; a failure prints the number of the file."""

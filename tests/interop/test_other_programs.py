@@ -8,6 +8,7 @@ import pytest
 from swag_engine.base.errors import InputError
 from swag_engine.formats.gltf import read_glb, write_glb
 from swag_engine.formats.ply import read_ply, write_ply
+from swag_engine.formats.spz import read_spz, write_spz
 from swag_engine.scene.cameras import Camera
 from swag_engine.splats.splats import Splats
 from swag_engine.splats.transform import covariances, rotation_matrices, sh_basis, transformed
@@ -131,9 +132,23 @@ def test_splats_survive_conversion_to_spz_and_back(convert, tmp_path):
     basis = sh_basis(directions / np.linalg.norm(directions, axis=1, keepdims=True), 3)
     difference = np.einsum("mk,nkc->mnc", basis, back.sh - splats.sh)
     assert np.sqrt(np.mean(difference**2)) < 0.1 and np.abs(back.sh[:, 0] - splats.sh[:, 0]).max() < 0.05
+    # Its SPZ has the axes of the PLY, which it does not declare.
+    np.testing.assert_allclose(read_spz(spz, up=(0, 1, 0)).positions, back.positions, atol=1e-6)
     spz.rename(tmp_path / "really.ply")
     with pytest.raises(InputError, match="compressed splat file"):
         read_ply(tmp_path / "really.ply")
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_splat_transform_reads_the_same_spz(convert, tmp_path, degree):
+    write_spz(tmp_path / "ours.spz", some_splats(degree=degree))
+    ours = read_spz(tmp_path / "ours.spz", up=(0, 1, 0))  # as the file has it
+    theirs = read_ply(convert(tmp_path / "ours.spz", tmp_path / "theirs.ply"))
+    np.testing.assert_array_equal(theirs.positions, ours.positions)
+    np.testing.assert_allclose(theirs.scales, ours.scales, rtol=1e-5)
+    np.testing.assert_allclose(np.abs(np.sum(theirs.rotations * ours.rotations, axis=1)), 1, atol=1e-5)
+    np.testing.assert_allclose(theirs.opacities, ours.opacities, atol=1e-6)
+    np.testing.assert_allclose(theirs.sh, ours.sh, atol=1e-5)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

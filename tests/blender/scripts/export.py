@@ -4,6 +4,7 @@ from pathlib import Path
 
 import bpy
 from bl_ext.user_default.swag_splatting.swag_blender import splats
+from bl_ext.user_default.swag_splatting.swag_blender.splat_export import ExportSettings, expected_size
 from files import add_imported_scene, export_splats, import_splats, matrix_in_file_frame, refusal
 
 
@@ -42,6 +43,17 @@ def raise_by_two_units(folder):
     obj.location.z = 2
     export_splats(folder + "/up.ply")
     export_splats(folder + "/up.glb")
+    export_splats(folder + "/up.spz")
+
+
+def spz_there_and_back(folder):
+    """Export reef.spz of reef.ply, and back.ply of that; returns the expected size."""
+    import_splats(folder + "/reef.ply")
+    expected = expected_size(bpy.context, Path("reef.spz"), ExportSettings())
+    export_splats(folder + "/reef.spz")
+    import_splats(folder + "/reef.spz")
+    export_splats(folder + "/back.ply")
+    return expected
 
 
 def import_several(folder):

@@ -3,10 +3,13 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
 import bpy
-from bl_ext.user_default.swag_splatting.swag_blender import splats
-from bl_ext.user_default.swag_splatting.swag_blender.splat_export import ExportSettings, expected_size
+import numpy as np
+from bl_ext.user_default.swag_splatting.swag_blender import labels, splats
+from bl_ext.user_default.swag_splatting.swag_blender.blender_types import with_properties
+from bl_ext.user_default.swag_splatting.swag_blender.splat_export import ExportOptions, ExportSettings, expected_size
 from files import add_imported_scene, export_splats, import_splats, matrix_in_file_frame, refusal
 
 
@@ -83,20 +86,24 @@ def options(folder):
     box.empty_display_size = 0.5
     box.rotation_euler, box.location = (0, 0, 0.5), (0.2, 0, 0)
     bpy.context.scene.collection.objects.link(box)
+    flat = bpy.data.objects.new("flat", None)
+    flat.scale.z = 0
+    bpy.context.scene.collection.objects.link(flat)
     bpy.context.view_layer.update()
     export_splats(path / "cropped.ply", crop_object="box")
     export_splats(path / "plain.ply", min_opacity=0.5, sh_degree=1, extras=False)
     export_splats(path / "metres.ply", metres_per_unit=3.0, frame="Z_UP")
     export_splats(path / "y_up.ply", frame="Y_UP")
 
-    settings = ExportSettings("SELECTED", "UPRIGHT", 1.0, 0.0, "", "", 0.5, 1, False, False)
+    options = ExportOptions(min_opacity=0.5, sh_degree=1, extras=False)
     sizes = [
-        expected_size(bpy.context, Path("plain.ply"), settings),
-        expected_size(bpy.context, Path("plain.glb"), replace(settings, min_opacity=1.0)),
+        expected_size(bpy.context, Path(name), ExportSettings(options=chosen))
+        for name, chosen in (("plain.ply", options), ("plain.glb", replace(options, min_opacity=1.0)))
     ]
     messages = {
         "no label named kelp": refused(labels="kelp"),
         "no object gone": refused(crop_object="gone"),
+        "flat has a scale of 0": refused(crop_object="flat"),
         "No splat is left": refused(min_opacity=1.0),
         "no imported scene": refused(water=0.5),
         "no cameras": refused(cameras=True),
@@ -108,6 +115,58 @@ def options(folder):
     messages["select"] = refused()
     to_box = [list(row) for row in box.matrix_world.inverted() @ splats.FILE_FRAME]
     return {"to_box": to_box, "expected sizes": sizes, "messages": messages}
+
+
+@with_properties
+class CropSettings(bpy.types.PropertyGroup):
+    """What of `object.swag_display` an export reads."""
+
+    crop: Annotated[bpy.types.Object | None, bpy.props.PointerProperty(type=bpy.types.Object)]
+
+
+def parts(folder):
+    """Export all, visible, shown (by default), cropped and selected splats of two objects; returns messages.
+
+    Label 2 alone is shown, label 1 and the first 50 splats are selected, and an empty crops the first object.
+    """
+    path = Path(folder)
+    first, second = (import_splats(path / "heap.ply") for _ in range(2))
+    messages = {}
+
+    def refused(**arguments):
+        return refusal(bpy.ops.swag.export_splats, filepath=str(path / "refused.ply"), **arguments)
+
+    messages["No splats are selected"] = refused(part="SELECTED")
+    for obj in (first, second):
+        obj.select_set(True)
+        labels.read_labels(obj, "")
+        labels.isolate(obj, 2)
+    export_splats(path / "visible.ply")
+    second.select_set(False)
+    numbers = labels.attribute(first, labels.LABEL)
+    labels.select(first, (numbers == 1) | (np.arange(len(numbers)) < 50))
+    first.location.x = 7
+    add_nodes_modifier(first, "GeometryNodeSetPosition", Offset=(1, 0, 0))
+    export_splats(path / "selected.ply", part="SELECTED")
+    export_splats(path / "all.ply", part="ALL")
+
+    if not hasattr(first, "swag_display"):
+        bpy.utils.register_class(CropSettings)
+        bpy.types.Object.swag_display = bpy.props.PointerProperty(type=CropSettings)
+    box = bpy.data.objects.new("box", None)
+    box.empty_display_size, box.scale.z, box.location.x = 0.5, 4, 8
+    bpy.context.scene.collection.objects.link(box)
+    first.swag_display.crop = box
+    export_splats(path / "cropped.ply")
+    box.scale.z = 0
+    export_splats(path / "flat.ply")
+    box.scale.z, box.location.y = 4, 100
+    messages["No splats are visible"] = refused()
+    settings = ExportSettings()
+    bpy.context.view_layer.update()
+    messages["move the crop box"] = expected_size(bpy.context, path / "refused.ply", settings)
+    export_splats(path / "outside.ply", part="ALL")
+    return messages
 
 
 def water_and_cameras(folder, suffix):
