@@ -55,13 +55,8 @@ class SWAG_OT_import_scene(Job):
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Build the objects."""
-        scene = bpy.data.scenes.get(self._scene)
-        if not scene:
-            raise EngineError(f"The scene {self._scene} was removed; import again.")
         with self._arrays:
-            scene_import.import_scene(event, scene)
-        found = scene_import.choose(scene, event)
-        return f"{found.splitlines()[0]}."
+            return scene_import.add_to_scene(self._scene, event)
 
 
 _parent_menu: Any = bpy.types.TOPBAR_MT_file_import  # as Any: the stubs declare another signature of append

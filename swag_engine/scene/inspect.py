@@ -99,7 +99,7 @@ def _doubts(views: tuple[View, ...], error: float | None) -> list[str]:
     odd = [field for field in fields if not least <= field <= most]
     if odd:
         doubts.append(
-            f"A horizontal field of view of {odd[0]:.0f}° is unlikely (usual are {least:.0f}° to {most:.0f}°): the focal "
+            f"A horizontal field of view of {odd[0]:.0f}° is unlikely (usual: {least:.0f}° to {most:.0f}°): the focal "
             "length is doubtful, and photos from more directions would help."
         )
     return doubts
