@@ -15,11 +15,11 @@ from ..swag_blender.properties import swag_of
 
 @with_properties
 class SWAG_OT_find_cameras(Job):
-    """Find out from which place each photo was taken, with COLMAP, and import the cameras; Escape stops"""
+    """Find out from which place each photo was taken, with COLMAP, and import the cameras"""
 
     bl_idname = "swag.find_cameras"
     bl_label = "Find Cameras"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options = {"UNDO"}  # without REGISTER, as Adjust Last Operation would find them again
     job = find_cameras.JOB
 
     filepath: Annotated[
@@ -56,7 +56,6 @@ class SWAG_OT_find_cameras(Job):
         """Find them: for a script until it is done, for a user without blocking the window."""
         if bpy.app.background or not self.options.is_invoke:
             return self.run_blocking(context)
-        scene_import.show_colors(present(context.screen))
         return self.run_modal(context)
 
     def start(self, context: bpy.types.Context) -> Engine:
@@ -71,7 +70,8 @@ class SWAG_OT_find_cameras(Job):
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Import them."""
         with self._arrays:
-            return scene_import.add_to_scene(self._scene, event)
+            _, message = scene_import.add_to_scene(self._scene, event)
+        return message
 
 
 CLASSES = (SWAG_OT_find_cameras,)

@@ -1,7 +1,7 @@
 """Cameras of photos or of a video: which files, the folder of the new scene, the panel."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import bpy
 
@@ -27,7 +27,8 @@ def make_request(chosen: str, scene_folder: str) -> dict[str, Any]:
     if not chosen:
         raise InputError("Choose the folder of the photos, or a video.")
     source = Path(bpy.path.abspath(chosen)).absolute()
-    if source.suffix.lower() in bpy.path.extensions_image and not source.is_dir():
+    photo_suffixes = cast(Any, bpy.path).extensions_image  # the stubs lack it
+    if source.suffix.lower() in photo_suffixes and not source.is_dir():
         source = source.parent
     out = Path(bpy.path.abspath(scene_folder)).absolute() if scene_folder else free_scene_folder(source)
     return {"request": "sfm", "photos": str(source), "out": str(out)}

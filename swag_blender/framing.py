@@ -6,8 +6,6 @@ from typing import Any
 import bpy
 import numpy as np
 
-from .blender_types import present
-
 INNER_PERCENTILES = 5.0, 95.0
 """Percentiles of points that the box of a scene holds: sparse points and splats far away are often wrong."""
 VIEWPORT_SENSOR = 72.0
@@ -60,24 +58,21 @@ def world_box(root: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     return robust_box(np.concatenate(points), np.concatenate(cameras))
 
 
-def frame_viewports(root: bpy.types.Object) -> None:
-    """Move the 3D viewports of all windows with the scene of `root` so that they show all of it.
+def frame_viewports(window: bpy.types.Window, root: bpy.types.Object) -> None:
+    """Move the 3D viewports of a window so that they show all of an imported scene; their directions stay.
 
-    Their directions stay. Clipping distances are widened where they would cut the scene.
+    Clipping distances are widened where they would cut the scene.
     """
-    for window in present(bpy.context.window_manager).windows:
-        if root.name not in window.scene.objects:
+    window.view_layer.update()  # world matrices of new objects
+    box = world_box(root)
+    for area in window.screen.areas:
+        space = area.spaces.active
+        if not isinstance(space, bpy.types.SpaceView3D):
             continue
-        window.view_layer.update()  # world matrices of new objects
-        box = world_box(root)
-        for area in window.screen.areas:
-            space = area.spaces.active
-            if not isinstance(space, bpy.types.SpaceView3D):
-                continue
-            for region in area.regions:
-                view: Any = region.data
-                if isinstance(view, bpy.types.RegionView3D):
-                    view.view_location, view.view_distance = frame(box, space.lens, region.width, region.height)
-                    space.clip_end = max(space.clip_end, 10 * view.view_distance)
-                    space.clip_start = min(space.clip_start, view.view_distance / 1000)
-            area.tag_redraw()
+        for region in area.regions:
+            view: Any = region.data
+            if isinstance(view, bpy.types.RegionView3D):
+                view.view_location, view.view_distance = frame(box, space.lens, region.width, region.height)
+                space.clip_end = max(space.clip_end, 10 * view.view_distance)
+                space.clip_start = min(space.clip_start, view.view_distance / 1000)
+        area.tag_redraw()

@@ -49,7 +49,7 @@ def choose(scene: bpy.types.Scene, result: dict[str, Any]) -> str:
     return swag.found
 
 
-def add_to_scene(scene_name: str, result: dict[str, Any]) -> str:
+def add_to_scene(scene_name: str, result: dict[str, Any]) -> tuple[bpy.types.Object, str]:
     """Import an `inspect` or `sfm` result to a Blender scene, choose its folder, and show all of it in the viewports.
 
     Args:
@@ -57,7 +57,7 @@ def add_to_scene(scene_name: str, result: dict[str, Any]) -> str:
         result: the event.
 
     Returns:
-        What to tell the user.
+        The root, and what to tell the user.
 
     Raises:
         InputError: the scene was removed.
@@ -67,9 +67,12 @@ def add_to_scene(scene_name: str, result: dict[str, Any]) -> str:
         raise InputError(f"The scene {scene_name} was removed; import {result['scene']} again.")
     root = import_scene(result, scene)
     if not bpy.app.background:
-        framing.frame_viewports(root)
+        for window in present(bpy.context.window_manager).windows:
+            if window.scene == scene:
+                show_colors(window.screen)
+                framing.frame_viewports(window, root)
     found, *doubts = choose(scene, result).splitlines()
-    return " ".join((f"{found}.", *doubts))
+    return root, " ".join((f"{found}.", *doubts))
 
 
 def import_scene(result: dict[str, Any], scene: bpy.types.Scene) -> bpy.types.Object:
@@ -165,8 +168,11 @@ def active_root(context: bpy.types.Context) -> bpy.types.Object | None:
 
 def sparse_points(root: bpy.types.Object) -> bpy.types.Object | None:
     """The sparse cloud of an imported scene; None where it has none or it was removed."""
-    clouds = (obj for obj in root.children if isinstance(obj.data, bpy.types.PointCloud))
-    return next((obj for obj in clouds if point_material.COLOR in obj.data.attributes and not is_splats(obj)), None)
+    for obj in root.children:
+        data = obj.data
+        if isinstance(data, bpy.types.PointCloud) and point_material.COLOR in data.attributes and not is_splats(obj):
+            return obj
+    return None
 
 
 def hide_sparse_points(root: bpy.types.Object | None) -> None:

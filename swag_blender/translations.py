@@ -13,8 +13,8 @@ GERMAN = {
     "Find Cameras": "Kameras finden",
     "Find Cameras of These Photos": "Kameras dieser Fotos finden",
     "For photos without a COLMAP model, or a video.": "Für Fotos ohne COLMAP-Modell oder ein Video.",
-    "Find out from which place each photo was taken, with COLMAP, and import the cameras; Escape stops": (
-        "Mit COLMAP bestimmen, von wo jedes Foto aufgenommen wurde, und die Kameras importieren; Escape bricht ab"
+    "Find out from which place each photo was taken, with COLMAP, and import the cameras": (
+        "Mit COLMAP bestimmen, von wo jedes Foto aufgenommen wurde, und die Kameras importieren"
     ),
     "Photos or Video": "Fotos oder Video",
     "Folder of photos, one of its photos, or a video": "Ordner mit Fotos, eines dieser Fotos oder ein Video",

@@ -43,7 +43,9 @@ def refuse(photos):
 
 def cancel(photos):
     """The error message of a search that Ctrl-C stops while photos are matched; what it leaves in the scene."""
-    poll, pressed = engine_process.Engine.poll, []
+    engine: Any = engine_process.Engine
+    poll = engine.poll
+    pressed: list[bool] = []
 
     def poll_and_press(engine):
         events = poll(engine)
@@ -52,11 +54,11 @@ def cancel(photos):
             raise KeyboardInterrupt
         return events
 
-    engine_process.Engine.poll = poll_and_press
+    engine.poll = poll_and_press
     try:
         message = find(filepath=photos)
     finally:
-        engine_process.Engine.poll = poll
+        engine.poll = poll
     return {"message": message, "objects": len(bpy.data.objects), "folder": swag.scene_folder, "pressed": pressed}
 
 
