@@ -12,6 +12,7 @@ from . import (
     cancel,
     check_engine,
     export_splats,
+    find_cameras,
     forecast,
     import_scene,
     import_splats,
@@ -41,7 +42,7 @@ from . import (
 )
 
 _GROUPS = (
-    (inspect_scene, import_scene),
+    (find_cameras, inspect_scene, import_scene),
     (plan, reset_effects),
     (forecast, train, cancel, pause, show_log),
     (import_splats,),

@@ -39,7 +39,6 @@ class SWAG_OT_import_scene(Job):
         """Import: for a script until it is done, for a user without blocking the window."""
         if bpy.app.background or not self.options.is_invoke:
             return self.run_blocking(context)
-        scene_import.show_colors(present(context.screen))
         return self.run_modal(context)
 
     def start(self, context: bpy.types.Context) -> Engine:
@@ -55,13 +54,9 @@ class SWAG_OT_import_scene(Job):
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Build the objects."""
-        scene = bpy.data.scenes.get(self._scene)
-        if not scene:
-            raise EngineError(f"The scene {self._scene} was removed; import again.")
         with self._arrays:
-            scene_import.import_scene(event, scene)
-        found = scene_import.choose(scene, event)
-        return f"{found.splitlines()[0]}."
+            _, message = scene_import.add_to_scene(self._scene, event)
+        return message
 
 
 _parent_menu: Any = bpy.types.TOPBAR_MT_file_import  # as Any: the stubs declare another signature of append

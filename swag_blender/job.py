@@ -171,8 +171,10 @@ class Job(bpy.types.Operator):
         return {"FINISHED"}
 
     def _fail(self, context: bpy.types.Context, error: Exception) -> OperatorResult:
-        status_of(context).end(str(error), True)
-        self.report({"ERROR"}, str(error))
+        status = status_of(context)
+        # What a user stops has not failed.
+        status.end(str(error), not status.stopping)
+        self.report({"INFO"} if status.stopping else {"ERROR"}, str(error))
         return {"CANCELLED"}
 
 

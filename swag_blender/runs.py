@@ -58,4 +58,5 @@ def show_splats(scene: bpy.types.Scene, loaded: Splats, run: str, images: str) -
     collection = root.users_collection[0] if root else scene.collection
     obj = splats.new_splat_object(f"{Path(images).name} Splats", loaded, collection, root)
     obj[RUN_KEY] = run
+    scene_import.hide_sparse_points(root)
     return obj

@@ -1,8 +1,9 @@
 """A reconstructed scene as Blender objects: cameras with their images, the sparse cloud, one root for all.
 
 The root is an empty whose local frame is the COLMAP world: its matrix is the only place that converts COLMAP
-coordinates to Blender coordinates (up is +Z, the scene is near the origin, one unit stays one unit). Cameras, sparse
-cloud and splats are its children with COLMAP coordinates, so that moving the root moves all of them.
+coordinates to Blender coordinates (up is +Z, the scene is near the origin, one unit stays one unit). Sparse cloud and
+splats are its children, the cameras those of a hidden child of it, all with COLMAP coordinates, so that moving the root
+moves all of them.
 """
 
 import math
@@ -12,11 +13,14 @@ from typing import Any, cast
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
+from mathutils.kdtree import KDTree
 
+from ..swag_engine.base.errors import InputError
+from . import framing
 from .blender_types import present
 from .nodes import point_material
 from .properties import swag_of
-from .splats import new_pointcloud
+from .splats import is_splats, new_pointcloud
 
 ROOT_KEY = "swag_scene"
 """Property of the root: the scene's folder."""
@@ -29,9 +33,13 @@ OPENCV_TO_BLENDER = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))
 
 
 def describe(result: dict[str, Any]) -> str:
-    """The result of an `inspect` request in lines: one with the counts, then the warnings."""
-    counts = f"{result['registered']} of {result['images']} photos have a camera, {result['points']['count']} points"
-    return "\n".join((counts, *result["warnings"]))
+    """The result of an `inspect` request in lines: what was found in the first, then what is doubtful, one a line."""
+    found = f"{result['registered']} of {result['images']} photos have a camera, {result['points']['count']} points"
+    if lenses := result["summary"]["cameras"]:
+        most = lenses[0]
+        found += f", field of view {most['field_of_view']:.0f}° (focal length {most['focal_length']:.0f} px)"
+        found += f", the most frequent of {len(lenses)} lenses" if len(lenses) > 1 else ""
+    return "\n".join((found, *result["warnings"]))
 
 
 def choose(scene: bpy.types.Scene, result: dict[str, Any]) -> str:
@@ -39,6 +47,32 @@ def choose(scene: bpy.types.Scene, result: dict[str, Any]) -> str:
     swag = swag_of(scene)
     swag.scene_folder, swag.found = result["scene"], describe(result)
     return swag.found
+
+
+def add_to_scene(scene_name: str, result: dict[str, Any]) -> tuple[bpy.types.Object, str]:
+    """Import an `inspect` or `sfm` result to a Blender scene, choose its folder, and show all of it in the viewports.
+
+    Args:
+        scene_name: name of the Blender scene that was open when the result was asked for.
+        result: the event.
+
+    Returns:
+        The root, and what to tell the user.
+
+    Raises:
+        InputError: the scene was removed.
+    """
+    scene = bpy.data.scenes.get(scene_name)
+    if not scene:
+        raise InputError(f"The scene {scene_name} was removed; import {result['scene']} again.")
+    root = import_scene(result, scene)
+    if not bpy.app.background:
+        for window in present(bpy.context.window_manager).windows:
+            if window.scene == scene:
+                show_colors(window.screen)
+                framing.frame_viewports(window, root)
+    found, *doubts = choose(scene, result).splitlines()
+    return root, " ".join((f"{found}.", *doubts))
 
 
 def import_scene(result: dict[str, Any], scene: bpy.types.Scene) -> bpy.types.Object:
@@ -68,12 +102,18 @@ def import_scene(result: dict[str, Any], scene: bpy.types.Scene) -> bpy.types.Ob
 
     cameras = bpy.data.collections.new(f"{name} Cameras")
     collection.children.link(cameras)
-    made = [camera_object(camera, root, cameras) for camera in result["cameras"]]
-    size = _camera_display_size(result["cameras"])
+    # Viewports draw a line from an object to its parent, unless that is hidden.
+    parent = bpy.data.objects.new(f"{name} Cameras", None)
+    parent.parent, parent.hide_viewport = root, True
+    cameras.objects.link(parent)
+    made = [camera_object(camera, parent, cameras) for camera in result["cameras"]]
+    centres = np.array([np.linalg.inv(camera["world_to_camera"])[:3, 3] for camera in result["cameras"]]).reshape(-1, 3)
+    low, high = framing.robust_box(positions, centres)
+    extent = float(np.linalg.norm(high - low)) or 1.0
     for obj in made:
         data = cast(bpy.types.Camera, obj.data)
-        data.display_size = size
-        data.clip_start, data.clip_end = size * 0.05, size * 5000.0
+        data.display_size = _camera_display_size(centres, extent)
+        data.clip_start, data.clip_end = extent * 0.001, extent * 100.0
     cast(Any, scene.view_settings).view_transform = "Standard"
     if made:
         look_through(scene, made[0])
@@ -124,6 +164,21 @@ def active_root(context: bpy.types.Context) -> bpy.types.Object | None:
         return root
     found = roots(present(context.scene))
     return found[0] if len(found) == 1 else None
+
+
+def sparse_points(root: bpy.types.Object) -> bpy.types.Object | None:
+    """The sparse cloud of an imported scene; None where it has none or it was removed."""
+    for obj in root.children:
+        data = obj.data
+        if isinstance(data, bpy.types.PointCloud) and point_material.COLOR in data.attributes and not is_splats(obj):
+            return obj
+    return None
+
+
+def hide_sparse_points(root: bpy.types.Object | None) -> None:
+    """Hide the sparse cloud of an imported scene in viewports, for splats that are shown in its place."""
+    if root and (cloud := sparse_points(root)):
+        cloud.hide_viewport = True
 
 
 def up_of(root: bpy.types.Object) -> np.ndarray:
@@ -198,13 +253,21 @@ def camera_object(camera: dict[str, Any], root: bpy.types.Object, collection: bp
     return obj
 
 
-def _camera_display_size(cameras: list[dict[str, Any]]) -> float:
-    centres = np.array([np.linalg.inv(camera["world_to_camera"])[:3, 3] for camera in cameras])
+def _camera_display_size(centres: np.ndarray, extent: float) -> float:
+    """Width of a camera's frame in the viewport, for camera centres (C, 3) in a scene of the size `extent`.
+
+    Half of the median distance from a camera to the next one, so that they do not hide each other, but large enough to
+    see in a view of the whole scene, and not larger than what they show.
+    """
+    least, most = 0.01 * extent, 0.05 * extent
     if len(centres) < 2:
-        return 0.1
-    extent = float(np.linalg.norm(np.ptp(centres, axis=0)))
-    # A third of the distance between neighbours if the cameras were spaced evenly along the extent.
-    return extent / len(centres) / 3 if extent > 0 else 0.1
+        return most
+    tree = KDTree(len(centres))
+    for index, centre in enumerate(centres):
+        tree.insert(centre, index)
+    tree.balance()
+    distances = [tree.find_n(centre, 2)[1][2] for centre in centres]  # the nearest is the camera itself
+    return float(np.clip(np.median(distances) / 2, least, most))
 
 
 def _sparse_cloud(name: str, positions: np.ndarray, colors: np.ndarray) -> bpy.types.PointCloud:

@@ -44,6 +44,7 @@ def _open_file(context: bpy.types.Context, path: Path, in_scene: bool, sh_degree
     loaded = format.read(path, scene_import.up_of(root) if root else COLMAP_UP)
     loaded.sh = loaded.sh[:, : (sh_degree + 1) ** 2]
     obj = splats.new_splat_object(path.stem, loaded, present(context.collection), root)
+    scene_import.hide_sparse_points(root)
     if root is None:
         obj.matrix_world = splats.FILE_FRAME
     return obj

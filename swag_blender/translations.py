@@ -10,6 +10,19 @@ from . import EXTENSION
 GERMAN = {
     "Scene": "Szene",
     "Check": "Prüfen",
+    "Find Cameras": "Kameras finden",
+    "Find Cameras of These Photos": "Kameras dieser Fotos finden",
+    "For photos without a COLMAP model, or a video.": "Für Fotos ohne COLMAP-Modell oder ein Video.",
+    "Find out from which place each photo was taken, with COLMAP, and import the cameras": (
+        "Mit COLMAP bestimmen, von wo jedes Foto aufgenommen wurde, und die Kameras importieren"
+    ),
+    "Photos or Video": "Fotos oder Video",
+    "Folder of photos, one of its photos, or a video": "Ordner mit Fotos, eines dieser Fotos oder ein Video",
+    "Scene Folder": "Szenenordner",
+    "New folder for copies of the photos and their COLMAP model; empty: beside the photos or video": (
+        "Neuer Ordner für Kopien der Fotos und ihr COLMAP-Modell; leer: neben den Fotos oder dem Video"
+    ),
+    "Sparse Points": "Dünne Punktwolke",
     "Import": "Importieren",
     "Import COLMAP Scene": "COLMAP-Szene importieren",
     "Effects": "Effekte",

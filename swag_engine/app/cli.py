@@ -80,16 +80,16 @@ class Sfm:
 
     def run(self) -> int:
         """Run the command and return its exit code."""
+        from ..scene.colmap import load_scene
+        from ..scene.inspect import describe, inspect_scene
         from ..scene.sfm import reconstruct
         from .progress import stage_progress
 
         with stage_progress() as progress:
-            summary = reconstruct(self.photos, self.out, progress)
-        text = (
-            f"{summary['registered']} of {summary['images']} photos have a camera, {summary['points']} points, "
-            f"reprojection error {summary['reprojection_error']:.2f} px.\nScene: {self.out}"
-        )
-        show(summary, self.json, text)
+            made = reconstruct(self.photos, self.out, progress)
+        found = inspect_scene(load_scene(self.out))
+        document = made | found | {"warnings": made["warnings"] + found["warnings"]}
+        show(document, self.json, describe(document))
         return 0
 
 

@@ -24,6 +24,21 @@ class InspectRequest:
 
 
 @dataclass(frozen=True)
+class SfmRequest:
+    """Find the cameras of images or of a video, as the command `sfm` does, and read the scene that it makes.
+
+    Attributes:
+        photos: Folder of images, or a video.
+        out: Folder of the new scene; it must not exist or be empty.
+        arrays: Folder for the arrays of the answer.
+    """
+
+    photos: Path
+    out: Path
+    arrays: Path
+
+
+@dataclass(frozen=True)
 class TrainRequest:
     """Train a scene.
 
@@ -134,6 +149,7 @@ class GoOnRequest:
 
 Request = (
     InspectRequest
+    | SfmRequest
     | PlanRequest
     | TrainRequest
     | ForecastRequest
@@ -146,6 +162,7 @@ Request = (
 )
 REQUESTS: dict[str, type[Request]] = {
     "inspect": InspectRequest,
+    "sfm": SfmRequest,
     "plan": PlanRequest,
     "train": TrainRequest,
     "forecast": ForecastRequest,

@@ -28,6 +28,7 @@ from .protocol import (
     PlanRequest,
     Request,
     SearchRequest,
+    SfmRequest,
     TrainRequest,
     parse_request,
 )
@@ -153,6 +154,9 @@ class Worker:
         """
         if isinstance(request, InspectRequest):
             return inspect(request.scene, request.arrays)
+        if isinstance(request, SfmRequest):
+            with interrupts.deferred():
+                return self.find_cameras(request)
         if isinstance(request, PlanRequest):
             from ..evidence.observations import FIT_WIDTH
             from ..planning.plan import plan_and_keep
@@ -190,6 +194,19 @@ class Worker:
 
         export_run(request.run, request.format, request.out)
         return {"event": "result", "request": "export", "out": str(request.out)}
+
+    def find_cameras(self, request: SfmRequest) -> dict[str, Any]:
+        """Return the `result` event of an `sfm` request: that of `inspect` for the new scene, with all warnings.
+
+        Raises:
+            InputError: As `reconstruct` does, and when the request is cancelled.
+        """
+        from ..scene.sfm import reconstruct
+
+        progress = self.stoppable("Find Cameras was stopped; nothing was written.")
+        made = reconstruct(request.photos, request.out, progress)
+        found = inspect(request.out, request.arrays)
+        return found | {"request": "sfm", "warnings": made["warnings"] + found["warnings"]}
 
     def label(self, request: LabelRequest) -> dict[str, Any]:
         """Return the `result` event of a `label` request.
@@ -280,7 +297,7 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
         "up": scene.up.tolist(),
         "cameras": cameras,
         "summary": summary,
-        "warnings": list(scene.warnings),
+        "warnings": summary["warnings"],
     }
 
 

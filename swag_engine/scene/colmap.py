@@ -134,7 +134,10 @@ def load_scene(folder: Path) -> Scene:
             f"{', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}."
         )
     if len(names) < 0.8 * image_count:
-        warnings.append(f"Only {len(names)} of the {image_count} photos in {image_folder} have a pose.")
+        warnings.append(
+            f"Only {len(names)} of the {image_count} photos in {image_folder} have a pose: more overlap between "
+            "neighbouring photos would help."
+        )
 
     views.sort(key=lambda view: view.name)
     return Scene(
@@ -212,7 +215,7 @@ def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, pycolmap.Re
                     )
         raise InputError(
             f"No COLMAP model was found in {folder}, its sparse or its colmap/sparse: make one from the photos "
-            "with `python -m swag_engine sfm PHOTOS --out SCENE`."
+            "with Find Cameras, on the command line `python -m swag_engine sfm PHOTOS --out SCENE`."
         )
     read = [_read_model(model) for model in models]
     counts = [model.num_reg_images() for model in read]

@@ -1,7 +1,7 @@
 """Structure from motion: a COLMAP scene from images or a video.
 
 Images are prepared here; COLMAP itself (pycolmap) runs in a child process, `python -m swag_engine.scene.sfm`, which
-reports on its standard output, so that a crash or a cancel leaves no files.
+reports on its standard output and ends with its standard input, so that a crash or a cancel leaves no files.
 """
 
 import json
@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.files import locked_folder
 from .colmap import image_files_below
 from .images import read_image
 
@@ -34,6 +35,8 @@ _FEATURE_PIXELS = 2000
 """Longest side in pixels at which features are detected: water blurs finer detail."""
 _FEATURES = 4096
 """Features of an image, at most: the time to match a pair grows with their square."""
+_FEATURES_STAGE = "Detecting features"
+"""Stage that the child process begins with."""
 _FEWEST_FRAMES = 40
 """Frames that are taken of a video, at least."""
 _MOST_FRAMES = 300
@@ -46,17 +49,18 @@ def reconstruct(source: Path, out: Path, progress: Progress | None = None) -> di
     """Estimate the poses of images, or of the frames of a video, and make a COLMAP scene.
 
     The scene gets images/ (copies of the images, or the chosen frames) and sparse/0; it appears when all is done.
+    Until then a hidden folder beside it holds the files; what a killed process left there is removed.
     Features are detected in copies with equalised contrast, because turbid water hides them.
 
     Args:
-        source: Folder of images, or a video.
+        source: Folder of images (those in images/ or input/ where it has one of these), or a video.
         out: Folder of the scene; it must not exist or be empty.
-        progress: Called with the stages frames (video only), prepare, features, matching, mapping; what it raises
-            ends the work.
+        progress: Called at least once a second with a stage (words for the user) and its fraction; what it raises ends
+            the work.
 
     Returns:
         Numbers of images, registered images and points, `registered_share` (0..1), `reprojection_error` (pixels),
-        seconds, and warnings (sentences).
+        seconds, and warnings (sentences; `inspect_scene` has those about the cameras).
 
     Raises:
         InputError: When the images cannot be used or no camera could be placed.
@@ -68,44 +72,53 @@ def reconstruct(source: Path, out: Path, progress: Progress | None = None) -> di
         raise InputError(f"There is no folder of photos or video {source}.")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists and is not an empty folder: choose another folder for the scene.")
-    work = out.with_name(f".{out.name}.{os.getpid()}.part")
+    work = out.with_name(f".{out.name}.part")
     scene, scratch = work / "scene", work / "scratch"
-    try:
-        scratch.mkdir(parents=True)
-        (scene / "images").mkdir(parents=True)
-        names = _copy_images(source, scene) if source.is_dir() else _pick_frames(source, scene, report)
-        _equalise(scene / "images", names, scratch / "pictures", report)
-        result = _run_colmap(scene, scratch, names, report)
-        if out.exists():
-            out.rmdir()
-        os.replace(scene, out)
-    except OSError as error:
-        raise InputError(f"Cannot write {error.filename or out}: {error.strerror or error}.") from error
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
-    registered = result["registered"] / len(names)
+    with locked_folder(work):
+        try:
+            _remove(scene, scratch)
+            scratch.mkdir()
+            (scene / "images").mkdir(parents=True)
+            names = (_copy_images if source.is_dir() else _pick_frames)(source, scene, report)
+            _equalise(scene / "images", names, scratch / "pictures", report)
+            result = _run_colmap(scene, scratch, names, report)
+            if out.exists():
+                out.rmdir()
+            os.replace(scene, out)
+        except OSError as error:
+            raise InputError(f"Cannot write {error.filename or out}: {error.strerror or error}.") from error
+        finally:
+            _remove(scene, scratch)
+    groups = result.pop("groups")
     warnings = []
-    if registered < 0.8:
+    if len(groups) > 1:
         warnings.append(
-            f"Only {result['registered']} of {len(names)} photos have a pose: more overlap between "
-            "neighbouring photos would help."
+            f"The photos fall into {len(groups)} groups without connection, of {', '.join(map(str, groups[:-1]))} and "
+            f"{groups[-1]} photos, and only the largest is used: photos between them would help."
         )
     return {
         "images": len(names),
-        "registered_share": registered,
+        "registered_share": result["registered"] / len(names),
         **result,
         "seconds": time.monotonic() - started,
         "warnings": warnings,
     }
 
 
-def _copy_images(source: Path, scene: Path) -> list[str]:
+def _remove(*folders: Path) -> None:
+    for folder in folders:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _copy_images(source: Path, scene: Path, report: Progress) -> list[str]:
+    source = next((source / name for name in ("images", "input") if (source / name).is_dir()), source)
     names = [path.relative_to(source).as_posix() for path in image_files_below(source)]
     if not names:
         raise InputError(f"There are no photos (JPEG, PNG, TIFF, BMP or WebP) in {source}.")
     if len(names) == 1:
         raise InputError(f"There is only one photo in {source}, and poses need several that overlap.")
-    for name in names:
+    for number, name in enumerate(names):
+        report("Copying photos", number / len(names))
         (scene / "images" / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(source / name, scene / "images" / name)
     return names
@@ -116,7 +129,7 @@ def _equalise(images: Path, names: list[str], folder: Path, report: Progress) ->
     folder.mkdir()
     clahe = cv2.createCLAHE(clipLimit=4, tileGridSize=(8, 8))
     for number, name in enumerate(names):
-        report("prepare", number / len(names))
+        report("Preparing photos", number / len(names))
         grey = cv2.cvtColor(read_image(images / name)[0], cv2.COLOR_RGB2GRAY)
         _write_jpeg(folder / _copy_name(number), clahe.apply(grey))
 
@@ -151,7 +164,7 @@ def _pick_frames(video: Path, scene: Path, report: Progress) -> list[str]:
         if number in chosen:
             names.append(f"frame_{number:06d}.jpg")
             _write_jpeg(scene / "images" / names[-1], frame)
-        report("frames", 0.7 + 0.3 * (number + 1) / len(sharpness))
+        report("Choosing frames", 0.7 + 0.3 * (number + 1) / len(sharpness))
     return names
 
 
@@ -189,7 +202,7 @@ def _measure_frames(video: Path, report: Progress) -> tuple[np.ndarray, np.ndarr
         equal = clahe.apply(grey)
         motion.append(0.0 if before is None else _motion(before, equal) / equal.shape[1])
         before = equal
-        report("frames", min(0.7, 0.7 * number / max(total, 1)))
+        report("Choosing frames", min(0.7, 0.7 * number / max(total, 1)))
     return np.array(sharpness), np.array(motion)
 
 
@@ -222,7 +235,7 @@ def _run_colmap(scene: Path, scratch: Path, names: list[str], report: Progress) 
     with (
         open(scratch / "colmap.log", "wb") as log,
         subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, env=environment, encoding="utf-8"
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=environment, encoding="utf-8"
         ) as child,
     ):
         try:
@@ -242,7 +255,7 @@ def _run_colmap(scene: Path, scratch: Path, names: list[str], report: Progress) 
 
 
 def _messages(child: subprocess.Popen[str], database: Path) -> Iterator[dict[str, Any]]:
-    """Yield the messages of the child until it ends.
+    """Yield the messages of the child until it ends, the last one with a stage twice a second while it is silent.
 
     COLMAP reports no progress of features and matching, so the child sends the name of the table of COLMAP's database
     that they fill, and its rows are counted from here. (Not in the child: closing a second connection in one process
@@ -257,19 +270,21 @@ def _messages(child: subprocess.Popen[str], database: Path) -> Iterator[dict[str
         lines.put(None)
 
     threading.Thread(target=read, daemon=True).start()
-    watched: dict[str, Any] | None = None
+    latest: dict[str, Any] = {"stage": _FEATURES_STAGE, "fraction": 0.0}
     while True:
         try:
             line = lines.get(timeout=0.5)
         except queue.Empty:
-            if watched and (count := _rows(database, watched["table"])) is not None:
-                yield {"stage": watched["stage"], "fraction": min(1.0, count / max(1, watched["total"]))}
+            if "table" in latest and (count := _rows(database, latest["table"])) is not None:
+                latest["fraction"] = min(1.0, count / max(1, latest["total"]))
+            yield latest
             continue
         if line is None:
             return
         message = json.loads(line)
-        watched = message if "table" in message else None
-        yield message if watched is None else {"stage": message["stage"], "fraction": 0.0}
+        if "stage" in message:
+            latest = message = {"fraction": 0.0} | message
+        yield message
 
 
 def _rows(database: Path, table: str) -> int | None:
@@ -300,7 +315,7 @@ def _child(job: Path) -> None:
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.max_image_size = _FEATURE_PIXELS
     extraction.sift.max_num_features = _FEATURES
-    _say(stage="features", table="keypoints", total=len(names))
+    _say(stage=_FEATURES_STAGE, table="keypoints", total=len(names))
     for (_, _, known), group in cameras.items():
         pycolmap.extract_features(
             str(database),
@@ -312,11 +327,11 @@ def _child(job: Path) -> None:
         )
 
     if len(names) <= _EXHAUSTIVE_UP_TO:
-        _say(stage="matching", table="two_view_geometries", total=len(names) * (len(names) - 1) // 2)
+        _say(stage="Matching photos", table="two_view_geometries", total=len(names) * (len(names) - 1) // 2)
         pycolmap.match_exhaustive(str(database))
     else:
         pairing = pycolmap.SequentialPairingOptions()
-        _say(stage="matching", table="two_view_geometries", total=len(names) * (pairing.overlap + 4))
+        _say(stage="Matching photos", table="two_view_geometries", total=len(names) * (pairing.overlap + 4))
         pycolmap.match_sequential(str(database), pairing_options=pairing)
 
     placed = 0
@@ -324,7 +339,7 @@ def _child(job: Path) -> None:
     def one_more() -> None:
         nonlocal placed
         placed += 1
-        _say(stage="mapping", fraction=min(1.0, placed / len(names)))
+        _say(stage="Placing cameras", fraction=min(1.0, placed / len(names)))
 
     models.mkdir()
     options = pycolmap.IncrementalPipelineOptions()
@@ -353,6 +368,7 @@ def _child(job: Path) -> None:
     model.write_binary(str(sparse))
     _say(
         registered=model.num_reg_images(),
+        groups=sorted((candidate.num_reg_images() for candidate in found.values()), reverse=True),
         points=model.num_points3D(),
         reprojection_error=model.compute_mean_reprojection_error(),
     )
@@ -365,7 +381,14 @@ def _say(**message: Any) -> None:
         os._exit(1)
 
 
+def _end_with_parent() -> None:
+    """Wait for the end of standard input, which the parent holds open as long as it lives, and end this process."""
+    sys.stdin.read()
+    os._exit(1)
+
+
 if __name__ == "__main__":
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         _child(Path(sys.argv[1]))
     except Exception as error:  # the parent turns it into the user's sentence

@@ -17,6 +17,7 @@ from swag_engine.formats.ply import write_ply
 from swag_engine.splats.splats import Splats
 
 ITERATIONS = 10
+LENS = {"field_of_view": 64.2, "focal_length": 812.4}
 cancelled = threading.Event()
 
 
@@ -91,8 +92,29 @@ def train(request):
 def inspect(request):
     send(
         event="result", request="inspect", scene=request["scene"], images=12, registered=11,
-        points={"positions": "", "colors": "", "count": 345}, up=[0, 0, 1], cameras=[], summary={},
+        points={"positions": "", "colors": "", "count": 345}, up=[0, 0, 1], cameras=[], summary={"cameras": [LENS]},
         warnings=["The disk lacks one.png."],
+    )  # fmt: skip
+
+
+def sfm(request):
+    source, arrays = Path(request["photos"]), Path(request["arrays"])
+    if source.name == "unusable":
+        send(event="error", kind="input", message=f"There are no photos (JPEG, PNG, TIFF, BMP or WebP) in {source}.")
+        return
+    send(event="progress", stage="Matching photos", text="Matching photos", iteration=40, iterations=100)
+    cameras = []
+    for index in range(4):
+        pose = np.eye(4)
+        pose[0, 3] = -index  # cameras in a row, one unit apart
+        size = {"width": 640, "height": 360, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 180.0}
+        cameras.append({"name": f"{index}.jpg", **size, "world_to_camera": pose.tolist(), "image": ""})
+    paths = {"positions": str(arrays / "xyz.npy"), "colors": str(arrays / "rgb.npy")}
+    np.save(paths["positions"], np.random.default_rng(0).uniform(-10, 10, (50, 3)).astype(np.float32))
+    np.save(paths["colors"], np.full((50, 3), 200, np.uint8))
+    send(
+        event="result", request="sfm", scene=request["out"], images=5, registered=4, points=paths | {"count": 50},
+        up=[0, -1, 0], cameras=cameras, summary={"cameras": [LENS, LENS]}, warnings=["The focal length is doubtful."],
     )  # fmt: skip
 
 
@@ -128,10 +150,12 @@ def main():
         if request["request"] == "cancel":
             cancelled.set()
         else:
-            if Path(request["scene"]).name == "deaf":
+            if Path(request.get("scene", "")).name == "deaf":
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
             # A crash in the thread must end the process, as a crash of the engine does.
-            answer = {"train": train, "inspect": inspect, "plan": plan, "forecast": forecast}[request["request"]]
+            answer = {"train": train, "inspect": inspect, "plan": plan, "forecast": forecast, "sfm": sfm}[
+                request["request"]
+            ]
             threading.Thread(target=run_or_die, args=(answer, request), daemon=True).start()
     cancelled.set()
 

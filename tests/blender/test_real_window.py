@@ -17,6 +17,7 @@ from swag_engine.formats.ply import write_ply
 from swag_engine.kernels.backends import KERNELS
 from swag_engine.splats.splats import Splats
 from swag_engine.splats.transform import sh_basis
+from tests.scenes.panels import write_photos
 
 TOOLS = Path(__file__).resolve().parents[2].parent / "shared" / "real-blender"
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
@@ -91,6 +92,39 @@ def test_train_and_cancel_with_the_pointer(real_blender, folder, shared_python, 
     assert report["after_opening"]["job"] == "" and report["after_opening"]["engines"] == 0
     assert "another file was opened" in report["after_opening"]["message"]
     assert len(list(pictures.glob("*.png"))) == 4
+
+
+def test_find_cameras_of_photos_that_are_chosen_in_the_file_browser(real_blender, folder, shared_python, tmp_path):
+    write_photos(folder / "data" / "photos", np.linspace(-1.5, 1.5, 24))
+    environment = {
+        "SWAG_ENGINE_PYTHON": shared_python,
+        "SWAG_ZIP": "/gui/test/extension.zip",
+        "SWAG_PHOTOS": "/gui/test/data/photos",
+        "SWAG_OUT": "/gui/test",
+        "SWAG_CACHE_DIR": "/gui/test/cache",
+        "BLENDER_USER_RESOURCES": "/gui/test/user",
+    }
+    script = Path(__file__).with_name("find_cameras_window.py")
+    done = subprocess.run(
+        ["bash", str(TOOLS / "gui"), str(real_blender), str(script), str(tmp_path / "last.png")],
+        env=os.environ | environment, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    printed = done.stdout + done.stderr
+    assert (folder / "report.json").exists(), printed
+    report = json.loads((folder / "report.json").read_text())
+    assert "traceback" not in report and "Traceback" not in printed, report.get("traceback", printed)
+    assert report["cancelled"] == {
+        "message": "Find Cameras was stopped; nothing was written.",
+        "failed": False,
+        "left": ["photos"],
+        "objects": 0,
+        "shading": "SOLID",
+    }
+    found = report["found"]
+    assert not found["failed"] and found["folder"] == "/gui/test/data/photos_scene"
+    assert found["lines"][0].startswith("6 of 6 photos have a camera") and found["message"].startswith("6 of 6")
+    assert found["cameras"] == 6 and found["points"] > 100 and found["shading"] == "MATERIAL"
+    assert all(found["in view"]) and found["size of the scene in the view"] > 0.2
 
 
 def test_command_line_of_the_real_blender(real_blender, folder, shared_python):

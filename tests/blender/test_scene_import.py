@@ -67,7 +67,8 @@ def test_cameras_with_images_and_points_with_colors_have_one_root(blender, tmp_p
     points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
     scene = blender.run("scene_objects.describe", write_result(tmp_path, cameras, points))
     assert scene["root"] == "reef" and scene["folder"] == "/data/reef" and scene["found"]
-    assert scene["parents"] == [True, True] and scene["collections"] == ["reef", "reef Cameras"]
+    assert scene["parents"] == [True, True] and scene["lines"] == []
+    assert scene["collections"] == ["reef", "reef Cameras"]
     assert scene["image"] == str(image) and scene["shown"] and 0 < scene["alpha"] < 1
     assert scene["size"] == [640, 360]
     assert scene["count"] == 50 and scene["material"] == "SWAG Points" and scene["radius"] > 0
@@ -76,6 +77,75 @@ def test_cameras_with_images_and_points_with_colors_have_one_root(blender, tmp_p
     assert scene["pixel size"] == pytest.approx(1 / 250)
     assert scene["scenes"] == 1 and scene["meshes"] == 0
     assert np.allclose(scene["up"], (0, -1, 0), atol=1e-6)
+
+
+def row_of_cameras(count, step):
+    """Cameras `step` apart in a row."""
+    made = []
+    for index in range(count):
+        own = camera(f"{index}.png", 640, 360, 500.0, 500.0, 320.0, 180.0)
+        own["world_to_camera"] = np.eye(4).tolist()
+        own["world_to_camera"][0][3] = -index * step
+        made.append(own)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("count", "step", "size"),
+    [
+        pytest.param(5, 2.0, 1.0, id="half the distance to the next camera"),
+        pytest.param(50, 0.01, 0.2, id="crowded: a hundredth of the scene"),
+        pytest.param(2, 100.0, 5.0, id="far apart: a twentieth of the scene"),
+        pytest.param(1, 0.0, 1.0, id="one camera: a twentieth of the scene"),
+        pytest.param(3, 0.0, 0.2, id="at one place: a hundredth of the scene"),
+    ],
+)
+def test_cameras_are_drawn_at_a_size_that_fits_the_scene(blender, tmp_path, count, step, size):
+    # The inner 90 % of each axis span 20 / sqrt(3), their diagonal 20; points that are wrong are far away.
+    points = np.random.default_rng(0).uniform(-1, 1, (20_000, 3)) * 10 / 0.9 / 3**0.5
+    points[:100] *= 1000
+    found = blender.run("scene_objects.camera_sizes", write_result(tmp_path, row_of_cameras(count, step), points))
+    assert found["size"] == pytest.approx(size, rel=0.15)
+    assert found["clip"][0] < 0.15 and found["clip"][1] > 1000
+
+
+def test_cameras_points_and_splats_move_with_the_root(blender, tmp_path):
+    points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    moved = blender.run("scene_objects.move_root", write_result(tmp_path, CAMERAS, points))
+    assert len(moved) == 5 and np.allclose(list(moved.values()), (0, 0, 7), atol=1e-5)
+
+
+def test_sparse_points_are_hidden_when_splats_arrive_and_can_be_shown_again(blender, tmp_path):
+    points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    found = blender.run("scene_objects.splats_arrive", write_result(tmp_path, CAMERAS, points), tmp_path)
+    assert found == {"imported": False, "first preview": True, "shown again": False, "opened file": True}
+
+
+def test_a_framed_viewport_shows_the_whole_scene_from_any_direction(blender):
+    random = np.random.default_rng(0)
+    for low, high, lens, width, height in (
+        ((-1, -2, -3), (4, 5, 6), 50.0, 1000, 700),
+        ((10, 10, 10), (10.1, 12, 10.1), 35.0, 400, 900),
+    ):
+        location, distance = blender.run("scene_objects.frame", low, high, lens, width, height)
+        assert np.allclose(location, (np.array(low) + high) / 2)
+        corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) * (np.array(high) - low) + low
+        fills = []
+        for _ in range(50):
+            rotation = turned(random.normal(size=3), random.uniform(0, np.pi))
+            seen = (corners - location) @ rotation.T + (0, 0, distance)
+            # Blender's viewport: 72 mm wide where it is longest.
+            across = np.abs(seen[:, :2] / seen[:, 2:]).max(0) * lens / 36 * max(width, height) / (width, height)
+            fills.append(across.max())
+        assert 0.5 < max(fills) <= 1.0, fills
+
+
+def test_points_far_away_do_not_count_for_the_frame(blender):
+    points = np.random.default_rng(0).uniform(-1, 1, (1000, 3))
+    points[::100] *= 1e4
+    low, high = np.array(blender.run("scene_objects.box", points.tolist(), [[0, 0, 5]]))
+    assert np.allclose(low, -0.9, atol=0.1) and np.allclose(high, (0.9, 0.9, 5), atol=0.1)
+    assert blender.run("scene_objects.box", [], []) == [[-1] * 3, [1] * 3]
 
 
 def test_a_scene_without_points_keeps_its_up_direction(blender, tmp_path):

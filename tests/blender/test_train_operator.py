@@ -90,4 +90,7 @@ def test_the_engine_trains_an_imported_scene(blender, tiny_scene, tmp_path):
 
 def test_inspecting_a_scene_shows_its_images_and_points(blender, fake_engine, tmp_path):
     found = blender.run("train.inspect", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
-    assert found.splitlines() == ["11 of 12 photos have a camera, 345 points", "The disk lacks one.png."]
+    assert found.splitlines() == [
+        "11 of 12 photos have a camera, 345 points, field of view 64° (focal length 812 px)",
+        "The disk lacks one.png.",
+    ]

@@ -3,6 +3,7 @@ import struct
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -180,6 +181,28 @@ def test_inspection_says_what_is_there(tmp_path: Path) -> None:
     assert summary["ranges"]["p50"] == pytest.approx(np.median(distances))
     text = describe(summary)
     assert "view_04.png" in text and "PINHOLE 200 x 150" in text and str(tmp_path) in text
+
+
+def test_inspection_says_what_is_doubtful(tmp_path: Path) -> None:
+    make_dot_scene(tmp_path)
+    scene = load_scene(tmp_path)
+    camera = inspect_scene(scene)["cameras"][0]
+    assert inspect_scene(scene)["warnings"] == []
+    assert camera["focal_length"] == 150 and camera["field_of_view"] == pytest.approx(67.38, abs=0.01)
+    first, second, *rest = scene.views
+    doubtful = replace(
+        scene,
+        views=(
+            replace(first, point_indices=first.point_indices[:30]),
+            replace(second, camera=replace(second.camera, fx=2000.0)),
+            *(replace(view, point_indices=view.point_indices[:0]) for view in rest),  # a model without observations
+        ),
+        points=replace(scene.points, errors=np.full_like(scene.points.errors, 2.5)),
+    )
+    error, weak, field = inspect_scene(doubtful)["warnings"]
+    assert "2.5 px (threshold 2 px)" in error
+    assert weak == "Photos with fewer than 40 points, whose poses are doubtful: view_01.png."
+    assert "field of view of 6°" in field
 
 
 def write_large_scene(folder: Path, views: int = 100, points: int = 100_000, per_view: int = 5000) -> None:

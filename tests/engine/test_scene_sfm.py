@@ -8,44 +8,9 @@ from swag_engine.base.errors import InputError
 from swag_engine.scene import sfm
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.sfm import reconstruct
+from tests.scenes.panels import SIZE, render, write_photos
 
 shared = Path(__file__).resolve().parents[2].parent / "shared"
-SIZE = (320, 240)
-
-
-def panels() -> list[tuple[np.ndarray, np.ndarray]]:
-    """Textured rectangles in space, far to near: (texture, four corners (4, 3) in the world)."""
-    random = np.random.default_rng(7)
-    places = [(0, 0, 7.0, 9, 6)] + [(x, y, z, 0.8, 0.8) for z in (6, 5, 4.5) for x in (-3, -1, 1, 3) for y in (-1, 1)]
-    result = []
-    for x, y, z, half_width, half_height in places:
-        x, y = x + random.uniform(-0.4, 0.4), y + random.uniform(-0.3, 0.3)
-        rows, columns = int(60 * half_height), int(60 * half_width)
-        texture = sum(
-            cv2.resize(
-                random.normal(0, 28, (rows // k, columns // k, 3)), (columns, rows), interpolation=cv2.INTER_CUBIC
-            )
-            for k in (2, 5, 12)
-        )
-        corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [half_width, half_height, 0] + [x, y, z]
-        result.append((np.clip(texture + 110, 0, 255).astype(np.uint8), corners))
-    return result
-
-
-PANELS = panels()
-
-
-def render(x: float) -> np.ndarray:
-    """The panels from (x, 0, 0), looking along z with a focal length of 1.1 widths, through dim blue-green water."""
-    picture = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
-    for texture, corners in PANELS:
-        seen = corners - [x, 0.1 * np.sin(2 * x), 0]
-        pixels = 1.1 * SIZE[0] * seen[:, :2] / seen[:, 2:] + np.array(SIZE) / 2
-        rows, columns = texture.shape[:2]
-        source = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float32)
-        warp = cv2.getPerspectiveTransform(source - 0.5, pixels.astype(np.float32) - 0.5)
-        cv2.warpPerspective(texture, warp, SIZE, picture, cv2.INTER_AREA, cv2.BORDER_TRANSPARENT)
-    return (picture * [0.45, 0.4, 0.2] + [40, 35, 5]).astype(np.uint8)
 
 
 def test_poses_of_dim_photographs_are_found(tmp_path: Path) -> None:
@@ -63,7 +28,7 @@ def test_poses_of_dim_photographs_are_found(tmp_path: Path) -> None:
     assert (result["images"], result["registered"], result["registered_share"]) == (9, 9, 1.0)
     assert result["points"] > 200 and result["reprojection_error"] < 1 and result["warnings"] == []
     stages = list(dict.fromkeys(stage for stage, _ in steps))
-    assert stages == ["prepare", "features", "matching", "mapping"]
+    assert stages == ["Copying photos", "Preparing photos", "Detecting features", "Matching photos", "Placing cameras"]
     assert all(0 <= fraction <= 1 for _, fraction in steps)
     assert sorted(path.name for path in tmp_path.iterdir()) == [photos.name, "out"]
 
@@ -109,6 +74,26 @@ def test_a_video_becomes_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     result = reconstruct(film, tmp_path / "out")
     scene = load_scene(tmp_path / "out")
     assert 9 <= result["images"] <= 13 and len(scene.views) == result["registered"] >= 0.9 * result["images"]
+
+
+def test_photos_that_do_not_connect_are_said_to_be_left_out(tmp_path: Path) -> None:
+    photos = write_photos(tmp_path / "photos", np.linspace(-1.5, 0, 6))
+    for index, x in enumerate(np.linspace(-1, 0, 4)):  # mirrored, they match no other photo
+        (photos / f"mirrored_{index}.png").write_bytes(cv2.imencode(".png", render(x)[:, ::-1])[1].tobytes())
+    result = reconstruct(photos, tmp_path / "out")
+    assert result["registered"] == 6
+    assert result["warnings"] == [
+        "The photos fall into 2 groups without connection, of 6 and 4 photos, and only the largest is used: photos "
+        "between them would help."
+    ]
+    assert "Only 6 of the 10 photos" in load_scene(tmp_path / "out").warnings[0]
+
+
+def test_photos_are_those_in_the_images_folder(tmp_path: Path) -> None:
+    photos = write_photos(tmp_path / "dive" / "images", np.linspace(-0.5, 0.5, 4))
+    write_photos(tmp_path / "dive" / "labels" / "coral", [0.0, 0.1])
+    result = reconstruct(photos.parent, tmp_path / "out")
+    assert result["images"] == 4 and (tmp_path / "out" / "images" / "0.png").exists()
 
 
 def test_a_video_in_which_nothing_moves_is_refused(tmp_path: Path) -> None:

@@ -10,11 +10,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from swag_engine.app.protocol import TrainRequest, parse_request
 from swag_engine.base.errors import InputError
 from swag_engine.base.strict_json import to_json
+from tests.scenes.panels import write_photos
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -88,6 +90,58 @@ def test_inspect_train_cancel_and_export(worker, tiny_scene, tmp_path):
     assert worker.until("result", "error")["event"] == "result"
     assert (tmp_path / "reef.glb").read_bytes()[:4] == b"glTF"
     assert worker.close() == 0
+
+
+def test_cameras_of_photos_are_found_and_described(worker, tmp_path):
+    photos = write_photos(tmp_path / "photos", np.linspace(-1, 1, 6))
+    worker.send(request="sfm", photos=str(photos), out=str(tmp_path / "out"), arrays=str(tmp_path / "arrays"))
+    stages = []
+    while (event := worker.until("progress", "result", "error"))["event"] == "progress":
+        assert 0 <= event["iteration"] <= event["iterations"]
+        stages.append(event["text"])
+    assert event["event"] == "result" and stages[-1] == "Placing cameras"
+    assert event["scene"] == str(tmp_path / "out") and event["registered"] == event["images"] == 6
+    assert len(np.load(event["points"]["positions"])) == event["points"]["count"] > 100
+    assert 15 < event["summary"]["cameras"][0]["field_of_view"] < 140 and event["warnings"] == []
+    assert worker.close() == 0
+
+
+@pytest.mark.parametrize("how", ["cancel", "close", "terminate", "kill"])
+def test_a_search_for_cameras_that_ends_early_leaves_no_model_and_no_process(worker, tmp_path, how):
+    photos = write_photos(tmp_path / "photos", np.linspace(-1.5, 1.5, 24))
+    folders = {name: str(tmp_path / name) for name in ("photos", "out", "arrays")}
+    request = {"request": "sfm"} | folders
+    worker.send(**request)
+    while worker.until("progress")["stage"] != "Matching photos":
+        pass
+    colmap = Path(f"/proc/{worker.process.pid}/task/{worker.process.pid}/children").read_text().split()
+    assert len(colmap) == 1
+    if how == "cancel":
+        worker.send(request="cancel")
+        assert worker.until("result", "error")["message"] == "Find Cameras was stopped; nothing was written."
+        worker.close()
+    else:
+        {"close": worker.process.stdin.close, "terminate": worker.process.terminate, "kill": worker.process.kill}[how]()
+    assert worker.process.wait(20) == {"terminate": 143, "kill": -9}.get(how, 0)
+    for _ in range(60):
+        if not Path(f"/proc/{colmap[0]}/exe").exists():
+            break
+        time.sleep(0.05)
+    else:
+        raise AssertionError("COLMAP goes on")
+    if how == "kill":
+        assert not (tmp_path / "out").exists()
+        # The next search in the same folder removes what the killed one left.
+        with Worker() as second:
+            for photo in list(photos.iterdir())[6:]:
+                photo.unlink()
+            second.send(**request)
+            assert second.until("result", "error")["event"] == "result"
+            second.close()
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["arrays", "out", "photos"]
+        assert len(list((tmp_path / "out" / "images").iterdir())) == 6
+    else:
+        assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
 def test_a_killed_worker_leaves_a_run_that_resumes(worker, tiny_scene, tmp_path):

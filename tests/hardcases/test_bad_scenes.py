@@ -206,7 +206,7 @@ def test_sfm_on_a_full_disk_or_stopped_leaves_nothing(folder: Path, monkeypatch:
     out = folder.parent / "out"
 
     def stop(stage: str, fraction: float) -> None:
-        if stage == "features":
+        if stage == "Detecting features":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

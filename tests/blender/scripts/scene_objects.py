@@ -6,7 +6,9 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bl_ext.user_default.swag_splatting.swag_blender import scene_import
+from bl_ext.user_default.swag_splatting.swag_blender import framing, runs, scene_import, splat_import
+from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import write_ply
+from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
@@ -58,7 +60,16 @@ def describe(path):
         "root": root.name,
         "folder": root[scene_import.ROOT_KEY],
         "found": scene_import.find_root(camera) == root,
-        "parents": [camera.parent == root, cloud.parent == root],
+        "parents": [camera.parent.parent == root, cloud.parent == root],
+        # Blender draws a line from each visible object to its parent elsewhere, where that is visible, too.
+        "lines": [
+            obj.name
+            for obj in scene.objects
+            if obj.visible_get()
+            and obj.parent
+            and obj.parent.visible_get()
+            and obj.matrix_world.translation != obj.parent.matrix_world.translation
+        ],
         "collections": [collection.name for collection in bpy.data.collections],
         "image": background.image.filepath,
         "alpha": background.alpha,
@@ -75,6 +86,57 @@ def describe(path):
         "meshes": len(bpy.data.meshes),
         "up": list(scene_import.up_of(root)),
     }
+
+
+def camera_sizes(path):
+    import_result(path)
+    cameras = list(bpy.data.cameras)
+    assert len({camera.display_size for camera in cameras}) == 1
+    return {"size": cameras[0].display_size, "clip": [cameras[0].clip_start, cameras[0].clip_end]}
+
+
+def move_root(path):
+    """How far each camera and the sparse cloud move when the root moves by 7 along z."""
+    root, _ = import_result(path)
+    objects = [obj for obj in scene.objects if obj.type in {"CAMERA", "POINTCLOUD"}]
+    before = {obj.name: obj.matrix_world.translation.copy() for obj in objects}
+    root.location.z += 7
+    bpy.context.view_layer.update()
+    return {obj.name: list(obj.matrix_world.translation - before[obj.name]) for obj in objects}
+
+
+def splats_arrive(path, folder):
+    """Whether the sparse points are hidden after each step."""
+    root, _ = import_result(path)
+    points = scene_import.sparse_points(root)
+    found = {"imported": points.hide_viewport}
+    loaded = Splats(
+        positions=np.zeros((3, 3), np.float32),
+        rotations=np.tile(np.array([1, 0, 0, 0], np.float32), (3, 1)),
+        scales=np.ones((3, 3), np.float32),
+        opacities=np.ones(3, np.float32),
+        sh=np.zeros((3, 1, 3), np.float32),
+    )
+    runs.show_splats(scene, loaded, "/run", root[scene_import.ROOT_KEY])
+    assert scene_import.sparse_points(root) == points
+    found["first preview"] = points.hide_viewport
+    points.hide_viewport = False  # the switch in the sidebar
+    runs.show_splats(scene, loaded, "/run", root[scene_import.ROOT_KEY])
+    found["shown again"] = points.hide_viewport
+    write_ply(Path(folder, "splats.ply"), loaded)
+    opened, failed = splat_import.open_splats(bpy.context, [Path(folder, "splats.ply")], in_scene=True, sh_degree=0)
+    assert len(opened) == 1 and not failed
+    found["opened file"] = points.hide_viewport
+    return found
+
+
+def frame(low, high, lens, width, height):
+    return framing.frame((np.array(low), np.array(high)), lens, width, height)
+
+
+def box(points, cameras):
+    low, high = framing.robust_box(np.array(points).reshape(-1, 3), np.array(cameras).reshape(-1, 3))
+    return [low.tolist(), high.tolist()]
 
 
 def up_direction(path):
