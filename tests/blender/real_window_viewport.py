@@ -10,6 +10,7 @@ import sys
 import weakref
 
 import bpy
+import gpu
 import numpy as np
 from mathutils import Euler, Matrix, Vector
 
@@ -62,6 +63,7 @@ def steps():
         bpy.ops.ed.undo_push(message="Start")
         bpy.ops.swag.import_splats("EXEC_DEFAULT", filepath=str(OUT / "splats.ply"))
     obj = bpy.context.object
+    report["backend"] = gpu.platform.backend_type_get()
     report["shading"] = space.shading.type
     report["display"] = obj.display_type
     obj.matrix_world = Matrix.Translation((0.3, -0.2, 0.1)) @ Euler((0.3, 0.2, 0.1)).to_matrix().to_4x4()

@@ -158,9 +158,11 @@ def test_command_line_of_the_real_blender(real_blender, folder, shared_python):
     assert (folder / "run/result.ply").exists()
 
 
-@pytest.fixture(scope="module")
-def viewport_pictures(real_blender, extension_zip, tmp_path_factory):
+@pytest.fixture(scope="module", params=["OPENGL", "VULKAN"])
+def viewport_pictures(request, real_blender, extension_zip, tmp_path_factory, missing):
     """Report of real_window_viewport.py and its pictures (H, W, 3) in 0..1, of the viewport's region alone."""
+    if request.param == "VULKAN" and not (real_blender / "usr/share/vulkan/icd.d/lvp_icd.json").exists():
+        missing(f"There is no Vulkan in {real_blender}: run `chroot {real_blender} apt-get install mesa-vulkan-drivers`.")
     folder = real_blender / "gui" / "viewport"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -174,13 +176,14 @@ def viewport_pictures(real_blender, extension_zip, tmp_path_factory):
     }  # fmt: skip
     done = subprocess.run(
         ["bash", str(TOOLS / "gui"), str(real_blender), str(Path(__file__).with_name("real_window_viewport.py")),
-         str(tmp_path_factory.mktemp("viewport") / "last.png")],
+         str(tmp_path_factory.mktemp("viewport") / "last.png"), "--gpu-backend", request.param.lower()],
         env=os.environ | environment, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     printed = done.stdout + done.stderr
     assert (folder / "report.json").exists(), printed
     report = json.loads((folder / "report.json").read_text())
     assert "traceback" not in report and "Traceback" not in printed, report.get("traceback", printed)
+    assert report["backend"] == request.param
     x, y, width, height = report["region"]
     pictures = {}
     for name in report["pictures"]:
