@@ -4,6 +4,7 @@ from . import operators
 from .swag_blender import (
     assets,
     commands,
+    display,
     engine_process,
     job,
     label_list,
@@ -20,6 +21,7 @@ _MODULES = (
     preferences,
     engine_process,
     job,
+    display,
     labels,
     operators,
     label_list,

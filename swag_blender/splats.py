@@ -43,6 +43,11 @@ def count(obj: bpy.types.Object) -> int:
     return len(pointcloud_of(obj).points)
 
 
+def positions(obj: bpy.types.Object) -> np.ndarray:
+    """Centres (N, 3) float32 of the splats in the object's own space, without its modifiers."""
+    return _read(pointcloud_of(obj).attributes["position"], 3)
+
+
 def select_only(context: bpy.types.Context, objects: list[bpy.types.Object]) -> None:
     """Select these objects and no others, and make the last one active."""
     for obj in list(context.selected_objects):
@@ -73,12 +78,52 @@ def new_splat_object(
 
 def replace_splats(obj: bpy.types.Object, splats: Splats) -> None:
     """Give the object other splats (any number of them); transform, parent, modifiers and object name stay."""
+    _replace_data(obj, _pointcloud(pointcloud_of(obj).name, splats))
+
+
+def keep_splats(obj: bpy.types.Object, chosen: np.ndarray) -> None:
+    """Remove all splats of an object but those of a mask (N,) bool; all point attributes and materials stay."""
+    old = pointcloud_of(obj)
+    made = new_pointcloud(old.name, positions(obj)[chosen])
+    if hasattr(made, "type"):
+        made.type = "GAUSSIAN_SPLAT"
+    for material in old.materials:
+        made.materials.append(material)
+    copy_attributes(old, made, chosen)
+    _replace_data(obj, made)
+
+
+def copy_attributes(source: bpy.types.PointCloud, target: bpy.types.PointCloud, chosen: np.ndarray) -> None:
+    """Copy the point attributes of some points to a point cloud that has as many; text attributes are left out.
+
+    Args:
+        source: point cloud of N points.
+        target: point cloud with as many points as are chosen.
+        chosen: mask (N,) bool.
+    """
+    attributes: Any = target.attributes
+    copied = [a for a in source.attributes if a.domain == "POINT" and a.data_type != "STRING"]
+    # Adding an attribute can move the data of others: all are made before any is written.
+    for attribute in copied:
+        if attribute.name not in attributes:
+            attributes.new(attribute.name, attribute.data_type, "POINT")
+    for attribute in copied:
+        field = _value_property(attribute)
+        described: Any = cast(Any, attribute).bl_rna.properties["data"].fixed_type.properties[field]
+        dtype = {"BOOLEAN": bool, "INT": np.int32}.get(described.type, np.float32)
+        values = np.empty(len(source.points) * max(described.array_length, 1), dtype)
+        cast(Any, attribute).data.foreach_get(field, values)
+        attributes[attribute.name].data.foreach_set(field, values.reshape(len(chosen), -1)[chosen].ravel())
+
+
+def _replace_data(obj: bpy.types.Object, made: bpy.types.PointCloud) -> None:
+    """Give the object another point cloud, which takes the name of the old one where nothing else uses that."""
     old = pointcloud_of(obj)
     name = old.name
-    obj.data = _pointcloud(name, splats)
+    obj.data = made
     if old.users == 0:
         bpy.data.pointclouds.remove(old)
-        pointcloud_of(obj).name = name
+        made.name = name
 
 
 def read_splats(obj: bpy.types.Object) -> Splats:
