@@ -5,6 +5,7 @@ from .swag_blender import (
     assets,
     commands,
     display,
+    edit_panel,
     engine_process,
     job,
     label_list,
@@ -13,6 +14,7 @@ from .swag_blender import (
     preferences,
     properties,
     translations,
+    viewport_tool,
     water,
 )
 
@@ -26,6 +28,8 @@ _MODULES = (
     operators,
     label_list,
     panels,
+    edit_panel,
+    viewport_tool,
     water,
     assets,
     commands,

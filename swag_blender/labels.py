@@ -131,8 +131,9 @@ def labels_of(obj: bpy.types.Object) -> SwagLabels:
 def take_labels(obj: bpy.types.Object, result: Splats, folder: str) -> int:
     """Give a splat object the labels of its run's result and list them; returns how many there are.
 
-    Splats in another order than the result's, as after separating and merging, are replaced by it, which removes masks
-    and the selection.
+    Splats are found in the result by their positions, so that an object from which some were deleted or separated gets
+    labels too. As many splats that are not found there, as those of an earlier training, are replaced by the result,
+    which removes masks and the selection.
 
     Args:
         obj: a splat object.
@@ -140,17 +141,18 @@ def take_labels(obj: bpy.types.Object, result: Splats, folder: str) -> int:
         folder: the run's folder.
 
     Raises:
-        InputError: the object has fewer or more splats than the run.
+        InputError: the object has other splats than the run, and fewer or more.
     """
     count = splats.count(obj)
-    if count != len(result):
-        raise InputError(
-            f"The run has {len(result)} splats and {obj.name} has {count}: merge its parts, or open result.ply again."
-        )
-    if np.array_equal(splats.read_splats(obj).positions, result.positions):
-        set_attribute(obj, LABEL, "INT", result.extras["label"])
-    else:
+    rows = splats.find_rows(splats.positions(obj), result.positions)
+    if rows is not None:
+        set_attribute(obj, LABEL, "INT", result.extras["label"][rows])
+    elif count == len(result):
         splats.replace_splats(obj, result)
+    else:
+        raise InputError(
+            f"The run has {len(result)} splats and {obj.name} has {count} others: open the run's result.ply again."
+        )
     labels_of(obj).entries.clear()
     return read_labels(obj, folder)
 

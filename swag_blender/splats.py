@@ -48,6 +48,38 @@ def positions(obj: bpy.types.Object) -> np.ndarray:
     return _read(pointcloud_of(obj).attributes["position"], 3)
 
 
+def scales(obj: bpy.types.Object) -> np.ndarray:
+    """Standard deviations (N, 3) float32 of the splats in the object's own space, without its modifiers."""
+    return _read(pointcloud_of(obj).attributes["scale"], 3)
+
+
+def base(obj: bpy.types.Object) -> np.ndarray:
+    """Coefficients of degree 0 and opacities 0..1, (N, 4) float32, of the splats, without the object's modifiers."""
+    return _read(pointcloud_of(obj).attributes[BASE], 4)
+
+
+def find_rows(positions: np.ndarray, known_positions: np.ndarray) -> np.ndarray | None:
+    """Index (N,) of each splat among known ones, found by its position; None where one is not among them.
+
+    Args:
+        positions: (N, 3) float32 centres of some of the known splats.
+        known_positions: (M, 3) float32 centres of the known splats.
+    """
+    own, known = _keys(positions), _keys(known_positions)
+    if not len(known):
+        return None
+    order = np.argsort(known)
+    found = order[np.minimum(np.searchsorted(known[order], own), len(order) - 1)]
+    return found if np.array_equal(known_positions[found], positions) else None
+
+
+def _keys(positions: np.ndarray) -> np.ndarray:
+    """A number (N,) uint64 for each position (N, 3) float32, which is the same for equal positions."""
+    bits = np.ascontiguousarray(positions + np.float32(0), np.float32).view(np.uint32).astype(np.uint64)
+    factors = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+    return (bits * factors).sum(axis=1, dtype=np.uint64)
+
+
 def select_only(context: bpy.types.Context, objects: list[bpy.types.Object]) -> None:
     """Select these objects and no others, and make the last one active."""
     for obj in list(context.selected_objects):
