@@ -48,8 +48,9 @@ class SWAG_PT_edit(SwagPanel):
         text = bpy.app.translations.pgettext_iface("{selected} of {total} splats selected")
         layout.label(text=text.format(selected=sum(map(selected_count, objects)), total=total))
         row = layout.row(align=True)
-        for name, label in (("box", "Box"), ("circle", "Circle"), ("lasso", "Lasso")):
-            set_button(row.operator(f"swag.select_{name}", text=label), through=settings.through)
+        set_button(row.operator("swag.select_box", text="Box"), through=settings.through)
+        set_button(row.operator("swag.select_circle", text="Circle"), through=settings.through)
+        set_button(row.operator("swag.select_lasso", text="Lasso"), through=settings.through)
         row = layout.row(align=True)
         for action, label in (("SELECT", "All"), ("DESELECT", "None"), ("INVERT", "Invert")):
             set_button(row.operator("swag.select_all_splats", text=label), action=action)

@@ -6,7 +6,7 @@ import re
 import pytest
 
 # Proper names and figures, the same in every language.
-SAME = {"SWAG Splatting", "PLY (3DGS)", "glTF (GLB)", "PSNR", "SSIM", " ms", "Cycles", "EEVEE"}
+SAME = {"SWAG Splatting", "PLY (3DGS)", "glTF (GLB)", "PSNR", "SSIM", " ms", "Cycles", "EEVEE", "Lasso", "Radius"}
 
 
 def drawn_words(root):
