@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
+from mathutils import Matrix
 
 from ..swag_engine.base.errors import InputError
 from . import splats
@@ -75,7 +75,7 @@ def add_crop_box(context: bpy.types.Context, objects: list[bpy.types.Object]) ->
     box.empty_display_type, box.empty_display_size = "CUBE", 1.0
     collection = first.users_collection[0] if first.users_collection else present(context.scene).collection
     collection.objects.link(box)
-    box.matrix_world = frame @ Matrix.Translation(Vector((lower + upper) / 2)) @ Matrix.Diagonal((*half, 1.0))
+    box.matrix_world = frame @ Matrix.Translation(((lower + upper) / 2).tolist()) @ Matrix.Diagonal((*half, 1.0))
     present(context.view_layer).update()
     for obj in objects:
         cast(Any, obj).swag_display.crop = box

@@ -74,7 +74,7 @@ def observe(context: bpy.types.Context, obj: bpy.types.Object) -> Observations:
     opacities, drawn = splat_selection.opacities(obj), labels.drawn(obj)
     digest = hashlib.blake2b()
     for array in (positions, sizes, opacities, drawn, *(c.K for c in cameras), *(c.world_to_camera for c in cameras)):
-        digest.update(np.ascontiguousarray(array))
+        digest.update(array.tobytes())
     if _last is None or _last[0] != digest.digest():
         _last = digest.digest(), _observe(cameras, positions, sizes, opacities, drawn)
     return _last[1]

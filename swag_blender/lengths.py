@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import bpy
-from mathutils import Vector
 
 
 def length_text(scene: bpy.types.Scene, length: float) -> str:
@@ -16,6 +15,6 @@ def length_text(scene: bpy.types.Scene, length: float) -> str:
     )
 
 
-def position_text(scene: bpy.types.Scene, position: Vector | Sequence[float]) -> str:
+def position_text(scene: bpy.types.Scene, position: Sequence[float]) -> str:
     """The three coordinates of a point of Blender's world in the scene's unit."""
     return ", ".join(length_text(scene, coordinate) for coordinate in position)

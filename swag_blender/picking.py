@@ -38,7 +38,7 @@ class Reading:
 
     def describe(self, scene: bpy.types.Scene) -> str:
         """What is known, a line each, with lengths in the scene's unit."""
-        lines = [f"Position: {position_text(scene, self.position)}"]
+        lines = [f"Position: {position_text(scene, self.position[:])}"]
         if self.distance is not None:
             lines.append(f"Range: {length_text(scene, self.distance)}")
         if self.label:

@@ -113,7 +113,7 @@ class RegionSelection(ViewportTool):
         self.path.clear()
         for point in self._points:
             self.path.add().loc = point
-        self.matrix, self.size = view.matrix.ravel(), (view.width, view.height)
+        self.matrix, self.size = view.matrix.ravel().tolist(), (view.width, view.height)
         self._planes = view.planes
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
@@ -122,7 +122,8 @@ class RegionSelection(ViewportTool):
             if not len(self.path) or min(self.size) < 1:
                 raise InputError("Give path, matrix and size of the view, or draw in a 3D viewport.")
             path = np.array([point.loc for point in self.path])
-            view = View(np.array(self.matrix).reshape(4, 4), *self.size, getattr(self, "_planes", np.zeros((0, 4))))
+            planes = getattr(self, "_planes", np.zeros((0, 4)))
+            view = View(np.array(self.matrix).reshape(4, 4), self.size[0], self.size[1], planes)
             count = 0
             for obj in edited_objects(context):
                 projection = Projection(obj, view, self.through)
@@ -182,7 +183,8 @@ class CircleSelection(RegionSelection):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Let the user paint."""
-        self._painted, self._projections, self._last = False, [], (0.0, 0.0)
+        self._painted, self._last = False, (0.0, 0.0)
+        self._projections: list[tuple[str, Projection]] = []
         return super().invoke(context, event)
 
     def on_event(
@@ -222,7 +224,7 @@ class CircleSelection(RegionSelection):
         path = np.array([self._last, position])
         self._last = position
         for name, projection in self._projections:
-            if (obj := context.scene.objects.get(name)) is not None:
+            if (obj := bpy.data.objects.get(name)) is not None:
                 change_selection(obj, projection.inside(lambda pixels: self.contains(pixels, path)), mode)
 
 

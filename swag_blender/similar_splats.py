@@ -73,14 +73,17 @@ def apart(positions: np.ndarray, distance: float) -> np.ndarray:
         return np.ones(len(positions), bool)
     steps = np.array([2**42, 2**21, 1])
     keys = cube @ steps
-    ordered = np.sort(keys)
+    order = np.argsort(keys)
+    ordered = keys[order]  # looking up numbers in order is several times faster
     count = np.zeros(len(keys), np.int64)
     for x in (-1, 0, 1):
         for y in (-1, 0, 1):
             # Three cubes in a column have consecutive numbers.
-            middle = keys + x * steps[0] + y * steps[1]
+            middle = ordered + x * steps[0] + y * steps[1]
             count += np.searchsorted(ordered, middle + 1, "right") - np.searchsorted(ordered, middle - 1, "left")
-    return count - 1 < NEIGHBORS
+    alone = np.empty(len(keys), bool)
+    alone[order] = count - 1 < NEIGHBORS
+    return alone
 
 
 def usual_distance(positions: np.ndarray) -> float:

@@ -53,10 +53,10 @@ class Overlay:
         def in_pixels(point: Vector) -> Vector | None:
             return view3d_utils.location_3d_to_region_2d(region, view, point)
 
-        paths = [[tuple(point) for point in line.tolist()] for line in self.lines]
+        paths: list[list[Pixel]] = [[(x, y) for x, y in line.tolist()] for line in self.lines]
         for segment in self.segments:
-            placed = [place for point in segment if (place := in_pixels(point)) is not None]
-            paths += [[tuple(place) for place in placed]]
+            placed = [(place.x, place.y) for point in segment if (place := in_pixels(point)) is not None]
+            paths.append(placed)
             for x, y in placed:
                 paths.append([(x - 4 * scale, y), (x + 4 * scale, y)])
                 paths.append([(x, y - 4 * scale), (x, y + 4 * scale)])
@@ -71,14 +71,14 @@ class Overlay:
             if place is None:
                 continue
             for row, line in enumerate(text.splitlines()):
-                x, y = place + Vector((TEXT_OFFSET, -TEXT_OFFSET - 1.4 * TEXT_SIZE * row)) * scale
-                blf.position(0, x, y, 0)
+                y = place.y - (TEXT_OFFSET + 1.4 * TEXT_SIZE * row) * scale
+                blf.position(0, place.x + TEXT_OFFSET * scale, y, 0)
                 blf.color(0, 1, 1, 1, 1)
                 blf.draw(0, line)
         blf.disable(0, blf.SHADOW)
 
 
-def _draw_path(path: list[Any], color: tuple[float, ...], width: float, region: bpy.types.Region) -> None:
+def _draw_path(path: list[Pixel], color: tuple[float, ...], width: float, region: bpy.types.Region) -> None:
     if len(path) < 2:
         return
     shader = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
