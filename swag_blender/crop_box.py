@@ -19,8 +19,8 @@ PERCENTILES = (1.0, 99.0)
 """Range of coordinates, on each axis, that a new box encloses: single splats far away do not make it large."""
 MARGIN = 1.05
 """Size of a new box, as a multiple of that range."""
-MIN_SIZE = 1e-6
-"""Half an edge of a new box at least, so that its matrix can be inverted."""
+MIN_THICKNESS = 0.01
+"""Shortest edge of a new box, as a fraction of its longest, so that a flat scene has a box with a volume."""
 
 
 def crop_of(obj: bpy.types.Object) -> bpy.types.Object | None:
@@ -70,7 +70,8 @@ def add_crop_box(context: bpy.types.Context, objects: list[bpy.types.Object]) ->
     if not len(positions):
         raise InputError(f"{first.name} holds no splats: there is nothing to crop.")
     lower, upper = np.percentile(positions, PERCENTILES, axis=0)
-    half = np.maximum((upper - lower) / 2 * MARGIN, MIN_SIZE)
+    half = (upper - lower) / 2 * MARGIN
+    half = np.maximum(half, max(half.max() * MIN_THICKNESS, 1e-6))
     box = bpy.data.objects.new(f"{first.name} Crop Box", None)
     box.empty_display_type, box.empty_display_size = "CUBE", 1.0
     collection = first.users_collection[0] if first.users_collection else present(context.scene).collection

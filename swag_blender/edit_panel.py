@@ -55,12 +55,13 @@ class SWAG_PT_edit(SwagPanel):
         for action, label in (("SELECT", "All"), ("DESELECT", "None"), ("INVERT", "Invert")):
             set_button(row.operator("swag.select_all_splats", text=label), action=action)
         layout.prop(settings, "through")
+        layout.label(text="Select By")
         grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
         for kind, label, _ in KINDS:
             set_button(grid.operator("swag.select_by", text=label), kind=kind)
-        row = layout.row(align=True)
-        row.operator("swag.find_floaters", icon="VIEWZOOM")
-        row.operator("swag.score_selection")
+        column = layout.column(align=True)
+        column.operator("swag.find_floaters", icon="VIEWZOOM")
+        column.operator("swag.score_selection", icon="IMAGE_DATA")
         status = status_of(context)
         if status.job == "PSNR":
             draw_job(layout, context)

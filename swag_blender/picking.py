@@ -67,14 +67,21 @@ class Picker:
             self._parts.append((obj.name, rows, pixels[rows], depths[rows], positions[rows]))
 
     def at(self, position: Pixel) -> Reading | None:
-        """The splat nearest to the viewer within PICK_RADIUS of a position; None where there is none."""
-        nearest, found = np.inf, None
+        """The splat at a position, in the surface nearest to the viewer; None where there is none."""
+        found: list[tuple[float, float, str, int, Vector]] = []
         for name, rows, pixels, depths, positions in self._parts:
-            hit = np.flatnonzero(((pixels - np.array(position)) ** 2).sum(axis=1) < PICK_RADIUS**2)
-            if len(hit) and depths[hit].min() < nearest:
-                index = hit[depths[hit].argmin()]
-                nearest, found = depths[index], (name, rows[index], Vector(positions[index]))
-        return self._read(*found) if found else None
+            distances = np.linalg.norm(pixels - np.array(position), axis=1)
+            hit = np.flatnonzero(distances < PICK_RADIUS)
+            if not len(hit):
+                continue
+            # Of those as near to the viewer as the first, within what PICK_RADIUS spans there, that nearest to the
+            # pointer.
+            first = depths[hit].min()
+            reach = first + PICK_RADIUS / self._view.pixels_per_unit(np.array([first]))[0]
+            hit = hit[depths[hit] <= reach]
+            index = hit[distances[hit].argmin()]
+            found.append((float(first), float(distances[index]), name, int(rows[index]), Vector(positions[index])))
+        return self._read(*min(found)[2:]) if found else None
 
     def _read(self, name: str, row: int, position: Vector) -> Reading:
         obj = bpy.data.objects[name]

@@ -15,8 +15,8 @@ def drawn_words(root):
     for folder in ("swag_blender", "operators"):
         for path in (root / folder).rglob("*.py"):
             for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(call, ast.Assign) and isinstance(call.value, ast.Constant):
-                    words |= {call.value.value for target in call.targets if getattr(target, "id", "") == "hint"}
+                if isinstance(call, ast.Assign) and [getattr(t, "id", "") for t in call.targets] == ["hint"]:
+                    words.add(ast.literal_eval(call.value))
                 if not isinstance(call, ast.Call):
                     continue
                 texts = [keyword.value for keyword in call.keywords if keyword.arg == "text"]

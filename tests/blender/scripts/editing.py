@@ -1,5 +1,7 @@
 """Editing splats: selecting in views and by properties, hiding, deleting, undo, the crop box, floaters, reading."""
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import (
@@ -13,6 +15,7 @@ from bl_ext.user_default.swag_splatting.swag_blender import (
     visibility,
 )
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply
 from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
 from labels import assert_refused, instance_count, labelled_object, show_as_points
 from pictures import linked, new_camera, render_pixel_centres
@@ -383,9 +386,7 @@ def read_points():
 
 def score_selection(run, other):
     """PSNR of a run without selected splats, after some of its splats were deleted and separated."""
-    from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply
-
-    result = read_ply(__import__("pathlib").Path(run) / "result.ply")
+    result = read_ply(Path(run) / "result.ply")
     obj = new_object(result)
     score, status = bpy.ops.swag.score_selection, bpy.context.window_manager.swag
     assert_refused(score, "The splats of reef are from no run")
