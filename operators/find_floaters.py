@@ -23,14 +23,14 @@ class SWAG_OT_find_floaters(SplatsOperator):
         FloatProperty(
             name="In Front",
             description="Select splats of which at least this part, as the photos see it, is in front of the surface",
-            subtype="FACTOR", default=0.5, min=0.01, max=1,
+            subtype="FACTOR", default=0.9, min=0.01, max=1,
         ),
     ]  # fmt: skip
     photos: Annotated[
         int,
         IntProperty(
             name="Fewer Photos Than", description="Select splats that fewer photos than this see; 0 for none",
-            default=1, min=0, soft_max=10,
+            default=2, min=0, soft_max=10,
         ),
     ]  # fmt: skip
     mode: Mode

@@ -21,6 +21,9 @@ GAP = 0.05
 a splat behind the surface, up to which a photo sees it."""
 MAX_PROJECTIONS = 40_000_000
 """Splats times cameras at most, which takes about ten seconds; with more, evenly spaced cameras are used."""
+HIDDEN_TRANSMITTANCE = 0.05
+"""A photo does not see what is behind splats that let through less of the light: behind the surface, which begins where
+they let through half, there is much that it sees."""
 RANGE_CAMERAS = 5
 """Cameras from which the median range is determined."""
 
@@ -96,7 +99,7 @@ def _observe(
         floats = np.isfinite(surface) & (ranges[blended.splat] < surface - gap)
         front += np.bincount(blended.splat, weight * floats, count)
         whole += np.bincount(blended.splat, weight, count)
-        photos += blended.visible(ranges, gap)
+        photos += blended.visible(ranges, gap, HIDDEN_TRANSMITTANCE)
     in_front = np.divide(front, whole, out=np.zeros(count), where=whole > 0)
     return Observations(photos, in_front, len(used), len(cameras))
 

@@ -104,7 +104,7 @@ class Blended:
         cell: (M,) index of the cell.
         alpha: (M,) alpha of the splat in the cell.
         transmittance: (M,) of all splats before it in the cell.
-        own_cell: (N,) index of the cell that the centre of each splat is in; -1 for splats that are not blended.
+        own_cell: (N,) index of the cell nearest to the centre of each splat; -1 for splats that are not blended.
         cells: Number of cells.
     """
 
@@ -115,27 +115,29 @@ class Blended:
     own_cell: np.ndarray
     cells: int
 
-    def surfaces(self, depths: np.ndarray) -> np.ndarray:
-        """Depth (C,) from which on each cell lets through less than half of the light; infinity where it never does.
+    def surfaces(self, depths: np.ndarray, transmittance: float = 0.5) -> np.ndarray:
+        """Depth (C,) from which on each cell lets through little light; infinity where it never does.
 
         Args:
             depths: (N,) depths or ranges of the splats.
+            transmittance: Fraction of the light that is little, 0..1.
         """
         found = np.full(self.cells, np.inf)
-        opaque = np.flatnonzero(self.transmittance * (1 - self.alpha) <= 0.5)
+        opaque = np.flatnonzero(self.transmittance * (1 - self.alpha) <= transmittance)
         # The first of each cell: written last.
         found[self.cell[opaque[::-1]]] = depths[self.splat[opaque[::-1]]]
         return found
 
-    def visible(self, depths: np.ndarray, margin: float | np.ndarray) -> np.ndarray:
-        """Mask (N,) bool of the splats that are not behind the surface of the cell that their centre is in.
+    def visible(self, depths: np.ndarray, margin: float | np.ndarray, transmittance: float = 0.5) -> np.ndarray:
+        """Mask (N,) bool of the splats that are not behind the surface of the cell nearest to their centre.
 
         Args:
             depths: (N,) depths or ranges of the splats.
             margin: Distance behind the surface, in the unit of the depths, up to which splats belong to it; (N,) or one
                 for all.
+            transmittance: As in `surfaces`.
         """
-        surface = np.append(self.surfaces(depths), -np.inf)  # the last for splats outside the view
+        surface = np.append(self.surfaces(depths, transmittance), -np.inf)  # the last for splats outside the view
         return depths <= surface[self.own_cell] + margin
 
 
@@ -152,13 +154,15 @@ def blend(view: View, positions: np.ndarray, sizes: np.ndarray, opacities: np.nd
     columns, rows = (int(np.ceil(side / CELL)) for side in (view.width, view.height))
     pixels, depths, seen = view.project(positions)
     seen &= chosen
+    # Splats beside the view that reach into it count, too: the background has large ones.
+    reach = 2 * (sizes * view.pixels_per_unit(depths))[:, None]
     with np.errstate(invalid="ignore"):
-        seen &= (pixels >= 0).all(axis=1) & (pixels < (view.width, view.height)).all(axis=1)
+        seen &= ((pixels >= -reach) & (pixels < (view.width, view.height) + reach)).all(axis=1)
     splat = np.flatnonzero(seen)
     splat = splat[np.argsort(depths[splat], kind="stable")]
     centre = pixels[splat] / CELL
     own_cell = np.full(len(positions), -1)
-    own_cell[splat] = np.floor(centre) @ np.array([1, columns])
+    own_cell[splat] = np.clip(np.floor(centre), 0, (columns - 1, rows - 1)) @ np.array([1, columns])
     sigma = sizes[splat] * view.pixels_per_unit(depths[splat]) / CELL
     radius = np.where(sigma > 0.5, np.minimum(np.ceil(2 * sigma), MAX_RADIUS), 0).astype(np.int64)
 

@@ -342,10 +342,10 @@ def find_floaters():
             (chosen >= 4040).sum() / 100,
         ]
 
-    bpy.ops.swag.find_floaters(photos=0)
+    bpy.ops.swag.find_floaters(in_front=0.5, photos=0)
     on_wall, floats, behind = found()
     assert on_wall < 0.01 and floats > 0.8 and behind == 0, (on_wall, floats, behind)
-    bpy.ops.swag.find_floaters(photos=1)
+    bpy.ops.swag.find_floaters(in_front=0.5, photos=1)
     on_wall, floats, behind = found()
     assert on_wall < 0.01 and floats > 0.8 and behind == 1, (on_wall, floats, behind)
     tint = np.empty(4 * 4140, "f4")
@@ -354,7 +354,7 @@ def find_floaters():
     # Hidden floaters are none, and do not hide the wall.
     labels.select(obj, np.arange(4140) >= 4000)
     bpy.ops.swag.hide_splats()
-    bpy.ops.swag.find_floaters(photos=0)
+    bpy.ops.swag.find_floaters(in_front=0.5, photos=0)
     assert found()[1:] == [0, 0]
 
 
