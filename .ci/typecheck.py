@@ -14,6 +14,7 @@ LINKED = (
     "tests", "benchmarks", "swag_engine",
     # What scripts import by its name alone, since they run inside Blender without a package.
     "tests/blender/window.py", "tests/blender/scripts/files.py", "tests/blender/scripts/pictures.py",
+    "tests/blender/scripts/labels.py",
 )  # fmt: skip
 UNTYPED = "from typing import Any\n\ndef __getattr__(name: str) -> Any: ...\n"
 

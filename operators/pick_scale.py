@@ -5,6 +5,7 @@ from mathutils import Vector
 
 from ..swag_blender import scale
 from ..swag_blender.blender_types import OperatorResult, call_operator, present
+from ..swag_blender.picking import splat_at
 
 
 class SWAG_OT_pick_scale(bpy.types.Operator):
@@ -35,7 +36,7 @@ class SWAG_OT_pick_scale(bpy.types.Operator):
         if event.type != "LEFTMOUSE" or event.value != "PRESS":
             return {"PASS_THROUGH"}
         region = next(region for region in present(context.area).regions if region.type == "WINDOW")
-        point = scale.splat_at(context, region, (event.mouse_x - region.x, event.mouse_y - region.y))
+        point = splat_at(context, region, (event.mouse_x - region.x, event.mouse_y - region.y))
         if point is None:
             self.report({"WARNING"}, "There is no splat here.")
             return {"RUNNING_MODAL"}

@@ -6,7 +6,7 @@ import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty
 from bpy.types import PropertyGroup
 
-from .blender_types import with_properties
+from .blender_types import present, with_properties
 from .nodes import splat_preview
 
 
@@ -62,6 +62,16 @@ class SwagDisplay(PropertyGroup):
             update=lambda self, context: apply(self.id_data),
         ),
     ]
+    crop: Annotated[
+        bpy.types.Object | None,
+        PointerProperty(
+            type=bpy.types.Object,
+            name="Crop Box",
+            description="Object whose box limits the splats that are shown, rendered and exported",
+            poll=lambda self, obj: can_crop(self.id_data, obj),
+            update=lambda self, context: update_crop(self.id_data),
+        ),
+    ]
 
 
 def display_of(obj: bpy.types.Object) -> SwagDisplay:
@@ -79,6 +89,28 @@ def apply(obj: bpy.types.Object) -> None:
     splat_preview.set_input(obj, splat_preview.DENSITY, display.density)
     splat_preview.set_input(obj, splat_preview.SH_DEGREE, display.sh_degree)
     obj.update_tag()
+
+
+def can_crop(obj: bpy.types.Object, box: bpy.types.Object) -> bool:
+    """Whether `box` can crop the splats of `obj`: an empty or a mesh, and not the parent of the splats."""
+    return box != obj and box.type in {"EMPTY", "MESH"} and box != obj.parent
+
+
+def update_crop(obj: bpy.types.Object) -> None:
+    """Give the crop box to the preview nodes, which draw the splats in renders."""
+    box = display_of(obj).crop
+    splat_preview.set_input(obj, splat_preview.CROP_BOX, box)
+    path = splat_preview.input_path(obj, splat_preview.CROP_HALF_EDGE)
+    if path:
+        obj.driver_remove(path)
+        splat_preview.set_input(obj, splat_preview.CROP_HALF_EDGE, 1.0)
+        if box is not None and box.type == "EMPTY":
+            driver = present(cast(bpy.types.FCurve, obj.driver_add(path)).driver)
+            driver.type = "SUM"
+            variable = driver.variables.new()
+            variable.targets[0].id = box
+            variable.targets[0].data_path = "empty_display_size"
+    splat_preview.follow_objects(obj)
 
 
 def copy_settings(source: bpy.types.Object, target: bpy.types.Object) -> None:

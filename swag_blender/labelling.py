@@ -11,7 +11,7 @@ import numpy as np
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.formats.run_folder import RunFolder
-from . import labels
+from . import labels, splats
 from .engine_process import run_request
 from .properties import swag_of
 from .runs import RUN_KEY
@@ -86,6 +86,10 @@ def search(obj: bpy.types.Object, words: str) -> int:
             path = str(Path(folder) / "similarity.npy")
             run_request({"request": "search", "run": own.folder, "words": words, "path": path})
             similarity = np.load(path)
+        if len(similarity) != splats.count(obj):  # some were deleted or separated
+            known = read_ply(RunFolder(Path(own.folder)).ply).positions
+            rows = splats.find_rows(splats.positions(obj), known)
+            similarity = similarity if rows is None else similarity[rows]
     else:
         names = ", ".join(entry.name for entry in own.entries if entry.number)
         raise InputError(f"No label is called {words}: the labels are {names or 'not read yet'}.")

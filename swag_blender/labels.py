@@ -1,9 +1,9 @@
 """Labels of splats: which are shown, selecting and searching by them, separating and merging objects.
 
 Point attributes beside those of splats.py, all usable in geometry nodes: `swag:label` (INT, 0 for none),
-`swag:similarity` (FLOAT, -1..1, of the last search), `swag:selected` (BOOLEAN), `swag:hidden` (BOOLEAN: the preview
-does not draw these), `swag:tint` (FLOAT_COLOR: the preview mixes this colour in, by its alpha), and `mask:NAME`
-(BOOLEAN) for each selection that was saved as a mask.
+`swag:similarity` (FLOAT, -1..1, of the last search), `swag:selected` (BOOLEAN), `swag:masked` (BOOLEAN: hidden by
+the user), `swag:hidden` (BOOLEAN: not drawn, because masked or of a hidden label), `swag:tint` (FLOAT_COLOR: this
+colour is mixed in, by its alpha), and `mask:NAME` (BOOLEAN) for each selection that was saved as a mask.
 """
 
 import colorsys
@@ -31,12 +31,12 @@ from ..swag_engine.base.errors import InputError
 from ..swag_engine.base.strict_json import from_json
 from ..swag_engine.splats.splats import Splats, concatenate
 from ..swag_engine.splats.transform import transformed
-from . import display, splats, water
+from . import crop_box, display, splats, water
 from .blender_types import present, with_properties
 from .nodes.splat_preview import HIDDEN, TINT, copy_inputs
 
 LABEL, SIMILARITY = "swag:label", "swag:similarity"
-SELECTED = "swag:selected"
+SELECTED, MASKED = "swag:selected", "swag:masked"
 MASK_PREFIX = "mask:"
 TABLE, FEATURES = "labels.json", "semantics.safetensors"
 SELECTED_COLOR = (1.0, 0.45, 0.0, 0.6)
@@ -131,8 +131,9 @@ def labels_of(obj: bpy.types.Object) -> SwagLabels:
 def take_labels(obj: bpy.types.Object, result: Splats, folder: str) -> int:
     """Give a splat object the labels of its run's result and list them; returns how many there are.
 
-    Splats in another order than the result's, as after separating and merging, are replaced by it, which removes masks
-    and the selection.
+    Splats are found in the result by their positions, so that an object from which some were deleted or separated gets
+    labels too. As many splats that are not found there, as those of an earlier training, are replaced by the result,
+    which removes masks and the selection.
 
     Args:
         obj: a splat object.
@@ -140,17 +141,18 @@ def take_labels(obj: bpy.types.Object, result: Splats, folder: str) -> int:
         folder: the run's folder.
 
     Raises:
-        InputError: the object has fewer or more splats than the run.
+        InputError: the object has other splats than the run, and fewer or more.
     """
     count = splats.count(obj)
-    if count != len(result):
-        raise InputError(
-            f"The run has {len(result)} splats and {obj.name} has {count}: merge its parts, or open result.ply again."
-        )
-    if np.array_equal(splats.read_splats(obj).positions, result.positions):
-        _set(obj, LABEL, "INT", result.extras["label"])
-    else:
+    rows = splats.find_rows(splats.positions(obj), result.positions)
+    if rows is not None:
+        set_attribute(obj, LABEL, "INT", result.extras["label"][rows])
+    elif count == len(result):
         splats.replace_splats(obj, result)
+    else:
+        raise InputError(
+            f"The run has {len(result)} splats and {obj.name} has {count} others: open the run's result.ply again."
+        )
     labels_of(obj).entries.clear()
     return read_labels(obj, folder)
 
@@ -195,23 +197,22 @@ def names_in(folder: Path) -> dict[int, str]:
 
 
 def show(obj: bpy.types.Object) -> None:
-    """Write the attributes that the preview reads: hidden labels, colours of labels, the selection."""
+    """Write the attributes that are drawn: hidden labels and splats, colours of labels, the selection."""
     values = attribute(obj, LABEL)
     own = labels_of(obj)
     count = splats.count(obj)
     if values is None:
         values = np.zeros(count, np.int32)
     hidden = np.isin(values, [entry.number for entry in own.entries if not entry.visible])
+    hidden |= mask_of(obj, MASKED)
     tint = np.zeros((count, 4), np.float32)
     if own.tinted:
         for entry in own.entries:
             if entry.number:
                 tint[values == entry.number] = (*entry.color, TINT_STRENGTH)
-    selected = attribute(obj, SELECTED)
-    if selected is not None:
-        tint[selected] = SELECTED_COLOR
-    _set(obj, HIDDEN, "BOOLEAN", hidden)
-    _set(obj, TINT, "FLOAT_COLOR", tint)
+    tint[mask_of(obj, SELECTED)] = SELECTED_COLOR
+    set_attribute(obj, HIDDEN, "BOOLEAN", hidden)
+    set_attribute(obj, TINT, "FLOAT_COLOR", tint)
 
 
 def isolate(obj: bpy.types.Object, number: int) -> None:
@@ -230,9 +231,15 @@ def show_all(obj: bpy.types.Object) -> None:
     show(obj)
 
 
+def drawn(obj: bpy.types.Object) -> np.ndarray:
+    """Mask (N,) bool of the splats that are neither hidden nor outside the crop box."""
+    return ~mask_of(obj, HIDDEN) & crop_box.inside_crop(obj)
+
+
 def select(obj: bpy.types.Object, mask: np.ndarray) -> int:
-    """Select the splats of a mask (N,) bool; returns how many there are."""
-    _set(obj, SELECTED, "BOOLEAN", mask)
+    """Select the splats of a mask (N,) bool, without hidden and cropped ones; returns how many there are."""
+    mask = mask & drawn(obj)
+    set_attribute(obj, SELECTED, "BOOLEAN", mask)
     show(obj)
     return int(mask.sum())
 
@@ -241,8 +248,7 @@ def select_label(obj: bpy.types.Object, number: int, extend: bool = False) -> in
     """Select the splats of a label, in addition to the selection with `extend`; returns how many are selected."""
     values = attribute(obj, LABEL)
     mask = np.zeros(splats.count(obj), bool) if values is None else values == number
-    before = attribute(obj, SELECTED)
-    return select(obj, mask | before if extend and before is not None else mask)
+    return select(obj, mask | mask_of(obj, SELECTED) if extend else mask)
 
 
 def select_similar(obj: bpy.types.Object) -> int:
@@ -252,10 +258,10 @@ def select_similar(obj: bpy.types.Object) -> int:
 
 
 def selection(obj: bpy.types.Object) -> np.ndarray:
-    """Mask (N,) bool of the selected splats. Raises InputError when there are none."""
-    mask = attribute(obj, SELECTED)
-    if mask is None or not mask.any():
-        raise InputError(f"No splats of {obj.name} are selected: select a label, or search, first.")
+    """Mask (N,) bool of the selected splats that are drawn. Raises InputError when there are none."""
+    mask = mask_of(obj, SELECTED) & drawn(obj)
+    if not mask.any():
+        raise InputError(f"No splats of {obj.name} are selected: select some in the viewport, a label, or search.")
     return mask
 
 
@@ -285,7 +291,7 @@ def set_similarity(obj: bpy.types.Object, similarity: np.ndarray) -> int:
     count = splats.count(obj)
     if len(similarity) != count:
         raise InputError(f"The run has {len(similarity)} splats and {obj.name} has {count}: open its result.ply again.")
-    _set(obj, SIMILARITY, "FLOAT", similarity)
+    set_attribute(obj, SIMILARITY, "FLOAT", similarity)
     return select_similar(obj)
 
 
@@ -296,7 +302,7 @@ def keep_mask(obj: bpy.types.Object, name: str) -> str:
     """
     mask = selection(obj)
     attribute_name = MASK_PREFIX + (name.strip() or "selection")
-    _set(obj, attribute_name, "BOOLEAN", mask)
+    set_attribute(obj, attribute_name, "BOOLEAN", mask)
     return attribute_name
 
 
@@ -318,9 +324,11 @@ def separate(obj: bpy.types.Object) -> bpy.types.Object:
     made.matrix_parent_inverse = obj.matrix_parent_inverse.copy()
     made.matrix_basis = obj.matrix_basis.copy()
     _copy_settings(obj, made)
-    splats.replace_splats(obj, whole.subset(~mask))
+    splats.copy_attributes(splats.pointcloud_of(obj), splats.pointcloud_of(made), mask)
+    splats.keep_splats(obj, ~mask)
     for one in (obj, made):
-        _list_again(one)
+        set_attribute(one, SELECTED, "BOOLEAN", np.zeros(splats.count(one), bool))
+        list_again(one)
     return made
 
 
@@ -350,7 +358,7 @@ def merge(target: bpy.types.Object, others: list[bpy.types.Object]) -> int:
         bpy.data.objects.remove(obj)
         if data.users == 0:
             bpy.data.pointclouds.remove(data)
-    _list_again(target)
+    list_again(target)
     return splats.count(target)
 
 
@@ -372,6 +380,12 @@ def attribute(obj: bpy.types.Object, name: str) -> np.ndarray | None:
     return values
 
 
+def mask_of(obj: bpy.types.Object, name: str) -> np.ndarray:
+    """Values (N,) bool of a point attribute; all false where the object does not have it."""
+    found = attribute(obj, name)
+    return np.zeros(splats.count(obj), bool) if found is None else found.astype(bool)
+
+
 def color_of(number: int) -> tuple[float, float, float]:
     """Colour of a label in linear light: hues in steps of the golden ratio, so that neighbours differ."""
     shown = colorsys.hsv_to_rgb(number * 0.618034 % 1, 0.75, 0.95) if number else (0.5, 0.5, 0.5)
@@ -379,7 +393,7 @@ def color_of(number: int) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _list_again(obj: bpy.types.Object) -> None:
+def list_again(obj: bpy.types.Object) -> None:
     """List the labels again after the splats were replaced."""
     if LABEL in splats.pointcloud_of(obj).attributes:
         read_labels(obj, "")
@@ -402,7 +416,7 @@ def _copy_settings(source: bpy.types.Object, target: bpy.types.Object) -> None:
     water.follow_slider(target)
 
 
-def _set(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray) -> None:
+def set_attribute(obj: bpy.types.Object, name: str, kind: str, values: np.ndarray) -> None:
     """Write values (N,) or (N, 4) to a point attribute; an attribute of that name with another type is replaced."""
     pointcloud = splats.pointcloud_of(obj)
     attributes: Any = pointcloud.attributes

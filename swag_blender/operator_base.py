@@ -6,6 +6,7 @@ from ..swag_engine.base.errors import InputError
 from . import splats
 from .blender_types import OperatorResult, present
 from .engine_process import EngineError
+from .splat_selection import edited_objects
 
 
 class ReportingOperator(bpy.types.Operator):
@@ -44,6 +45,18 @@ class SplatOperator(ReportingOperator):
     def work(self, context: bpy.types.Context) -> str:
         """Call `change` with the active object."""
         return self.change(context, present(context.active_object))
+
+
+class SplatsOperator(ReportingOperator):
+    """Operator on the selected splat objects, which gives `work`. Undo takes the change back."""
+
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether an object with splats is selected."""
+        cls.poll_message_set("Select an object with splats first")
+        return bool(edited_objects(context))
 
 
 def splats_are_active(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:

@@ -1,11 +1,9 @@
 """Length of a metre in an imported scene, from a distance that the user knows."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import bpy
 import numpy as np
-from bpy_extras import view3d_utils
 from mathutils import Vector
 
 from ..swag_engine.base.errors import InputError
@@ -15,10 +13,6 @@ from .properties import swag_of
 
 METRES_KEY = "swag_metres_per_unit"
 """Property of a scene's root, or of splats without one: metres in a unit of its own space."""
-PICK_RADIUS = 12.0
-"""Pixels around the pointer in which a click finds a splat."""
-PICK_MIN_OPACITY = 0.3
-"""Fainter splats are hardly visible, so a click does not find them."""
 
 
 def scaled_object(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -67,36 +61,6 @@ def scale_to_distance(
     swag_of(scene).metres_per_unit = metres
     scene.unit_settings.system = "METRIC"
     return metres
-
-
-def splat_at(context: bpy.types.Context, region: bpy.types.Region, position: tuple[float, float]) -> Vector | None:
-    """The visible splat nearest to the viewer within PICK_RADIUS of a position (pixels of the region).
-
-    Returns:
-        Its centre in Blender's world; None where there is none.
-    """
-    view: Any = present(context.space_data)
-    view = view.region_3d
-    eye = np.array(view3d_utils.region_2d_to_origin_3d(region, view, position))
-    forward = np.array(view3d_utils.region_2d_to_vector_3d(region, view, position))
-    perspective = np.array(view.perspective_matrix, np.float64)
-    nearest, found = np.inf, None
-    for obj in context.visible_objects:
-        if not splats.is_splats(obj):
-            continue
-        loaded = splats.read_splats(obj)
-        matrix = np.array(obj.matrix_world, np.float64)
-        world = loaded.positions @ matrix[:3, :3].T + matrix[:3, 3]
-        clip = world @ perspective[:, :3].T + perspective[:, 3]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            pixels = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * (region.width, region.height)
-        depth = (world - eye) @ forward
-        hit = np.linalg.norm(pixels - np.array(position), axis=1) < PICK_RADIUS
-        hit &= (clip[:, 3] > 0) & (depth > 0) & (loaded.opacities > PICK_MIN_OPACITY)
-        if hit.any() and depth[hit].min() < nearest:
-            index = np.flatnonzero(hit)[depth[hit].argmin()]
-            nearest, found = depth[index], Vector(world[index])
-    return found
 
 
 def _scale_about_origin(obj: bpy.types.Object, factor: float) -> None:

@@ -24,6 +24,7 @@ from ..swag_engine.splats.transform import rotation_to_y_up, transformed
 from . import scene_import, splats
 from .blender_types import present
 from .cameras import cameras_of
+from .crop_box import world_to_box
 from .labels import SELECTED
 from .nodes.splat_preview import HIDDEN
 from .runs import RUN_KEY
@@ -188,21 +189,9 @@ def _part_of(obj: bpy.types.Object, placement: np.ndarray, part: str) -> Splats:
     own, hidden = splats.read_modified_splats(obj, HIDDEN)
     if part == "ALL":
         return own
-    box = crop_box(obj)
+    box = world_to_box(obj)
     shown = ~hidden if box is None else ~hidden & inside_box(own.positions, box @ placement)
     return own if shown.all() else own.subset(shown)
-
-
-def crop_box(obj: bpy.types.Object) -> np.ndarray | None:
-    """Matrix (4, 4) from Blender's world to a space in which the object's own crop box reaches from -1 to 1.
-
-    None where the object has no crop box, or one without volume.
-    """
-    box = getattr(getattr(obj, "swag_display", None), "crop", None)
-    if box is None:
-        return None
-    half = box.empty_display_size if box.type == "EMPTY" else 1.0
-    return _to_unit_box(box, np.zeros(3), np.full(3, half))
 
 
 def _add_water(context: bpy.types.Context, obj: bpy.types.Object, dry: Splats, amount: float) -> Splats:

@@ -44,6 +44,43 @@ def count(obj: bpy.types.Object) -> int:
     return len(pointcloud_of(obj).points)
 
 
+def positions(obj: bpy.types.Object) -> np.ndarray:
+    """Centres (N, 3) float32 of the splats in the object's own space, without its modifiers."""
+    return _read(pointcloud_of(obj).attributes["position"], 3)
+
+
+def scales(obj: bpy.types.Object) -> np.ndarray:
+    """Standard deviations (N, 3) float32 of the splats in the object's own space, without its modifiers."""
+    return _read(pointcloud_of(obj).attributes["scale"], 3)
+
+
+def base(obj: bpy.types.Object) -> np.ndarray:
+    """Coefficients of degree 0 and opacities 0..1, (N, 4) float32, of the splats, without the object's modifiers."""
+    return _read(pointcloud_of(obj).attributes[BASE], 4)
+
+
+def find_rows(positions: np.ndarray, known_positions: np.ndarray) -> np.ndarray | None:
+    """Index (N,) of each splat among known ones, found by its position; None where one is not among them.
+
+    Args:
+        positions: (N, 3) float32 centres of some of the known splats.
+        known_positions: (M, 3) float32 centres of the known splats.
+    """
+    own, known = _keys(positions), _keys(known_positions)
+    if not len(known):
+        return None
+    order = np.argsort(known)
+    found = order[np.minimum(np.searchsorted(known[order], own), len(order) - 1)]
+    return found if np.array_equal(known_positions[found], positions) else None
+
+
+def _keys(positions: np.ndarray) -> np.ndarray:
+    """A number (N,) uint64 for each position (N, 3) float32, which is the same for equal positions."""
+    bits = np.ascontiguousarray(positions + np.float32(0), np.float32).view(np.uint32).astype(np.uint64)
+    factors = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+    return (bits * factors).sum(axis=1, dtype=np.uint64)
+
+
 def select_only(context: bpy.types.Context, objects: list[bpy.types.Object]) -> None:
     """Select these objects and no others, and make the last one active."""
     for obj in list(context.selected_objects):
@@ -75,12 +112,52 @@ def new_splat_object(
 
 def replace_splats(obj: bpy.types.Object, splats: Splats) -> None:
     """Give the object other splats (any number of them); transform, parent, modifiers and object name stay."""
+    _replace_data(obj, _pointcloud(pointcloud_of(obj).name, splats))
+
+
+def keep_splats(obj: bpy.types.Object, chosen: np.ndarray) -> None:
+    """Remove all splats of an object but those of a mask (N,) bool; all point attributes and materials stay."""
+    old = pointcloud_of(obj)
+    made = new_pointcloud(old.name, positions(obj)[chosen])
+    if hasattr(made, "type"):
+        made.type = "GAUSSIAN_SPLAT"
+    for material in old.materials:
+        made.materials.append(material)
+    copy_attributes(old, made, chosen)
+    _replace_data(obj, made)
+
+
+def copy_attributes(source: bpy.types.PointCloud, target: bpy.types.PointCloud, chosen: np.ndarray) -> None:
+    """Copy the point attributes of some points to a point cloud that has as many; text attributes are left out.
+
+    Args:
+        source: point cloud of N points.
+        target: point cloud with as many points as are chosen.
+        chosen: mask (N,) bool.
+    """
+    attributes: Any = target.attributes
+    copied = [a for a in source.attributes if a.domain == "POINT" and a.data_type != "STRING"]
+    # Adding an attribute can move the data of others: all are made before any is written.
+    for attribute in copied:
+        if attribute.name not in attributes:
+            attributes.new(attribute.name, attribute.data_type, "POINT")
+    for attribute in copied:
+        field = _value_property(attribute)
+        described: Any = cast(Any, attribute).bl_rna.properties["data"].fixed_type.properties[field]
+        dtype = {"BOOLEAN": bool, "INT": np.int32}.get(described.type, np.float32)
+        values = np.empty(len(source.points) * max(described.array_length, 1), dtype)
+        cast(Any, attribute).data.foreach_get(field, values)
+        attributes[attribute.name].data.foreach_set(field, values.reshape(len(chosen), -1)[chosen].ravel())
+
+
+def _replace_data(obj: bpy.types.Object, made: bpy.types.PointCloud) -> None:
+    """Give the object another point cloud, which takes the name of the old one where nothing else uses that."""
     old = pointcloud_of(obj)
     name = old.name
-    obj.data = _pointcloud(name, splats)
+    obj.data = made
     if old.users == 0:
         bpy.data.pointclouds.remove(old)
-        pointcloud_of(obj).name = name
+        made.name = name
 
 
 def read_splats(obj: bpy.types.Object) -> Splats:

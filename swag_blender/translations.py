@@ -478,6 +478,148 @@ GERMAN = {
     "or install one in the extension's own folder (0.5 GB, with CUDA 3 GB):": (
         "oder eins im Ordner der Erweiterung einrichten (0,5 GB, mit CUDA 3 GB):"
     ),
+    "Above": "Darüber",
+    "Action": "Aktion",
+    "Add Crop Box": "Ausschnitt hinzufügen",
+    "Add a box around the splats that limits what is shown, rendered and exported; move, rotate and scale it": (
+        "Einen Kasten um die Splats legen, der begrenzt, was gezeigt, gerendert und exportiert wird; er lässt sich"
+        " verschieben, drehen und skalieren"
+    ),
+    "All": "Alle",
+    "Below": "Darunter",
+    "Box": "Rechteck",
+    "Circle": "Kreis",
+    "By the difference from a colour": "Nach dem Unterschied zu einer Farbe",
+    "By the distance to the nearest camera of the photos": "Nach dem Abstand zur nächsten Kamera der Fotos",
+    "By the largest standard deviation of the splat": "Nach der größten Standardabweichung des Splats",
+    "By the name of the label": "Nach dem Namen des Etiketts",
+    "By the opacity of the splat": "Nach der Deckkraft des Splats",
+    "Click two points of the splats to see their distance in the scene's unit": (
+        "Zwei Punkte der Splats anklicken, um ihren Abstand in der Einheit der Szene zu sehen"
+    ),
+    "Click two points to measure their distance; Escape: end": (
+        "Zwei Punkte anklicken, um ihren Abstand zu messen; Escape: beenden"
+    ),
+    "Colour that splats are compared with; at first that of the selected splats": (
+        "Farbe, mit der Splats verglichen werden; anfangs die der ausgewählten Splats"
+    ),
+    "Compute how the PSNR on the held-out photos changes when the selected splats are deleted; Escape stops": (
+        "Berechnen, wie sich der PSNR auf den zurückgehaltenen Fotos ändert, wenn die ausgewählten Splats gelöscht"
+        " werden; Escape bricht ab"
+    ),
+    "Delete": "Löschen",
+    "Delete Outside Box": "Außerhalb des Ausschnitts löschen",
+    "Delete Splats": "Splats löschen",
+    "Delete the selected splats; labels, masks and what is hidden stay for the others": (
+        "Die ausgewählten Splats löschen; Etiketten, Masken und Verborgenes bleiben bei den anderen erhalten"
+    ),
+    "Delete the splats outside the crop box for good; the box stays": (
+        "Die Splats außerhalb des Ausschnitts endgültig löschen; der Kasten bleibt"
+    ),
+    "Deselect all splats": "Alle Splats abwählen",
+    "Deselect these": "Diese abwählen",
+    "Distance to Camera": "Abstand zur Kamera",
+    "Distance to Others": "Abstand zu anderen",
+    "Drag a box around splats; Shift: extend, Ctrl: subtract, Escape: cancel": (
+        "Ein Rechteck um Splats ziehen; Umschalt: erweitern, Strg: abziehen, Escape: abbrechen"
+    ),
+    "Draw around splats; Shift: extend, Ctrl: subtract, Escape: cancel": (
+        "Splats umfahren; Umschalt: erweitern, Strg: abziehen, Escape: abbrechen"
+    ),
+    "Edit": "Bearbeiten",
+    "Fewer Photos Than": "Weniger Fotos als",
+    "Find Floaters": "Floater finden",
+    "Hide": "Verbergen",
+    "Hide Others": "Andere verbergen",
+    "Hide Splats": "Splats verbergen",
+    "Hide the selected splats in the viewport and in renders": (
+        "Die ausgewählten Splats im Viewport und beim Rendern verbergen"
+    ),
+    "Hide the splats that are not selected instead": "Stattdessen die Splats verbergen, die nicht ausgewählt sind",
+    "Import or train splats first": "Zuerst Splats importieren oder trainieren",
+    "In Front": "Davor",
+    "Invert": "Umkehren",
+    "Kind": "Art",
+    "Measure": "Messen",
+    "Mode": "Modus",
+    "Name of the label, or a part of it": "Name des Etiketts oder ein Teil davon",
+    "None": "Keine",
+    "Object whose box limits the splats that are shown, rendered and exported": (
+        "Objekt, dessen Kasten begrenzt, welche Splats gezeigt, gerendert und exportiert werden"
+    ),
+    "Opacity": "Deckkraft",
+    "Opacity or difference of colour to compare with": "Deckkraft oder Farbunterschied, mit dem verglichen wird",
+    "PSNR Without Selection": "PSNR ohne Auswahl",
+    "Paint over splats; wheel: size, Shift: extend, Ctrl: subtract, Escape or Enter: finish": (
+        "Über Splats malen; Mausrad: Größe, Umschalt: erweitern, Strg: abziehen, Escape oder Enter: fertig"
+    ),
+    "Point at the splats to read them; click: place the 3D cursor and report, Escape: end": (
+        "Auf Splats zeigen, um sie abzulesen; Klick: 3D-Cursor setzen und melden, Escape: beenden"
+    ),
+    "Radius of the circle": "Radius des Kreises",
+    "Read Point": "Punkt ablesen",
+    "Select All Splats": "Alle Splats auswählen",
+    "Select Box": "Rechteck auswählen",
+    "Select By": "Auswählen nach",
+    "Select Circle": "Kreis auswählen",
+    "Select Lasso": "Lasso auswählen",
+    "Select Through": "Durch andere hindurch",
+    "Select all splats": "Alle Splats auswählen",
+    "Select all splats that are shown, none, or those that are not selected": (
+        "Alle gezeigten Splats auswählen, keine, oder die nicht ausgewählten"
+    ),
+    "Select splats above the threshold": "Splats über der Schwelle auswählen",
+    "Select splats behind others too; most of what is seen has splats behind it": (
+        "Auch Splats hinter anderen auswählen; hinter fast allem, was man sieht, liegen Splats"
+    ),
+    "Select splats below the threshold": "Splats unter der Schwelle auswählen",
+    "Select splats by dragging a box in the viewport; Shift adds to the selection, Ctrl removes from it": (
+        "Splats auswählen, indem im Viewport ein Rechteck gezogen wird; Umschalt erweitert die Auswahl, Strg zieht ab"
+    ),
+    "Select splats by drawing around them in the viewport; Shift adds to the selection, Ctrl removes from it": (
+        "Splats auswählen, indem man sie im Viewport umfährt; Umschalt erweitert die Auswahl, Strg zieht ab"
+    ),
+    "Select splats by painting with a circle in the viewport; the mouse wheel changes its size": (
+        "Splats auswählen, indem man im Viewport mit einem Kreis malt; das Mausrad ändert seine Größe"
+    ),
+    "Select splats by their size, opacity, colour, label or distance; the threshold can be changed afterwards": (
+        "Splats nach Größe, Deckkraft, Farbe, Etikett oder Abstand auswählen; die Schwelle lässt sich danach ändern"
+    ),
+    "Select splats in front of the surfaces that the photos show, and splats that few photos see": (
+        "Splats auswählen, die vor den Oberflächen der Fotos schweben, und solche, die wenige Fotos sehen"
+    ),
+    "Select splats of which at least this part, as the photos see it, is in front of the surface": (
+        "Splats auswählen, von denen mindestens dieser Teil, wie ihn die Fotos sehen, vor der Oberfläche liegt"
+    ),
+    "Select splats that fewer photos than this see; 0 for none": (
+        "Splats auswählen, die weniger Fotos als so viele sehen; 0: keine"
+    ),
+    "Select these alone": "Nur diese auswählen",
+    "Select these too": "Diese zusätzlich auswählen",
+    "Select those that are not selected, and deselect the others": (
+        "Die nicht ausgewählten auswählen und die anderen abwählen"
+    ),
+    "Set": "Setzen",
+    "Show Hidden Splats": "Verborgene Splats zeigen",
+    "Show position, range, label and opacity of the splat under the pointer": (
+        "Ort, Entfernung, Etikett und Deckkraft des Splats unter dem Mauszeiger zeigen"
+    ),
+    "Show the hidden splats again and select them; hidden labels stay hidden": (
+        "Die verborgenen Splats wieder zeigen und auswählen; verborgene Etiketten bleiben verborgen"
+    ),
+    "Side": "Seite",
+    "Size": "Größe",
+    "Size or distance to compare with": "Größe oder Abstand, mit dem verglichen wird",
+    "Splats with fewer than six others within a distance": (
+        "Splats mit weniger als sechs anderen innerhalb eines Abstands"
+    ),
+    "Subtract": "Abziehen",
+    "Unselected": "Nicht ausgewählte",
+    "What happens to the splats that are selected already": "Was mit den schon ausgewählten Splats geschieht",
+    "What splats are selected by": "Wonach Splats ausgewählt werden",
+    "Which splats are selected": "Welche Splats ausgewählt werden",
+    "Which splats are selected afterwards": "Welche Splats danach ausgewählt sind",
+    "{selected} of {total} splats selected": "{selected} von {total} Splats ausgewählt",
 }
 
 

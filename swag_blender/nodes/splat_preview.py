@@ -51,6 +51,7 @@ POINTS_IN_VIEWPORT = "Points in Viewport"
 SHAPES_IN_VIEWPORT = "Shapes in Viewport"
 DENSITY = "Viewport Density"
 WATER = "Water"
+CROP_BOX, CROP_HALF_EDGE = "Crop Box", "Crop Half Edge"
 
 
 def add_modifier(obj: bpy.types.Object) -> bpy.types.NodesModifier:
@@ -70,7 +71,9 @@ def modifier_of(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
     return None
 
 
-def set_input(obj: bpy.types.Object, name: str, value: float | bool | Sequence[float]) -> None:
+def set_input(
+    obj: bpy.types.Object, name: str, value: float | bool | Sequence[float] | bpy.types.Object | None
+) -> None:
     """Set an input of the object's preview by its name; does nothing without a preview."""
     if (found := _input(obj, name)) is not None:
         owner, path, _ = found
@@ -79,6 +82,15 @@ def set_input(obj: bpy.types.Object, name: str, value: float | bool | Sequence[f
         else:
             owner[path] = value
         obj.update_tag()
+
+
+def follow_objects(obj: bpy.types.Object) -> None:
+    """Make the preview follow the objects that its inputs name, when these change.
+
+    Blender looks for such objects when a modifier gets a node group, and not when a script sets an input.
+    """
+    if (modifier := modifier_of(obj)) is not None:
+        modifier.node_group = modifier.node_group
 
 
 def input_path(obj: bpy.types.Object, name: str) -> str:
@@ -240,6 +252,8 @@ def _interface(tree: bpy.types.NodeTree) -> None:
         DENSITY, "Float", "Percentage of the splats in the viewport; renders show all", 100.0, 0.0, 100.0, "PERCENTAGE"
     )
     number(WATER, "Float", "Fraction of the water to show: 0 none, 1 as photographed", 0.0, 0.0, 1.0, "FACTOR")
+    add_socket(tree, CROP_BOX, "Object").description = "Splats outside the box of this object are not drawn"
+    number(CROP_HALF_EDGE, "Float", "Half the edge of the crop box in its own space", 1.0, 0.0, 1e6)
     panel = present(tree.interface).new_panel("Water", default_closed=True)
     panel.description = "Coefficients of the fitted water, per unit of the splats' own space"
     for name, value in WaterValues().inputs().items():
@@ -250,8 +264,8 @@ def _interface(tree: bpy.types.NodeTree) -> None:
 
 
 def _drawn(tree: bpy.types.NodeTree, inputs: dict[str, Field], in_viewport: Field) -> Field:
-    """The splats that are drawn: no hidden ones, and in the viewport only the chosen percentage."""
-    hidden = attribute(tree, HIDDEN, "BOOLEAN")
+    """The splats that are drawn: none hidden or cropped, and in the viewport only the chosen percentage."""
+    hidden = attribute(tree, HIDDEN, "BOOLEAN").math("MAXIMUM", _outside_crop(tree, inputs))
     visible = add(tree, "GeometryNodeDeleteGeometry", Geometry=inputs["Geometry"], Selection=hidden)
     geometry = Field(visible.outputs["Geometry"])
     fraction = inputs[DENSITY] * 0.01
@@ -261,6 +275,20 @@ def _drawn(tree: bpy.types.NodeTree, inputs: dict[str, Field], in_viewport: Fiel
     thinned = add(tree, "GeometryNodeDeleteGeometry", Geometry=geometry, Selection=dropped)
     thin = in_viewport * fraction.math("LESS_THAN", 1.0)
     return _switch(tree, thin, geometry, Field(thinned.outputs["Geometry"]))
+
+
+def _outside_crop(tree: bpy.types.NodeTree, inputs: dict[str, Field]) -> Field:
+    """1 for splats outside the crop box, else 0; 0 for all where no object is chosen."""
+    settings = {"transform_space": "RELATIVE"}
+    box = add(tree, "GeometryNodeObjectInfo", settings, Object=inputs[CROP_BOX]).outputs
+    inverse = add(tree, "FunctionNodeInvertMatrix", Matrix=Field(box["Transform"])).outputs
+    position = Field(add(tree, "GeometryNodeInputPosition").outputs[0])
+    local = add(tree, "FunctionNodeTransformPoint", Vector=position, Transform=Field(inverse["Matrix"])).outputs
+    x, y, z = Field(local["Vector"]).vector("ABSOLUTE").xyz()
+    farthest = x.math("MAXIMUM", y).math("MAXIMUM", z)
+    # The scale of no object is zero.
+    has_box = Field(box["Scale"]).vector("LENGTH", output="Value").math("GREATER_THAN", 0.0)
+    return has_box * Field(inverse["Invertible"]) * farthest.math("GREATER_THAN", inputs[CROP_HALF_EDGE])
 
 
 def _through_water(tree: bpy.types.NodeTree, inputs: dict[str, Field], ray: Field, color: Field) -> tuple[Field, Field]:

@@ -16,6 +16,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Color
 
 from .. import display, water
+from ..crop_box import world_to_box
 from ..blender_types import present
 from ..properties import swag_of
 from .depth_order import Sorter
@@ -276,16 +277,19 @@ def _object_texels(context: bpy.types.Context, objects: Sequence[bpy.types.Objec
     for obj in objects:
         settings = display.display_of(obj)
         own_water = water.water_of(obj)
+        # The evaluated matrix has parents, constraints and animation in it.
+        to_world = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)
+        to_box = world_to_box(obj)
         made.append(
             ObjectTexels(
-                # The evaluated matrix has parents, constraints and animation in it.
-                object_to_view=to_view @ np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64),
+                object_to_view=to_view @ to_world,
                 is_drawn=obj.visible_in_viewport_get(space) and space.show_object_viewport_pointcloud,
                 sh_degree=settings.sh_degree,
                 density=settings.density / 100,
                 gain=2.0**settings.exposure,
                 water=own_water,
                 water_amount=amount if own_water else 0.0,
+                crop=None if to_box is None else to_box @ to_world,
             )
         )
     return made

@@ -133,6 +133,19 @@ class SearchRequest:
 
 
 @dataclass(frozen=True)
+class ScoreEditRequest:
+    """Compare a run with its test images, before and after Gaussians are removed.
+
+    Attributes:
+        run: Folder of the run.
+        masks: File (.npy) of (2, N) bool: the Gaussians before and after.
+    """
+
+    run: Path
+    masks: Path
+
+
+@dataclass(frozen=True)
 class CancelRequest:
     """Stop the request at hand; what exists is kept."""
 
@@ -156,6 +169,7 @@ Request = (
     | ExportRequest
     | LabelRequest
     | SearchRequest
+    | ScoreEditRequest
     | CancelRequest
     | PauseRequest
     | GoOnRequest
@@ -169,6 +183,7 @@ REQUESTS: dict[str, type[Request]] = {
     "export": ExportRequest,
     "label": LabelRequest,
     "search": SearchRequest,
+    "score_edit": ScoreEditRequest,
     "cancel": CancelRequest,
     "pause": PauseRequest,
     "go_on": GoOnRequest,

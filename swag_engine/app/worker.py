@@ -27,6 +27,7 @@ from .protocol import (
     PauseRequest,
     PlanRequest,
     Request,
+    ScoreEditRequest,
     SearchRequest,
     SfmRequest,
     TrainRequest,
@@ -189,6 +190,13 @@ class Worker:
             similarity, labels = search_run(request.run, request.words)
             write_similarity(request.path, similarity)
             return {"event": "result", "request": "search", "path": str(request.path), "labels": labels}
+        if isinstance(request, ScoreEditRequest):
+            from ..experiments.score_edit import score_edit
+
+            with interrupts.deferred():
+                progress = self.stoppable("The comparison was stopped.")
+                scores = score_edit(request.run, request.masks, progress)
+            return {"event": "result", "request": "score_edit"} | scores
         assert isinstance(request, ExportRequest)
         from ..formats.export import export_run
 

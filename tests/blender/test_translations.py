@@ -6,21 +6,23 @@ import re
 import pytest
 
 # Proper names and figures, the same in every language.
-SAME = {"SWAG Splatting", "PLY (3DGS)", "glTF (GLB)", "PSNR", "SSIM", " ms", "Cycles", "EEVEE"}
+SAME = {"SWAG Splatting", "PLY (3DGS)", "glTF (GLB)", "PSNR", "SSIM", " ms", "Cycles", "EEVEE", "Lasso", "Radius"}
 
 
 def drawn_words(root):
-    """Constant texts of labels and buttons, and of the reasons why a button is disabled."""
+    """Constant texts of labels, buttons, the status bar, and of the reasons why a button is disabled."""
     words = set()
     for folder in ("swag_blender", "operators"):
         for path in (root / folder).rglob("*.py"):
             for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(call, ast.Assign) and [getattr(t, "id", "") for t in call.targets] == ["hint"]:
+                    words.add(ast.literal_eval(call.value))
                 if not isinstance(call, ast.Call):
                     continue
                 texts = [keyword.value for keyword in call.keywords if keyword.arg == "text"]
                 function = getattr(call.func, "id", getattr(call.func, "attr", ""))
                 texts += call.args[1:2] if function == "draw_wrapped" else []
-                texts += call.args[:1] if function == "poll_message_set" else []
+                texts += call.args[:1] if function in ("poll_message_set", "pgettext_iface") else []
                 for text in texts:
                     either = (text.body, text.orelse) if isinstance(text, ast.IfExp) else (text,)
                     words |= {n.value for n in either if isinstance(n, ast.Constant) and isinstance(n.value, str)}

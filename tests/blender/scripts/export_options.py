@@ -3,12 +3,10 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
 import bpy
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import labels, splats
-from bl_ext.user_default.swag_splatting.swag_blender.blender_types import with_properties
 from bl_ext.user_default.swag_splatting.swag_blender.splat_export import ExportOptions, ExportSettings, expected_size
 from files import add_imported_scene, export_splats, import_splats, matrix_in_file_frame, refusal
 
@@ -117,13 +115,6 @@ def options(folder):
     return {"to_box": to_box, "expected sizes": sizes, "messages": messages}
 
 
-@with_properties
-class CropSettings(bpy.types.PropertyGroup):
-    """What of `object.swag_display` an export reads."""
-
-    crop: Annotated[bpy.types.Object | None, bpy.props.PointerProperty(type=bpy.types.Object)]
-
-
 def parts(folder):
     """Export all, visible, shown (by default), cropped and selected splats of two objects; returns messages.
 
@@ -150,9 +141,6 @@ def parts(folder):
     export_splats(path / "selected.ply", part="SELECTED")
     export_splats(path / "all.ply", part="ALL")
 
-    if not hasattr(first, "swag_display"):
-        bpy.utils.register_class(CropSettings)
-        bpy.types.Object.swag_display = bpy.props.PointerProperty(type=CropSettings)
     box = bpy.data.objects.new("box", None)
     box.empty_display_size, box.scale.z, box.location.x = 0.5, 4, 8
     bpy.context.scene.collection.objects.link(box)

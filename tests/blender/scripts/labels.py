@@ -270,7 +270,7 @@ def label_a_run(folder):
     similarity = labels.attribute(obj, "swag:similarity")
     assert similarity[mask].mean() > similarity[~mask].mean()
 
-    # A second labelling replaces the labels and keeps the masks; separated parts are refused until they are merged.
+    # A second labelling replaces the labels and keeps the masks; separated parts are labelled too.
     assert label_run(source="SALIENCY") == {"FINISHED"}
     assert np.array_equal(labels.attribute(obj, "mask:kept"), mask)
     assert not {"left", "right"} & {e.name for e in obj.swag_labels.entries}
@@ -278,9 +278,25 @@ def label_a_run(folder):
     bpy.ops.swag.separate_splats()
     part = bpy.context.active_object
     bpy.context.view_layer.objects.active = obj
-    assert_refused(label_run, "merge its parts, or open result.ply again", source="SALIENCY")
+    assert label_run(source="MASKS", masks=masks) == {"FINISHED"}
+    result = read_ply(run / "result.ply")
+    assert 0 < splats.count(obj) < len(result)
+    assert_labels_of_run(obj, result)
+    first = part.data.attributes["position"].data[0].vector.copy()
+    part.data.attributes["position"].data[0].vector = (9, 9, 9)
+    bpy.context.view_layer.objects.active = part
+    assert_refused(label_run, "others: open the run's result.ply again", source="SALIENCY")
+    part.data.attributes["position"].data[0].vector = first
+    bpy.context.view_layer.objects.active = obj
     part.select_set(True)
     obj.select_set(True)
     bpy.ops.swag.merge_splats()
     assert label_run(source="MASKS", masks=masks) == {"FINISHED"}
-    assert np.array_equal(labels.attribute(obj, "swag:label"), read_ply(run / "result.ply").extras["label"])
+    assert splats.count(obj) == len(result)
+    assert_labels_of_run(obj, read_ply(run / "result.ply"))
+
+
+def assert_labels_of_run(obj, result):
+    """Assert that each splat has the label of the run's splat at its place."""
+    rows = splats.find_rows(splats.positions(obj), result.positions)
+    assert np.array_equal(labels.attribute(obj, "swag:label"), result.extras["label"][rows])

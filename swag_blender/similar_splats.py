@@ -1,0 +1,173 @@
+"""Find splats by what they are like: size, opacity, colour, label, distance."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils.kdtree import KDTree
+
+from ..swag_engine.base.errors import InputError
+from . import labels, scene_import, splat_selection
+from .blender_types import present
+from .cameras import cameras_of
+
+KINDS: Any = [
+    ("SIZE", "Size", "By the largest standard deviation of the splat"),
+    ("OPACITY", "Opacity", "By the opacity of the splat"),
+    ("COLOR", "Colour", "By the difference from a colour"),
+    ("LABEL", "Label", "By the name of the label"),
+    ("CAMERA", "Distance to Camera", "By the distance to the nearest camera of the photos"),
+    ("OTHERS", "Distance to Others", "Splats with fewer than six others within a distance"),
+]
+LENGTHS = {"SIZE": 99.0, "CAMERA": 95.0, "OTHERS": 99.0}
+"""Kinds with a length as threshold, and the percentile of the splats at which it starts."""
+NEIGHBORS = 6
+"""A splat is apart from the others by the distance within which it has fewer others than this."""
+SAMPLE = 500
+"""Splats from which the usual distance to others is estimated."""
+
+
+def similar_colors(obj: bpy.types.Object, color: Sequence[float], distance: float) -> np.ndarray:
+    """Mask (N,) bool of the splats whose colour differs from `color` (sRGB 0..1) by at most a distance, 0..1."""
+    return np.linalg.norm(splat_selection.colors(obj) - np.array(color[:3]), axis=1) / np.sqrt(3) <= distance
+
+
+def labelled(obj: bpy.types.Object, words: str) -> np.ndarray:
+    """Mask (N,) bool of the splats of the labels whose name has the words in it.
+
+    Raises:
+        InputError: there is no such label.
+    """
+    numbers = labels.numbers_named(obj, words) if words.strip() else []
+    if not numbers:
+        names = ", ".join(entry.name for entry in labels.labels_of(obj).entries if entry.number)
+        raise InputError(f"No label of {obj.name} is called {words or '(empty)'}: {names or 'no labels are read yet'}.")
+    return np.isin(present(labels.attribute(obj, labels.LABEL)), numbers)
+
+
+def camera_distances(context: bpy.types.Context, obj: bpy.types.Object) -> np.ndarray:
+    """Distance (N,) of the splats to the nearest camera of their photos, or of the Blender scene without photos.
+
+    Raises:
+        InputError: there is no camera.
+    """
+    root = scene_import.find_root(obj)
+    cameras = cameras_of(context, [root] if root else [])
+    if not cameras:
+        raise InputError("The scene has no cameras: import the photos, or add a camera.")
+    positions = splat_selection.world_positions(obj)
+    nearest = np.full(len(positions), np.inf)
+    for camera in cameras:
+        nearest = np.minimum(nearest, np.linalg.norm(positions - camera.centre, axis=1))
+    return nearest
+
+
+def apart(positions: np.ndarray, distance: float) -> np.ndarray:
+    """Mask (N,) bool of the points (N, 3) with fewer than NEIGHBORS others around them.
+
+    Others are counted in 27 cubes, the point's own and those around it, with edges of `distance`.
+    """
+    cube = np.floor((positions - positions.min(axis=0)) / max(distance, 1e-9)).astype(np.int64) + 1
+    if (cube.max(axis=0) + 2 >= 2**20).any():  # the cubes are too small to be numbered, and to hold two points
+        return np.ones(len(positions), bool)
+    steps = np.array([2**42, 2**21, 1])
+    keys = cube @ steps
+    order = np.argsort(keys)
+    ordered = keys[order]  # looking up numbers in order is several times faster
+    count = np.zeros(len(keys), np.int64)
+    for x in (-1, 0, 1):
+        for y in (-1, 0, 1):
+            # Three cubes in a column have consecutive numbers.
+            middle = ordered + x * steps[0] + y * steps[1]
+            count += np.searchsorted(ordered, middle + 1, "right") - np.searchsorted(ordered, middle - 1, "left")
+    alone = np.empty(len(keys), bool)
+    alone[order] = count - 1 < NEIGHBORS
+    return alone
+
+
+def usual_distance(positions: np.ndarray) -> float:
+    """Distance within which 99 % of the points (N, 3) have at least NEIGHBORS others, from a sample."""
+    if len(positions) <= NEIGHBORS:
+        return 1.0
+    tree = KDTree(len(positions))
+    for index, position in enumerate(positions.tolist()):
+        tree.insert(position, index)
+    tree.balance()
+    sample = positions[:: max(len(positions) // SAMPLE, 1)].tolist()
+    return float(np.percentile([tree.find_n(position, NEIGHBORS + 1)[-1][2] for position in sample], 99))
+
+
+def find(
+    context: bpy.types.Context,
+    obj: bpy.types.Object,
+    kind: str,
+    threshold: float,
+    above: bool,
+    color: Sequence[float],
+    label: str,
+) -> np.ndarray:
+    """Mask (N,) bool of the splats of an object that a condition fits.
+
+    Args:
+        context: of the scene whose cameras count.
+        obj: a splat object.
+        kind: one of KINDS.
+        threshold: a length in Blender units, or a fraction 0..1 for "OPACITY" and "COLOR".
+        above: whether values above the threshold fit, else those below, for "SIZE", "OPACITY" and "CAMERA".
+        color: sRGB values (3,) 0..1, for "COLOR".
+        label: words in the label's name, for "LABEL".
+
+    Raises:
+        InputError: there is no such label, or no camera.
+    """
+    if kind == "COLOR":
+        return similar_colors(obj, color, threshold)
+    if kind == "LABEL":
+        return labelled(obj, label)
+    if kind == "OTHERS":
+        return apart(splat_selection.world_positions(obj), threshold)
+    values = _values(context, obj, kind)
+    return values > threshold if above else values < threshold
+
+
+def _values(context: bpy.types.Context, obj: bpy.types.Object, kind: str) -> np.ndarray:
+    if kind == "SIZE":
+        return splat_selection.world_sizes(obj).max(axis=1)
+    return splat_selection.opacities(obj) if kind == "OPACITY" else camera_distances(context, obj)
+
+
+def properties_of(kind: str) -> tuple[str, ...]:
+    """Names of the properties of Select By that a kind uses."""
+    return {
+        "SIZE": ("side", "length"),
+        "OPACITY": ("side", "fraction"),
+        "COLOR": ("color", "fraction"),
+        "LABEL": ("label",),
+        "CAMERA": ("side", "length"),
+        "OTHERS": ("length",),
+    }[kind]
+
+
+def usual_length(context: bpy.types.Context, obj: bpy.types.Object, kind: str) -> float:
+    """Threshold in Blender units that few splats of the object are above; 1 where it cannot be determined."""
+    if kind == "OTHERS":
+        return usual_distance(splat_selection.world_positions(obj))
+    try:
+        values = _values(context, obj, kind)
+    except InputError:
+        return 1.0
+    return float(np.percentile(values, LENGTHS[kind])) if len(values) else 1.0
+
+
+def selected_color(obj: bpy.types.Object) -> tuple[float, float, float]:
+    """Mean colour, sRGB values, of the selected splats; grey where none are."""
+    chosen = labels.mask_of(obj, labels.SELECTED)
+    red, green, blue = splat_selection.colors(obj)[chosen].mean(axis=0).tolist() if chosen.any() else (0.5, 0.5, 0.5)
+    return red, green, blue
+
+
+def active_label(obj: bpy.types.Object) -> str:
+    """Name of the label that is chosen in the list of labels; "" without labels."""
+    own = labels.labels_of(obj)
+    return own.entries[own.active].name if 0 <= own.active < len(own.entries) else ""
