@@ -9,8 +9,11 @@ import bpy
 
 from ..swag_blender.blender_types import present
 from . import (
+    add_turntable,
+    camera_path,
     cancel,
     check_engine,
+    compare_photos,
     export_splats,
     forecast,
     import_scene,
@@ -29,6 +32,7 @@ from . import (
     prepare_render,
     read_labels,
     remove_engine,
+    render_film,
     reset_effects,
     search_labels,
     select_label,
@@ -48,6 +52,7 @@ _GROUPS = (
     (label_run, read_labels, show_labels, isolate_label, select_label, search_labels, keep_mask),
     (separate_splats, merge_splats),
     (prepare_render, water_objects),
+    (add_turntable, camera_path, compare_photos, render_film),
     (set_scale, pick_scale),
     (export_splats,),
     (node_assets, look_up_engine, install_engine, check_engine, remove_engine),
