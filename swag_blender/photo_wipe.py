@@ -20,6 +20,9 @@ from .camera_moves import by_name
 
 LARGEST_TEXTURE = 2048
 """Pixels of the longer side of a photo's texture: more than a viewport shows, and quickly loaded."""
+OVERLAY_GAMMA = 2.2
+"""Blender decodes what is drawn over a viewport as sRGB, and encodes it for the screen by this power alone (versions 4.5
+to 5.2, gpu_shader_display_transform): dark values would become 5 of 255 too light."""
 HANDLE = 9.0
 """Half the size of the line's handle, in pixels at an interface scale of 1."""
 STEPS = {
@@ -114,7 +117,7 @@ class PhotoWipe:
         scene_import.look_through(self.scene, camera)
         present(self.space.region_3d).view_perspective = "CAMERA"
         image = next((background.image for background in data.background_images if background.image), None)
-        pixels = None if image is None else display_pixels(image)
+        pixels = None if image is None else overlay_pixels(image)
         if pixels is None:
             self._message = f"The photo of {camera.name} cannot be read."
         else:
@@ -200,14 +203,15 @@ class PhotoWipe:
         scale = present(bpy.context.preferences).system.ui_scale
         size, centre = HANDLE * scale, (bottom + top) / 2
         handle = ((middle - size, centre), (middle, centre - size), (middle + size, centre), (middle, centre + size))
-        plain = gpu.shader.from_builtin("UNIFORM_COLOR")
-        for width, color in ((3.0, (0.0, 0.0, 0.0, 1.0)), (1.0, (1.0, 1.0, 1.0, 1.0))):
-            gpu.state.line_width_set(width)
-            plain.bind()
-            plain.uniform_float("color", color)
-            batch_for_shader(plain, "LINES", {"pos": ((middle, bottom), (middle, top))}).draw(plain)
-            batch_for_shader(plain, "LINE_STRIP", {"pos": (*handle, handle[0])}).draw(plain)
-        gpu.state.line_width_set(1.0)
+        line = gpu.shader.from_builtin("POLYLINE_UNIFORM_COLOR")
+        line.bind()
+        line.uniform_float("viewportSize", gpu.state.viewport_get()[2:])
+        parts = (((middle, bottom), (middle, centre - size)), ((middle, centre + size), (middle, top)))
+        for width, color in ((4.0, (0.0, 0.0, 0.0, 1.0)), (2.0, (1.0, 1.0, 1.0, 1.0))):
+            line.uniform_float("lineWidth", width * scale)
+            line.uniform_float("color", color)
+            for points in (*parts, (*handle, handle[0])):
+                batch_for_shader(line, "LINE_STRIP", {"pos": [(*point, 0.0) for point in points]}).draw(line)
         text = self._message or f"{self.names[self.index]}    {self.index + 1} / {len(self.names)}"
         blf.size(0, 12 * scale)
         blf.enable(0, blf.SHADOW)
@@ -227,8 +231,8 @@ def photos(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return sorted((obj for obj in scene.objects if obj.get(scene_import.SIZE_KEY) is not None), key=by_name)
 
 
-def display_pixels(image: bpy.types.Image) -> np.ndarray | None:
-    """The pixels of an image at most LARGEST_TEXTURE wide and high, in display values.
+def overlay_pixels(image: bpy.types.Image) -> np.ndarray | None:
+    """The pixels of an image, at most LARGEST_TEXTURE wide and high, as values that a viewport shows as they are.
 
     Returns:
         (H, W, 4) float32, the lowest row first; None when its file cannot be read.
@@ -244,9 +248,12 @@ def display_pixels(image: bpy.types.Image) -> np.ndarray | None:
             copy.scale(width, height)
         pixels = np.empty((height, width, 4), np.float32)
         cast(Any, copy.pixels).foreach_get(pixels.ravel())
+        color = pixels[..., :3]
         if copy.is_float:  # linear light, of files with 16 bits and more
-            pixels[..., :3] = linear_to_srgb(pixels[..., :3])
-        pixels[..., 3] = 1.0
+            color = linear_to_srgb(color)
+        in_8_bits = (color.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+        shown = linear_to_srgb((np.arange(256) / 255) ** OVERLAY_GAMMA).astype(np.float32)
+        pixels[..., :3], pixels[..., 3] = shown[in_8_bits], 1.0
         return pixels
     finally:
         bpy.data.images.remove(copy)

@@ -7,7 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+
+from tests.scenes.tiny import make_tiny_scene
 
 TOOLS = Path(__file__).resolve().parents[2].parent / "shared" / "real-blender"
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
@@ -113,3 +117,56 @@ def test_command_line_of_the_real_blender(real_blender, folder, shared_python):
     assert trained.returncode == 0, trained.stdout + trained.stderr
     assert "iterations/s" in trained.stdout and "Test views: PSNR" in trained.stdout
     assert (folder / "run/result.ply").exists()
+
+
+def test_photos_are_compared_with_splats_and_nothing_of_it_stays(
+    real_blender, folder, shared_python, finished_run, tmp_path
+):
+    scene = folder / "photos"
+    make_tiny_scene(scene, width=640, height=480)
+    shutil.copy(finished_run / "result.ply", folder)
+    environment = {
+        "SWAG_ENGINE_PYTHON": shared_python,
+        "SWAG_ZIP": "/gui/test/extension.zip",
+        "SWAG_SCENE": "/gui/test/photos",
+        "SWAG_PLY": "/gui/test/result.ply",
+        "SWAG_OUT": "/gui/test",
+        "SWAG_CACHE_DIR": "/gui/test/cache",
+        "BLENDER_USER_RESOURCES": "/gui/test/user",
+    }
+    script = Path(__file__).with_name("films_window.py")
+    done = subprocess.run(
+        ["bash", str(TOOLS / "gui"), str(real_blender), str(script), str(tmp_path / "last.png")],
+        env=os.environ | environment, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    printed = done.stdout + done.stderr
+    for picture in folder.glob("*.png"):
+        shutil.copy(picture, tmp_path)
+    assert (folder / "report.json").exists(), printed
+    report = json.loads((folder / "report.json").read_text())
+    assert "traceback" not in report and "Traceback" not in printed, report.get("traceback", printed)
+
+    for step, name, photo, place in (
+        ("first", "wipe-1", "view_00.png", 0.5), ("third", "wipe-2", "view_02.png", 0.75),
+    ):  # fmt: skip
+        found = report[step]
+        assert found["photo"] == photo and found["place"] == pytest.approx(place, abs=0.01)
+        left, top, right, bottom = found["frame"]
+        screen = cv2.imread(str(tmp_path / f"{name}.png")).astype(float)
+        own = cv2.imread(str(scene / "images" / photo)).astype(float)
+        # Discs of the photo that are away from line and text, at their place and in their display values.
+        errors = {"photo": [], "splats": []}
+        for x in np.linspace(0.05, 0.95, 60):
+            for y in np.linspace(0.05, 0.85, 40):
+                u, v = int(x * 640), int(y * 480)
+                patch = own[v - 4 : v + 5, u - 4 : u + 5].reshape(-1, 3)
+                if np.ptp(patch, axis=0).max() > 2 or abs(x - place) < 0.03 or abs(y - 0.5) < 0.03:
+                    continue
+                seen = screen[round(top + y * (bottom - top)), round(left + x * (right - left))]
+                errors["photo" if x < place else "splats"].append(np.abs(seen - patch[40]).max())
+        assert len(errors["photo"]) > 50 and np.median(errors["photo"]) <= 2, np.median(errors["photo"])
+        assert np.mean(np.array(errors["photo"]) <= 3) > 0.95
+        assert np.median(errors["splats"]) > 5, "the photo ends at the line"
+    assert not report["running"] and not report["running after disable"]
+    assert report["after"] == report["before"] == report["at the end"]
+    assert "llvmpipe" in report["warning"] and "640 x 480 pixels with 32 samples take about 8 min" in report["warning"]
