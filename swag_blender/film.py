@@ -41,7 +41,7 @@ class SwagFilm(PropertyGroup):
     output: Annotated[
         str,
         StringProperty(
-            name="Film Folder",
+            name="Folder",
             description="Folder of the film; empty: the folder film in the folder of the run",
             subtype="DIR_PATH",
         ),
@@ -49,7 +49,7 @@ class SwagFilm(PropertyGroup):
     kind: Annotated[
         str,
         EnumProperty(
-            name="Film Format",
+            name="Format",
             description="Files that the film is written to",
             items=[
                 (
@@ -64,7 +64,7 @@ class SwagFilm(PropertyGroup):
     depth: Annotated[
         bool,
         BoolProperty(
-            name="Depth Files",
+            name="Depth",
             description="Write the distance along the camera's axis in Blender units to an OpenEXR file for each frame",
         ),
     ]
@@ -191,12 +191,16 @@ def shown_objects(context: bpy.types.Context) -> list[bpy.types.Object]:
 def shown_splats(obj: bpy.types.Object) -> Splats:
     """The splats of an object in its own frame with its modifiers, without hidden and cropped ones."""
     made = splats.read_modified_splats(obj)
-    shown = np.ones(len(made), bool)
-    hidden: Any = splats.pointcloud_of(obj).attributes.get(splat_preview.HIDDEN)
-    if hidden is not None and len(hidden.data) == len(made):
-        hidden.data.foreach_get("value", shown)
-        shown = ~shown
-    return made if shown.all() else made.subset(shown)
+    hidden = np.zeros(len(made), bool)
+    attribute: Any = splats.pointcloud_of(obj).attributes.get(splat_preview.HIDDEN)
+    if attribute is not None and len(attribute.data) == len(made):
+        attribute.data.foreach_get("value", hidden)
+    box = getattr(getattr(obj, "swag_display", None), "crop", None)
+    if box is not None and np.linalg.det(np.array(box.matrix_world)[:3, :3]) != 0:
+        to_box = np.array(box.matrix_world.inverted() @ obj.matrix_world, np.float64)
+        half = box.empty_display_size if box.type == "EMPTY" else 1.0
+        hidden |= (np.abs(made.positions @ to_box[:3, :3].T + to_box[:3, 3]) > half).any(axis=1)
+    return made.subset(~hidden) if hidden.any() else made
 
 
 def _path_frame(
@@ -267,12 +271,13 @@ def _previews_off(objects: list[bpy.types.Object]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
-    """Go back to the current frame at the end."""
-    number, subframe = scene.frame_current, scene.frame_subframe
+    """Go back to the current frame at the end, and to its camera, which markers may have changed."""
+    number, subframe, camera = scene.frame_current, scene.frame_subframe, scene.camera
     try:
         yield
     finally:
         scene.frame_set(number, subframe=subframe)
+        scene.camera = camera
 
 
 def register() -> None:

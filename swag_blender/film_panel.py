@@ -39,14 +39,14 @@ class SWAG_PT_film(SwagPanel):
         column = layout.column(align=True)
         column.prop(scene, "frame_start")
         column.prop(scene, "frame_end")
-        column.prop(film, "kind", text="Format")
+        column.prop(film, "kind")
         if film.kind == "VIDEO":
             column.prop(render, "fps")
         column = layout.column(align=True)
         column.prop(render, "film_transparent", text="Alpha")
-        column.prop(film, "depth", text="Depth")
+        column.prop(film, "depth")
         column.prop(render, "use_overwrite", text="Overwrite")
-        layout.prop(film, "output", text="Folder")
+        layout.prop(film, "output")
         row = layout.row()
         row.scale_y = 1.4
         row.operator("swag.render_film", icon="RENDER_ANIMATION")

@@ -21,7 +21,7 @@ from .camera_moves import by_name
 LARGEST_TEXTURE = 2048
 """Pixels of the longer side of a photo's texture: more than a viewport shows, and quickly loaded."""
 OVERLAY_GAMMA = 2.2
-"""Blender decodes what is drawn over a viewport as sRGB, and encodes it for the screen by this power alone (versions 4.5
+"""Blender decodes what is drawn over a viewport as sRGB, and encodes it for the screen by this power (versions 4.5
 to 5.2, gpu_shader_display_transform): dark values would become 5 of 255 too light."""
 HANDLE = 9.0
 """Half the size of the line's handle, in pixels at an interface scale of 1."""

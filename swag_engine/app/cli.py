@@ -330,7 +330,7 @@ class Film:
     run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """Folder of the run."""
     cameras: tyro.conf.Positional[Path]
-    """Camera path: a transforms.json, as export --cameras and Blender write it."""
+    """Camera path in the scene's coordinates: a transforms.json, such as cameras.json of Blender's Render Film."""
     out: Path
     """Folder of the PNG files, or a video (.mp4)."""
     water: float = 1.0

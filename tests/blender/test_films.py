@@ -39,6 +39,11 @@ def test_several_objects_are_filmed_as_they_stand_in_the_scene(blender, tmp_path
 
 
 @pytest.mark.main_version
+def test_cropped_splats_are_not_filmed(blender):
+    blender.run("films.cropped_splats")
+
+
+@pytest.mark.main_version
 def test_what_cannot_be_filmed_is_refused_in_one_sentence(blender, fake_engine, tmp_path):
     found = blender.run("films.refusals", tmp_path / "film", SWAG_ENGINE_PYTHON=fake_engine)
     assert found["no folder"].startswith("Choose the folder of the film first")
@@ -47,6 +52,10 @@ def test_what_cannot_be_filmed_is_refused_in_one_sentence(blender, fake_engine, 
     assert found["hidden"] == "There are no splats to film: all of them are hidden or cropped."
     assert found["moves"].startswith("other moves relative to reef in frame 2")
     assert "Traceback" not in blender.printed
+
+
+def test_a_render_has_32_samples(blender):
+    blender.run("films.set_up_render")
 
 
 def test_a_frame_through_a_photos_camera_is_the_engines_own_image(blender, finished_run, tiny_scene, tmp_path):

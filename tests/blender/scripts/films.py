@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bl_ext.user_default.swag_splatting.swag_blender import film, runs, scene_import, splats, water
+from bl_ext.user_default.swag_splatting.swag_blender import film, render_setup, runs, scene_import, splats, water
 from bl_ext.user_default.swag_splatting.swag_engine.formats.camera_path import read_camera_path
 from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply
 from bl_ext.user_default.swag_splatting.swag_engine.formats.run_folder import RunFolder
@@ -241,6 +241,28 @@ def several_objects(out):
     assert np.allclose(world[:3].T, splats.read_splats(first).positions + (1, 0, 0), atol=1e-5)
 
 
+class Display(bpy.types.PropertyGroup):
+    """Stands for `object.swag_display` where the extension has none."""
+
+    crop: bpy.props.PointerProperty(type=bpy.types.Object)
+
+
+def cropped_splats():
+    """Splats outside of the crop box of their object are not filmed."""
+    if not hasattr(bpy.types.Object, "swag_display"):
+        bpy.utils.register_class(Display)
+        bpy.types.Object.swag_display = bpy.props.PointerProperty(type=Display)
+    obj = splats.new_splat_object("reef", random_splats(200, 1), scene.collection)
+    obj.location.x = 3
+    box = linked("box")
+    box.location, box.scale.y, box.empty_display_size = (3.2, 0, 0), 2.0, 0.5
+    obj.swag_display.crop = box
+    active(obj)
+    positions = splats.read_splats(obj).positions
+    inside = (np.abs(positions - (0.2, 0, 0)) <= (0.5, 1.0, 0.5)).all(axis=1)
+    assert 5 < inside.sum() < 100 and np.array_equal(film.shown_splats(obj).positions, positions[inside])
+
+
 def refusals(out):
     """What cannot be filmed is refused in one sentence."""
     assert not bpy.ops.swag.render_film.poll()
@@ -270,6 +292,16 @@ def refusals(out):
     return found
 
 
+def set_up_render():
+    """Few samples by default, for both engines."""
+    splats.new_splat_object("reef", random_splats(10, 1), scene.collection)
+    bpy.ops.swag.prepare_render()
+    assert (scene.render.engine, scene.cycles.samples, scene.eevee.taa_render_samples) == ("CYCLES", 32, 32)
+    bpy.ops.swag.prepare_render(engine="EEVEE", samples=16)
+    assert scene.render.engine != "CYCLES" and (scene.cycles.samples, scene.eevee.taa_render_samples) == (16, 16)
+    assert render_setup.eevee_warning(scene, 16) == "", "without a window it is not known what draws"
+
+
 # -- frames of the engine ----------------------------------------------------------------------------------------------
 
 
@@ -291,7 +323,12 @@ def film_of_run(folder, images, out):
     scene_import.look_through(scene, bpy.data.objects[names[0]])
     scene.swag.water = 1.0
     scene.swag_film.output, scene.swag_film.depth = out, True
+    tempfile.tempdir = bpy.app.tempdir
+    scene.frame_set(2)
     assert bpy.ops.swag.render_film() == {"FINISHED"}
+    tempfile.tempdir = None
+    assert not [name for name in os.listdir(bpy.app.tempdir) if name.startswith("swag-film-")]
+    assert scene.frame_current == 2 and scene.camera.name == names[1]
     message = bpy.context.window_manager.swag.message
     depth = bpy.data.images.load(os.path.join(out, "depth", "0001.exr"))
     pixels = np.empty(depth.size[0] * depth.size[1] * 4, "f4")
