@@ -102,7 +102,7 @@ def path_through_photos(
     roots = {scene_import.find_root(obj) for obj in stops}
     root = roots.pop() if len(roots) == 1 else None
     lenses = [cast(bpy.types.Camera, obj.data) for obj in stops]
-    data = lenses[0].copy()
+    data = present(lenses[0].copy())
     data.name = "Photo Path"
     data.background_images.clear()
     camera = bpy.data.objects.new("Photo Path", data)
@@ -122,9 +122,10 @@ def path_through_photos(
         camera.location, camera.rotation_quaternion = pose.translation, rotation
         data.lens = lens.lens * data.sensor_width / lens.sensor_width
         data.shift_x, data.shift_y = lens.shift_x, lens.shift_y
-        for owner, names in ((camera, ("location", "rotation_quaternion")), (data, ("lens", "shift_x", "shift_y"))):
-            for name in names:
-                owner.keyframe_insert(name, frame=time)
+        for name in ("location", "rotation_quaternion"):
+            camera.keyframe_insert(name, frame=time)
+        for name in ("lens", "shift_x", "shift_y"):
+            data.keyframe_insert(name, frame=time)
     for owner in (camera, data):
         for curve in _curves(owner):
             for key in curve.keyframe_points:
@@ -155,7 +156,9 @@ def _points(obj: bpy.types.Object) -> np.ndarray:
 
 def _side_of_photos(scene: bpy.types.Scene, centre: np.ndarray) -> float:
     """Direction from a point to the middle of the imported cameras, as an angle about z in radians."""
-    places = [obj.matrix_world.translation for obj in scene.objects if obj.get(scene_import.SIZE_KEY) is not None]
+    places = [
+        np.array(obj.matrix_world.translation) for obj in scene.objects if obj.get(scene_import.SIZE_KEY) is not None
+    ]
     x, y, _ = np.mean(places, axis=0) - centre if places else (0.0, -1.0, 0.0)
     return math.atan2(y, x)
 

@@ -122,7 +122,7 @@ class PhotoWipe:
             self._message = f"The photo of {camera.name} cannot be read."
         else:
             height, width = pixels.shape[:2]
-            buffer = gpu.types.Buffer("FLOAT", pixels.size, pixels.ravel())
+            buffer = gpu.types.Buffer("FLOAT", pixels.size, cast(Any, pixels.ravel()))
             self._texture = gpu.types.GPUTexture((width, height), format="RGBA16F", data=buffer)
         self.area.tag_redraw()
 
@@ -197,9 +197,9 @@ class PhotoWipe:
             image = gpu.shader.from_builtin("IMAGE")
             image.bind()
             image.uniform_sampler("image", self._texture)
-            corners = ((left, bottom), (middle, bottom), (middle, top), (left, top))
-            places = ((0.0, 0.0), (self.place, 0.0), (self.place, 1.0), (0.0, 1.0))
-            batch_for_shader(image, "TRI_FAN", {"pos": corners, "texCoord": places}).draw(image)
+            corners = ((left, bottom), (middle, bottom), (left, top), (middle, top))
+            places = ((0.0, 0.0), (self.place, 0.0), (0.0, 1.0), (self.place, 1.0))
+            batch_for_shader(image, "TRI_STRIP", {"pos": corners, "texCoord": places}).draw(image)
         scale = present(bpy.context.preferences).system.ui_scale
         size, centre = HANDLE * scale, (bottom + top) / 2
         handle = ((middle - size, centre), (middle, centre - size), (middle + size, centre), (middle, centre + size))
@@ -237,7 +237,7 @@ def overlay_pixels(image: bpy.types.Image) -> np.ndarray | None:
     Returns:
         (H, W, 4) float32, the lowest row first; None when its file cannot be read.
     """
-    copy = image.copy()
+    copy: Any = image.copy()
     try:
         width, height = copy.size
         if not width or not height:
@@ -247,7 +247,7 @@ def overlay_pixels(image: bpy.types.Image) -> np.ndarray | None:
             width, height = max(1, round(width * factor)), max(1, round(height * factor))
             copy.scale(width, height)
         pixels = np.empty((height, width, 4), np.float32)
-        cast(Any, copy.pixels).foreach_get(pixels.ravel())
+        copy.pixels.foreach_get(pixels.ravel())
         color = pixels[..., :3]
         if copy.is_float:  # linear light, of files with 16 bits and more
             color = linear_to_srgb(color)

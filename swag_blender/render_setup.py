@@ -1,6 +1,6 @@
 """Set-up of the scene for renders of its splats, and what such a render needs."""
 
-from typing import Any, cast
+from typing import Any
 
 import bpy
 import gpu
@@ -28,7 +28,8 @@ def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str, sa
         samples: samples of a pixel, for both engines.
     """
     splat_preview.prepare_render(scene, display_values, engine)
-    cast(Any, scene).cycles.samples = scene.eevee.taa_render_samples = samples
+    own: Any = scene
+    own.cycles.samples = own.eevee.taa_render_samples = samples
     water.set_world(scene, display_values)
     if scene.camera and scene.camera.get(scene_import.SIZE_KEY) is not None:
         scene_import.look_through(scene, scene.camera)

@@ -158,7 +158,7 @@ def render_film(
         raise InputError(f"The amount of water must be from 0 to 1, not {water}.")
     is_video = out.suffix.lower() == VIDEO_SUFFIX
     depth_folder = out.with_name(f"{out.stem}_depth") if is_video else out / "depth"
-    result = {"out": str(out), "frames": len(frames), "rendered": 0, "kept": 0, "interrupted": False}
+    result: dict[str, Any] = {"out": str(out), "frames": len(frames), "rendered": 0, "kept": 0, "interrupted": False}
     try:
         with _video(out, frames, options) if is_video else _sequence(out) as write:
             for done, frame in enumerate(frames):

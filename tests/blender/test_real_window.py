@@ -155,7 +155,7 @@ def test_photos_are_compared_with_splats_and_nothing_of_it_stays(
         screen = cv2.imread(str(tmp_path / f"{name}.png")).astype(float)
         own = cv2.imread(str(scene / "images" / photo)).astype(float)
         # Discs of the photo that are away from line and text, at their place and in their display values.
-        errors = {"photo": [], "splats": []}
+        errors: dict[str, list[float]] = {"photo": [], "splats": []}
         for x in np.linspace(0.05, 0.95, 60):
             for y in np.linspace(0.05, 0.85, 40):
                 u, v = int(x * 640), int(y * 480)

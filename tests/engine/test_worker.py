@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from swag_engine.app.protocol import TrainRequest, parse_request
+from swag_engine.app.protocol import FilmRequest, TrainRequest, parse_request
 from swag_engine.base.errors import InputError
 from swag_engine.base.strict_json import to_json
 from swag_engine.formats.camera_path import PathFrame, write_camera_path
@@ -112,7 +112,8 @@ def test_a_film_reports_its_frames_and_can_be_cancelled(worker, finished_run, ti
 @pytest.mark.parametrize(("field", "value"), [("fps", True), ("fps", "24"), ("background", [1, 2]), ("background", 1)])
 def test_a_film_request_with_a_wrong_number_is_refused(field, value):
     message = {"request": "film", "cameras": "a", "splats": "b", "out": "c"}
-    assert parse_request(json.dumps(message | {"fps": 12, "background": [0, 0.5, 1]})).background == (0, 0.5, 1)
+    right = parse_request(json.dumps(message | {"fps": 12, "background": [0, 0.5, 1]}))
+    assert isinstance(right, FilmRequest) and (right.fps, right.background) == (12, (0, 0.5, 1))
     with pytest.raises(InputError, match=f"has {field} = "):
         parse_request(json.dumps(message | {field: value}))
 

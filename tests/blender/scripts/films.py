@@ -6,6 +6,7 @@ import math
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -181,7 +182,12 @@ def request_of_scene(out):
     obj = splats.new_splat_object("reef", made, scene.collection, root)
     hidden = obj.data.attributes.new("swag:hidden", "BOOLEAN", "POINT")
     hidden.data.foreach_set("value", np.arange(50) < 20)
-    medium = {"beta_D": [0.5, 0.2, 0.1], "beta_B": [0.3, 0.2, 0.1], "veil_sh": [[0.1] * 3] * 9, "light": "srgb"}
+    medium: dict[str, Any] = {
+        "beta_D": [0.5, 0.2, 0.1],
+        "beta_B": [0.3, 0.2, 0.1],
+        "veil_sh": [[0.1] * 3] * 9,
+        "light": "srgb",
+    }
     water.remember_water(obj, medium | {"per": "unit"}, 0.0)
     obj["swag_background"] = [0.1, 0.2, 0.3]
     camera = new_camera()
@@ -244,7 +250,7 @@ def several_objects(out):
 class Display(bpy.types.PropertyGroup):
     """Stands for `object.swag_display` where the extension has none."""
 
-    crop: bpy.props.PointerProperty(type=bpy.types.Object)
+    __annotations__ = {"crop": bpy.props.PointerProperty(type=bpy.types.Object)}
 
 
 def cropped_splats():
