@@ -1,4 +1,4 @@
-"""Runs inside the real Blender, with a window: photos are compared with splats, and the film's panel is photographed.
+"""Runs inside the real Blender, with a window: photos are compared with splats, and a film is cancelled.
 
 Environment: that of window.py, SWAG_ZIP the extension, SWAG_SCENE the COLMAP scene, SWAG_PLY splats of it,
 SWAG_ENGINE_PYTHON the engine's Python.
@@ -32,6 +32,14 @@ def wipe_of(module):
     }
 
 
+def drawn(window, area, wipe, index):
+    """Wait until a photo is shown and drawn: the view's matrix is that of the last drawing."""
+    yield from until(lambda: wipe._running.index == index, 30)
+    with bpy.context.temp_override(window=window, area=area):
+        bpy.ops.wm.redraw_timer(type="DRAW_WIN_SWAP", iterations=2)
+    yield 1.0
+
+
 def state(space):
     scene = bpy.context.scene
     view = space.region_3d
@@ -61,7 +69,8 @@ def steps():
     wipe = sys.modules[f"{package}.photo_wipe"]
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.swag.compare_photos("INVOKE_DEFAULT")
-    yield 2.0
+    yield 1.0
+    yield from drawn(window, area, wipe, 0)
     report["first"] = wipe_of(wipe)
     photograph("wipe-1")
     left, top, right, bottom = report["first"]["frame"]
@@ -73,6 +82,7 @@ def steps():
     yield 1.0
     yield from press("Right")
     yield from press("Right")
+    yield from drawn(window, area, wipe, 2)
     report["third"] = wipe_of(wipe)
     photograph("wipe-2")
     yield from press("Escape")
@@ -88,6 +98,15 @@ def steps():
     yield 2.0
     photograph("dialog")
     yield from press("Escape")
+    scene = bpy.context.scene
+    scene.frame_end, scene.swag_film.output = 2000, os.environ["SWAG_OUT"] + "/film"
+    with bpy.context.temp_override(window=window, area=area):
+        bpy.ops.swag.render_film("INVOKE_DEFAULT")
+        yield from until(lambda: status.factor > 0 or not status.job, 90)
+        photograph("film")
+        bpy.ops.swag.cancel()
+    yield from until(lambda: not status.job, 90)
+    report["film"] = {"message": status.message, "failed": status.failed, "frame": scene.frame_current}
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.swag.compare_photos("INVOKE_DEFAULT")
     yield 1.0

@@ -119,7 +119,7 @@ def test_command_line_of_the_real_blender(real_blender, folder, shared_python):
     assert (folder / "run/result.ply").exists()
 
 
-def test_photos_are_compared_with_splats_and_nothing_of_it_stays(
+def test_photos_are_compared_with_splats_a_film_is_cancelled_and_nothing_of_it_stays(
     real_blender, folder, shared_python, finished_run, tmp_path
 ):
     scene = folder / "photos"
@@ -169,4 +169,9 @@ def test_photos_are_compared_with_splats_and_nothing_of_it_stays(
         assert np.median(errors["splats"]) > 5, "the photo ends at the line"
     assert not report["running"] and not report["running after disable"]
     assert report["after"] == report["before"] == report["at the end"]
+    film = report["film"]
+    assert film["message"].startswith("Stopped after") and "of 2000 frames" in film["message"], film
+    assert not film["failed"] and film["frame"] == 1
+    written = sum(path.suffix == ".png" for path in (folder / "film").iterdir())
+    assert 0 < written < 2000 and f"after {written} of" in film["message"]
     assert "llvmpipe" in report["warning"] and "640 x 480 pixels with 32 samples take about 8 min" in report["warning"]
