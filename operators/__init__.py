@@ -10,8 +10,11 @@ import bpy
 from ..swag_blender.blender_types import present
 from . import (
     add_crop_box,
+    add_turntable,
+    camera_path,
     cancel,
     check_engine,
+    compare_photos,
     delete_outside_crop,
     delete_splats,
     export_splats,
@@ -37,6 +40,7 @@ from . import (
     read_labels,
     read_point,
     remove_engine,
+    render_film,
     reset_effects,
     reveal_splats,
     score_selection,
@@ -65,6 +69,7 @@ _GROUPS = (
     (delete_splats, hide_splats, reveal_splats, add_crop_box, delete_outside_crop, measure, read_point),
     (separate_splats, merge_splats),
     (prepare_render, water_objects),
+    (add_turntable, camera_path, compare_photos, render_film),
     (set_scale, pick_scale),
     (export_splats,),
     (node_assets, look_up_engine, install_engine, check_engine, remove_engine),

@@ -3,11 +3,15 @@
 from typing import Annotated
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty
 
 from ..swag_blender import splats
 from ..swag_blender.blender_types import OperatorResult, present, with_properties
-from ..swag_blender.render_setup import prepare_render
+from ..swag_blender.render_setup import SAMPLES, eevee_warning, prepare_render
+from ..swag_blender.sidebar import draw_wrapped
+
+DIALOG_WIDTH = 420
+"""Width of the dialog in pixels at an interface scale of 1."""
 
 
 @with_properties
@@ -37,17 +41,51 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
             "photos; other objects get wrong colours. Off: blend linear light, right beside other objects",
         ),
     ]
+    samples: Annotated[
+        int,
+        IntProperty(
+            name="Samples",
+            description="Samples of a pixel: more of them smooth edges and shadows of other objects, and take longer",
+            default=SAMPLES,
+            min=1,
+            soft_min=16,
+            soft_max=64,
+        ),
+    ]
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether the scene has splats."""
-        cls.poll_message_set("There are no splats in the scene")
-        return any(splats.is_splats(obj) for obj in present(context.scene).objects)
+        if not any(splats.is_splats(obj) for obj in present(context.scene).objects):
+            cls.poll_message_set("There are no splats in the scene")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Ask first; Blender calls this for buttons."""
+        return present(context.window_manager).invoke_props_dialog(self, width=DIALOG_WIDTH)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the dialog; Blender calls this."""
+        layout = present(self.layout)
+        layout.use_property_split = True
+        for name in ("engine", "samples", "display_values"):
+            layout.prop(self, name)
+        warning = self._warning(context)
+        if warning:
+            scale = present(context.preferences).system.ui_scale
+            draw_wrapped(layout, warning, int(DIALOG_WIDTH * scale), icon="ERROR")
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Set up the scene."""
-        prepare_render(present(context.scene), self.display_values, self.engine)
+        prepare_render(present(context.scene), self.display_values, self.engine, self.samples)
+        warning = self._warning(context)
+        if warning:
+            self.report({"WARNING"}, warning)
         return {"FINISHED"}
+
+    def _warning(self, context: bpy.types.Context) -> str:
+        return eevee_warning(present(context.scene), self.samples) if self.engine == "EEVEE" else ""
 
 
 CLASSES = (SWAG_OT_prepare_render,)

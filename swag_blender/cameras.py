@@ -1,4 +1,4 @@
-"""Blender's cameras as pinhole cameras of the engine, for export."""
+"""Blender's cameras as pinhole cameras of the engine, for export and films."""
 
 from collections.abc import Sequence
 
@@ -20,19 +20,24 @@ def cameras_of(context: bpy.types.Context, roots: Sequence[bpy.types.Object]) ->
     if imported:
         sizes = [obj.get(scene_import.SIZE_KEY) for obj in imported]
         return [
-            _camera(obj, depsgraph, int(width), int(height), aspect)
+            camera_of(obj, depsgraph, int(width), int(height), aspect)
             for obj, (width, height, aspect) in zip(imported, sizes, strict=True)
         ]
-    render = present(context.scene).render
-    width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
-    aspect = render.pixel_aspect_x / render.pixel_aspect_y
+    width, height, aspect = render_size(present(context.scene))
     own = [
         obj for obj in context.visible_objects if isinstance(obj.data, bpy.types.Camera) and obj.data.type == "PERSP"
     ]
-    return [_camera(obj, depsgraph, width, height, aspect) for obj in own]
+    return [camera_of(obj, depsgraph, width, height, aspect) for obj in own]
 
 
-def _camera(
+def render_size(scene: bpy.types.Scene) -> tuple[int, int, float]:
+    """Width and height of a render in pixels, and the width of a pixel / its height."""
+    render = scene.render
+    width, height = (side * render.resolution_percentage // 100 for side in (render.resolution_x, render.resolution_y))
+    return max(width, 1), max(height, 1), render.pixel_aspect_x / render.pixel_aspect_y
+
+
+def camera_of(
     obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, width: int, height: int, pixel_aspect: float
 ) -> Camera:
     """One camera object for an image of width x height pixels, each `pixel_aspect` times as wide as high."""

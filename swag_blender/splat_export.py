@@ -15,7 +15,7 @@ from ..swag_engine.formats.export import ExportOptions, cameras_folder, with_wat
 from ..swag_engine.formats.gltf import COLMAP_UP
 from ..swag_engine.formats.registry import find_format
 from ..swag_engine.formats.run_folder import RunFolder, read_json, write_json
-from ..swag_engine.formats.select import SplatSelection, inside_box, label_ids, require_splats
+from ..swag_engine.formats.select import SplatSelection, label_ids, require_splats
 from ..swag_engine.formats.water import transform_water
 from ..swag_engine.scene.cameras import Camera
 from ..swag_engine.settings.field import settings_of
@@ -24,11 +24,9 @@ from ..swag_engine.splats.transform import rotation_to_y_up, transformed
 from . import scene_import, splats
 from .blender_types import present
 from .cameras import cameras_of
-from .crop_box import world_to_box
-from .labels import SELECTED
-from .nodes.splat_preview import HIDDEN
 from .runs import RUN_KEY
 from .setting_property import setting_property, texts_of
+from .splat_parts import part_of
 
 FRAMES = {
     "UPRIGHT": splats.FILE_FRAME,
@@ -174,24 +172,11 @@ def _selected_splats(
         labels = label_ids(options.labels, names) if options.labels else None
         box = _bounding_box(context, settings.crop_object) @ placement if settings.crop_object else None
         selection = SplatSelection(labels, box, options.min_opacity, options.sh_degree, options.extras)
-        part = _part_of(obj, placement, settings.part)
+        part = part_of(obj, placement, settings.part)
         found |= bool(len(part))
         yield obj, placement, selection.apply(part)
     if not found:
         raise InputError(NOTHING[settings.part])
-
-
-def _part_of(obj: bpy.types.Object, placement: np.ndarray, part: str) -> Splats:
-    """All splats of an object in its own frame, those that the viewport shows, or those that are selected."""
-    if part == "SELECTED":
-        own, selected = splats.read_modified_splats(obj, SELECTED)
-        return own.subset(selected)
-    own, hidden = splats.read_modified_splats(obj, HIDDEN)
-    if part == "ALL":
-        return own
-    box = world_to_box(obj)
-    shown = ~hidden if box is None else ~hidden & inside_box(own.positions, box @ placement)
-    return own if shown.all() else own.subset(shown)
 
 
 def _add_water(context: bpy.types.Context, obj: bpy.types.Object, dry: Splats, amount: float) -> Splats:

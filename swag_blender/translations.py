@@ -620,6 +620,66 @@ GERMAN = {
     "Which splats are selected": "Welche Splats ausgewählt werden",
     "Which splats are selected afterwards": "Welche Splats danach ausgewählt sind",
     "{selected} of {total} splats selected": "{selected} von {total} Splats ausgewählt",
+    "A PNG file for each frame, without loss; a stopped film can be continued": (
+        "Eine PNG-Datei je Bild, ohne Verlust; ein angehaltener Film kann fortgesetzt werden"
+    ),
+    "Add Turntable": "Drehteller hinzufügen",
+    "Add a camera that goes around the selected objects or splats, around all splats where none are selected": (
+        "Eine Kamera hinzufügen, die um die gewählten Objekte oder Splats fährt, ohne Auswahl um alle Splats"
+    ),
+    "Add a camera that passes through the selected cameras in the order of their names": (
+        "Eine Kamera hinzufügen, die in der Reihenfolge der Namen durch die gewählten Kameras fährt"
+    ),
+    "Alpha": "Alpha",
+    "Camera Path Through Photos": "Kamerafahrt durch Fotos",
+    "Compare with Photos": "Mit Fotos vergleichen",
+    "Depth": "Tiefe",
+    "Elevation": "Höhenwinkel",
+    "Files that the film is written to": "Dateien, in die der Film geschrieben wird",
+    "Film": "Film",
+    "Folder of the film; empty: the folder film in the folder of the run": (
+        "Ordner des Films; leer: der Ordner film im Ordner des Laufs"
+    ),
+    "Format": "Format",
+    "Frames": "Bilder",
+    "Height of the camera as an angle above the horizon": "Höhe der Kamera als Winkel über dem Horizont",
+    "How far the camera goes; below a full circle it stays on the side of the photos": (
+        "Wie weit die Kamera fährt; unter einem vollen Kreis bleibt sie auf der Seite der Fotos"
+    ),
+    "Image Sequence": "Bildfolge",
+    "Import the scene with the photos first": "Zuerst die Szene mit den Fotos importieren",
+    "Length of the film in frames": "Länge des Films in Bildern",
+    "Overwrite": "Überschreiben",
+    "Photos are compared in a 3D viewport": "Fotos werden in einer 3D-Ansicht verglichen",
+    "Render Film": "Film rendern",
+    "Render the splats for each frame of the scene with the engine, as they were trained, to images or a video": (
+        "Die Splats für jedes Bild der Szene mit dem Rechenkern rendern, so wie trainiert, als Bilder oder Video"
+    ),
+    "Samples": "Abtastungen",
+    "Samples of a pixel: more of them smooth edges and shadows of other objects, and take longer": (
+        "Abtastungen eines Pixels: mehr davon glätten Kanten und Schatten anderer Objekte und dauern länger"
+    ),
+    "Select two or more cameras in object mode first": "Zuerst im Objektmodus zwei oder mehr Kameras wählen",
+    "Step through the photos in the camera view, with the photo left of a line that you drag and the splats right": (
+        "Die Fotos in der Kameraansicht durchgehen: links einer verschiebbaren Linie das Foto, rechts die Splats"
+    ),
+    "Sweep": "Schwenk",
+    "The scene has no camera: add a turntable or a camera path": (
+        "Die Szene hat keine Kamera: einen Drehteller oder eine Kamerafahrt hinzufügen"
+    ),
+    "There are no splats and no selected objects in object mode": (
+        "Im Objektmodus gibt es keine Splats und keine gewählten Objekte"
+    ),
+    "There are no splats that are shown in the viewport and in renders": (
+        "Es gibt keine Splats, die in der Ansicht und beim Rendern gezeigt werden"
+    ),
+    "Video": "Video",
+    "Write the distance along the camera's axis in Blender units to an OpenEXR file for each frame": (
+        "Den Abstand entlang der Kameraachse in Blender-Einheiten je Bild in eine OpenEXR-Datei schreiben"
+    ),
+    "film.mp4 (MPEG-4), to look at; it is written when all frames are done": (
+        "film.mp4 (MPEG-4) zum Ansehen; geschrieben, wenn alle Bilder fertig sind"
+    ),
 }
 
 

@@ -12,8 +12,8 @@ active camera. The shape is drawn in one of three ways:
   with the distance d of the ray from the center: the largest value of the 3D Gaussian along the ray.
 - in the viewport ("Points in Viewport"): coloured points, smaller for fainter splats, fast for any number.
 
-In viewports the nodes give the points without any shape unless an input asks for points or shapes: swag_blender/viewport
-draws the splats there, except in Rendered shading.
+In viewports the nodes give the points without any shape unless an input asks for points or shapes:
+swag_blender/viewport draws the splats there, except in Rendered shading.
 
 Training blends sRGB values. Two ways to blend here:
 - linear light (default): colors are converted from sRGB and blended as light, as Cycles and EEVEE do with everything.

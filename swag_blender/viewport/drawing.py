@@ -16,8 +16,8 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Color
 
 from .. import display, water
-from ..crop_box import world_to_box
 from ..blender_types import present
+from ..crop_box import world_to_box
 from ..properties import swag_of
 from .depth_order import Sorter
 from .packing import HARMONICS_TEXELS, OBJECT_TEXELS, ObjectTexels
@@ -112,9 +112,7 @@ class ViewportDrawing:
         view.background = _background_color(context)
         return view
 
-    def _update_order(
-        self, view: "_View", objects: Sequence[bpy.types.Object], texels: Sequence[ObjectTexels]
-    ) -> None:
+    def _update_order(self, view: "_View", objects: Sequence[bpy.types.Object], texels: Sequence[ObjectTexels]) -> None:
         drawn = [
             (part, -one.object_to_view[2])
             for obj, one in zip(objects, texels, strict=True)
@@ -170,9 +168,7 @@ class ViewportDrawing:
                     ("objects", objects),
                 ):
                     shaders.splats.uniform_sampler(name, texture)
-                self._quads["splats"].draw_instanced(
-                    shaders.splats, instance_start=0, instance_count=view.order_count
-                )
+                self._quads["splats"].draw_instanced(shaders.splats, instance_start=0, instance_count=view.order_count)
         self.frames += 1
 
     def _lay_over(self, view: "_View", framebuffer: Any) -> None:

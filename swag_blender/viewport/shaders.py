@@ -1,8 +1,8 @@
-"""Shaders that draw splats as the engine's rasteriser does: EWA splatting (Zwicker et al. 2001) as in Kerbl et al. 2023.
+"""Shaders that draw splats as the engine's rasteriser does: EWA splatting as in Kerbl et al. 2023.
 
-Splats are blended in display values (sRGB), as in training, in a buffer of their own. A last shader converts the blended
-values to what Blender's overlay buffer holds. Where splats are transparent the result is that of
-display values over the viewport's background, and close to it over other objects.
+Splats are blended in display values (sRGB), as in training, in a buffer of their own. A last shader converts the
+blended values to what Blender's overlay buffer holds. Where splats are transparent the result is that of display values
+over the viewport's background, and close to it over other objects.
 """
 
 from typing import Any
@@ -43,13 +43,13 @@ vec3 to_display(vec3 v) {
 }
 void harmonics(vec3 d, out float y[16]) {
   float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z, around = 4.0 * zz - xx - yy;
-  y[0] = %(sh_0)s;
-  y[1] = -%(f0)s * d.y; y[2] = %(f0)s * d.z; y[3] = -%(f0)s * d.x;
-  y[4] = %(f1)s * d.x * d.y; y[5] = -%(f1)s * d.y * d.z; y[6] = %(f2)s * (2.0 * zz - xx - yy);
-  y[7] = -%(f1)s * d.x * d.z; y[8] = %(f3)s * (xx - yy);
-  y[9] = -%(f4)s * d.y * (3.0 * xx - yy); y[10] = %(f5)s * d.x * d.y * d.z; y[11] = -%(f6)s * d.y * around;
-  y[12] = %(f7)s * d.z * (2.0 * zz - 3.0 * xx - 3.0 * yy); y[13] = -%(f6)s * d.x * around;
-  y[14] = %(f8)s * d.z * (xx - yy); y[15] = -%(f4)s * d.x * (xx - 3.0 * yy);
+  y[0] = SH_0;
+  y[1] = -SH_F0 * d.y; y[2] = SH_F0 * d.z; y[3] = -SH_F0 * d.x;
+  y[4] = SH_F1 * d.x * d.y; y[5] = -SH_F1 * d.y * d.z; y[6] = SH_F2 * (2.0 * zz - xx - yy);
+  y[7] = -SH_F1 * d.x * d.z; y[8] = SH_F3 * (xx - yy);
+  y[9] = -SH_F4 * d.y * (3.0 * xx - yy); y[10] = SH_F5 * d.x * d.y * d.z; y[11] = -SH_F6 * d.y * around;
+  y[12] = SH_F7 * d.z * (2.0 * zz - 3.0 * xx - 3.0 * yy); y[13] = -SH_F6 * d.x * around;
+  y[14] = SH_F8 * d.z * (xx - yy); y[15] = -SH_F4 * d.x * (xx - 3.0 * yy);
 }
 vec4 object_texel(int object, int row) { return texelFetch(objects, ivec2(row, object), 0); }
 vec3 background_light(int object, vec3 direction) {
@@ -59,10 +59,7 @@ vec3 background_light(int object, vec3 direction) {
   for (int k = 0; k < 9; k++) { total += object_texel(object, 8 + k).rgb * y[k]; }
   return object_texel(object, 6).a / (1.0 + exp(-total));
 }
-""" % {
-    "sh_0": SH_0,
-    **{f"f{number}": factor for number, factor in enumerate(SH_FACTORS)},
-}
+"""
 _SPLAT_VERTEX = """
 ivec2 texel(int number) { return ivec2(number % view.layout_.x, number / view.layout_.x); }
 
@@ -235,7 +232,10 @@ class Shaders:
             depth="1.0",
         )
         self.composite = _compile(
-            _SCREEN_VERTEX, _COMPOSITE_FRAGMENT, output="light", samplers=("picture",),
+            _SCREEN_VERTEX,
+            _COMPOSITE_FRAGMENT,
+            output="light",
+            samplers=("picture",),
             constants=(("VEC4", "background"),),
         )
 
@@ -272,6 +272,7 @@ def _compile(
         info.depth_write("ANY")
     for name, value in (
         ("SH_0", SH_0),
+        *((f"SH_F{number}", factor) for number, factor in enumerate(SH_FACTORS)),
         ("BLUR", PIXEL_VARIANCE),
         ("LEAST", MIN_ALPHA),
         ("MOST", MAX_ALPHA),

@@ -96,9 +96,7 @@ class SplatStore:
                     self._held[number].checksums = found.checksums
                 self._upload_states([read.get(obj.session_uid) or _read(obj, depsgraph) for obj in objects])
             return
-        self._upload_all(
-            {obj.session_uid: read.get(obj.session_uid) or _read(obj, depsgraph) for obj in objects}
-        )
+        self._upload_all({obj.session_uid: read.get(obj.session_uid) or _read(obj, depsgraph) for obj in objects})
 
     def _is_stale(self, obj: bpy.types.Object) -> bool:
         data: Any = obj.data

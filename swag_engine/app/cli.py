@@ -328,6 +328,51 @@ class Render:
 
 
 @dataclass(frozen=True)
+class Film:
+    """Render a run along a camera path to an image sequence or a video, with alpha and depth."""
+
+    run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+    """Folder of the run."""
+    cameras: tyro.conf.Positional[Path]
+    """Camera path in the scene's coordinates: a transforms.json, such as cameras.json of Blender's Render Film."""
+    out: Path
+    """Folder of the PNG files, or a video (.mp4)."""
+    water: float = 1.0
+    """Amount of water, from 0 (removed) to 1 (as photographed), for frames that name none."""
+    alpha: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Leave the background out: PNG files get an alpha channel, a video gets a second one, NAME_alpha.mp4."""
+    depth: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Write the depth of each frame to an EXR file, in scene units."""
+    overwrite: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Render frames whose files exist; without it they are kept."""
+    fps: float = 24.0
+    """Frames of a video per second."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..experiments.film import FilmOptions, describe, film_run
+        from ..formats.camera_path import read_camera_path
+        from .progress import progress_display
+
+        frames = read_camera_path(self.cameras)
+        options = FilmOptions(self.alpha, self.depth, self.overwrite, self.fps)
+        stopping = "Stopping after this frame; press Ctrl-C again to stop at once."
+        with interrupts.deferred(stopping), progress_display() as display:
+
+            def progress(done: int, total: int) -> None:
+                display("film", f"Frame {done} of {total}", done / total)
+
+            result = film_run(
+                self.run_folder, self.out, frames, options,
+                water=self.water, progress=progress, should_stop=interrupts.should_stop,
+            )  # fmt: skip
+        show(result, self.json, describe(result))
+        return interrupts.exit_code if result["interrupted"] else 0
+
+
+@dataclass(frozen=True)
 class Export:
     """Write the result of a run to a file that other programs read."""
 
@@ -491,8 +536,8 @@ class Doctor:
 
 
 COMMANDS = (
-    Inspect, Sfm, Plan, Forecast, Train, Evaluate, Report, Ablate, Tradeoff, Render, Label, Search, Extract, Export,
-    Batch, Doctor,
+    Inspect, Sfm, Plan, Forecast, Train, Evaluate, Report, Ablate, Tradeoff, Render, Film, Label, Search, Extract,
+    Export, Batch, Doctor,
 )  # fmt: skip
 
 

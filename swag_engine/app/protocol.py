@@ -9,6 +9,9 @@ from ..base.strict_json import from_json
 from ..formats.registry import FormatName
 from ..settings.settings import TrainSettings
 
+Color = tuple[float, float, float]
+"""Display values, 0..1."""
+
 
 @dataclass(frozen=True)
 class InspectRequest:
@@ -99,6 +102,37 @@ class ExportRequest:
 
 
 @dataclass(frozen=True)
+class FilmRequest:
+    """Render splats along a camera path.
+
+    Attributes:
+        cameras: File of the camera path (formats/camera_path.py).
+        splats: File of the splats (PLY), in the same coordinates.
+        out: Folder of an image sequence, or video (.mp4).
+        run: Folder of the run that water, lamp and background are read from, None without.
+        water: File in the format of water.json per scene unit, for splats without a run.
+        background: Display values (3,) behind splats without a run.
+        alpha: As in `FilmOptions`, like the following.
+        depth: Whether to write depth.
+        overwrite: Whether to replace files.
+        fps: Frames of a video per second.
+        unit: Length of a scene unit in units of the depth.
+    """
+
+    cameras: Path
+    splats: Path
+    out: Path
+    run: Path | None = None
+    water: Path | None = None
+    background: Color = (0.0, 0.0, 0.0)
+    alpha: bool = False
+    depth: bool = False
+    overwrite: bool = False
+    fps: float = 24.0
+    unit: float = 1.0
+
+
+@dataclass(frozen=True)
 class LabelRequest:
     """Label the Gaussians of a run, without words, masks and saliency as the command `label` does.
 
@@ -167,6 +201,7 @@ Request = (
     | TrainRequest
     | ForecastRequest
     | ExportRequest
+    | FilmRequest
     | LabelRequest
     | SearchRequest
     | ScoreEditRequest
@@ -181,6 +216,7 @@ REQUESTS: dict[str, type[Request]] = {
     "train": TrainRequest,
     "forecast": ForecastRequest,
     "export": ExportRequest,
+    "film": FilmRequest,
     "label": LabelRequest,
     "search": SearchRequest,
     "score_edit": ScoreEditRequest,
@@ -247,9 +283,18 @@ def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
         return value
     if kind is TrainSettings and isinstance(value, dict):
         return TrainSettings.from_json(value)
+    if kind is float and is_number(value):
+        return float(value)
+    if kind is Color and isinstance(value, list) and len(value) == 3 and all(map(is_number, value)):
+        return tuple(map(float, value))
     if kind is FormatName and value in get_args(FormatName):
         return value
     raise InputError(f"The request {request} has {key} = {value!r}, which is not {describe(kind)}.")
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value from JSON is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < float("inf")
 
 
 def describe(kind: Any) -> str:
@@ -259,6 +304,8 @@ def describe(kind: Any) -> str:
         str: "a text",
         bool: "true or false",
         TrainSettings: "an object of settings",
+        float: "a number",
+        Color: "three numbers",
     }
     words[Path | None] = words[Path]
     return words.get(kind) or f"one of {', '.join(get_args(kind))}"

@@ -20,6 +20,7 @@ from .interrupts import interrupts
 from .protocol import (
     CancelRequest,
     ExportRequest,
+    FilmRequest,
     ForecastRequest,
     GoOnRequest,
     InspectRequest,
@@ -184,6 +185,9 @@ class Worker:
         if isinstance(request, LabelRequest):
             with interrupts.deferred():
                 return self.label(request)
+        if isinstance(request, FilmRequest):
+            with interrupts.deferred():
+                return self.film(request)
         if isinstance(request, SearchRequest):
             from ..experiments.label_run import search_run, write_similarity
 
@@ -233,6 +237,26 @@ class Worker:
             progress=self.stoppable("Labelling was stopped; the run is as it was."),
         )
         return {"event": "result", "request": "label", "run": str(request.run)} | document
+
+    def film(self, request: FilmRequest) -> dict[str, Any]:
+        """Return the `result` event of a `film` request; a cancelled sequence keeps the frames it has.
+
+        Raises:
+            InputError: As `film_model` and `render_film` do.
+        """
+        from ..experiments.film import FilmOptions, describe, film_model, render_film
+        from ..formats.camera_path import read_camera_path
+
+        frames = read_camera_path(request.cameras)
+        options = FilmOptions(request.alpha, request.depth, request.overwrite, request.fps, request.unit)
+        model = film_model(request.splats, request.run, request.water, request.background)
+
+        def progress(done: int, total: int) -> None:
+            text = f"Frame {done} of {total}"
+            self.send({"event": "progress", "stage": "film", "text": text, "iteration": done, "iterations": total})
+
+        result = render_film(model, request.out, frames, options, progress=progress, should_stop=self.should_stop)
+        return {"event": "result", "request": "film", "text": describe(result)} | result
 
     def stoppable(self, sentence: str) -> Callable[[str, float], None]:
         """Make a progress function for work that is not a training.

@@ -1,5 +1,6 @@
 """The parameters that are optimised, and their activations."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from math import isqrt
 
@@ -41,6 +42,28 @@ class GaussianCloud:
     def __post_init__(self) -> None:
         if not self.features.numel():
             self.features = self.means.new_zeros(len(self), self.features.shape[1])
+
+    @classmethod
+    def from_splats(cls, splats: Splats, background: Sequence[float]) -> "GaussianCloud":
+        """Convert splats of a file or of Blender.
+
+        Args:
+            splats: The splats.
+            background: (3,) display values 0..1 seen where no Gaussian is.
+
+        Returns:
+            The Gaussians, float32.
+        """
+        sh = torch.from_numpy(splats.sh)
+        return cls(
+            means=torch.from_numpy(splats.positions),
+            quats=torch.from_numpy(splats.rotations),
+            log_scales=torch.from_numpy(splats.scales).log(),
+            opacity_logits=torch.from_numpy(splats.opacities).logit(),
+            sh0=sh[:, :1].contiguous(),
+            shN=sh[:, 1:].contiguous(),
+            background=torch.tensor(background, dtype=torch.float32).logit(),
+        )
 
     def __len__(self) -> int:
         return self.means.shape[0]

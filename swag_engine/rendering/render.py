@@ -52,6 +52,7 @@ def render(
     backend: str = "auto",
     lamp: Lamp | None = None,
     kept: Tensor | None = None,
+    with_background: bool = True,
 ) -> Picture:
     """Render a cloud as a camera sees it, in the cloud's dtype; differentiable.
 
@@ -71,6 +72,8 @@ def render(
         backend: What renders.
         lamp: A lamp at the camera.
         kept: (N,) factors of the opacities, which stay at most 1.
+        with_background: Whether background color and background light are behind the Gaussians; without them `color`
+            is premultiplied by alpha.
 
     Returns:
         The image.
@@ -80,7 +83,7 @@ def render(
     )
     offsets = (cloud.means.detach() - centre).clamp(-FARTHEST, FARTHEST)
     colors = channels = cloud.colors(centre, sh_degree, backend)
-    background = cloud.background.sigmoid()
+    background = cloud.background.sigmoid() if with_background else torch.zeros_like(cloud.background)
     veiled = isinstance(medium, Medium) and medium.veil is not None
     if lamp is not None:
         channels = lit(channels, offsets.norm(dim=1), lamp, amount)
@@ -114,7 +117,7 @@ def render(
     )
     color, seen = rendering.channels[..., :3], None
     restored = rendering.channels[..., 3:6] if with_restored else None
-    if isinstance(medium, Medium) and veiled and amount > 0:
+    if with_background and isinstance(medium, Medium) and veiled and amount > 0:
         behind = open_water(medium, viewmat, intrinsics, camera.width, camera.height, water_degree, amount, backend)
         color = color + (1 - rendering.alpha[..., None]) * behind
     if with_range:

@@ -18,6 +18,7 @@ from swag_engine.kernels.backends import KERNELS
 from swag_engine.splats.splats import Splats
 from swag_engine.splats.transform import sh_basis
 from tests.scenes.panels import write_photos
+from tests.scenes.tiny import make_tiny_scene
 
 TOOLS = Path(__file__).resolve().parents[2].parent / "shared" / "real-blender"
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
@@ -162,7 +163,8 @@ def test_command_line_of_the_real_blender(real_blender, folder, shared_python):
 def viewport_pictures(request, real_blender, extension_zip, tmp_path_factory, missing):
     """Report of real_window_viewport.py and its pictures (H, W, 3) in 0..1, of the viewport's region alone."""
     if request.param == "VULKAN" and not (real_blender / "usr/share/vulkan/icd.d/lvp_icd.json").exists():
-        missing(f"There is no Vulkan in {real_blender}: run `chroot {real_blender} apt-get install mesa-vulkan-drivers`.")
+        install = f"chroot {real_blender} apt-get install mesa-vulkan-drivers"
+        missing(f"There is no Vulkan in {real_blender}: run `{install}`.")
     folder = real_blender / "gui" / "viewport"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -312,3 +314,61 @@ def test_a_turning_view_uploads_no_splats_and_a_resting_one_draws_nothing(viewpo
     assert viewport_pictures[0]["frames_at_rest"] == 0
     # Order and depth as 4 bytes each; orders fill whole rows of 16384 texels.
     assert turned["bytes"] <= turned["frames"] * 1.5 * (4 * turned["pixels"] + 4 * 16384 + 4096), turned
+
+
+def test_photos_are_compared_with_splats_a_film_is_cancelled_and_nothing_of_it_stays(
+    real_blender, folder, shared_python, finished_run, tmp_path
+):
+    scene = folder / "photos"
+    make_tiny_scene(scene, width=640, height=480)
+    shutil.copy(finished_run / "result.ply", folder)
+    environment = {
+        "SWAG_ENGINE_PYTHON": shared_python,
+        "SWAG_ZIP": "/gui/test/extension.zip",
+        "SWAG_SCENE": "/gui/test/photos",
+        "SWAG_PLY": "/gui/test/result.ply",
+        "SWAG_OUT": "/gui/test",
+        "SWAG_CACHE_DIR": "/gui/test/cache",
+        "BLENDER_USER_RESOURCES": "/gui/test/user",
+    }
+    script = Path(__file__).with_name("films_window.py")
+    done = subprocess.run(
+        ["bash", str(TOOLS / "gui"), str(real_blender), str(script), str(tmp_path / "last.png")],
+        env=os.environ | environment, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    printed = done.stdout + done.stderr
+    for picture in folder.glob("*.png"):
+        shutil.copy(picture, tmp_path)
+    assert (folder / "report.json").exists(), printed
+    report = json.loads((folder / "report.json").read_text())
+    assert "traceback" not in report and "Traceback" not in printed, report.get("traceback", printed)
+
+    for step, name, photo, place in (
+        ("first", "wipe-1", "view_00.png", 0.5), ("third", "wipe-2", "view_02.png", 0.75),
+    ):  # fmt: skip
+        found = report[step]
+        assert found["photo"] == photo and found["place"] == pytest.approx(place, abs=0.01)
+        left, top, right, bottom = found["frame"]
+        screen = cv2.imread(str(tmp_path / f"{name}.png")).astype(float)
+        own = cv2.imread(str(scene / "images" / photo)).astype(float)
+        # Discs of the photo that are away from line and text, at their place and in their display values.
+        errors: dict[str, list[float]] = {"photo": [], "splats": []}
+        for x in np.linspace(0.05, 0.95, 60):
+            for y in np.linspace(0.05, 0.85, 40):
+                u, v = int(x * 640), int(y * 480)
+                patch = own[v - 4 : v + 5, u - 4 : u + 5].reshape(-1, 3)
+                if np.ptp(patch, axis=0).max() > 2 or abs(x - place) < 0.03 or abs(y - 0.5) < 0.03:
+                    continue
+                seen = screen[round(top + y * (bottom - top)), round(left + x * (right - left))]
+                errors["photo" if x < place else "splats"].append(np.abs(seen - patch[40]).max())
+        assert len(errors["photo"]) > 50 and np.median(errors["photo"]) <= 2, np.median(errors["photo"])
+        assert np.mean(np.array(errors["photo"]) <= 3) > 0.95
+        assert np.median(errors["splats"]) > 5, "the photo ends at the line"
+    assert not report["running"] and not report["running after disable"]
+    assert report["after"] == report["before"] == report["at the end"]
+    film = report["film"]
+    assert film["message"].startswith("Stopped after") and "of 2000 frames" in film["message"], film
+    assert not film["failed"] and film["frame"] == 1
+    written = sum(path.suffix == ".png" for path in (folder / "film").iterdir())
+    assert 0 < written < 2000 and f"after {written} of" in film["message"]
+    assert "llvmpipe" in report["warning"] and "640 x 480 pixels with 32 samples take about 8 min" in report["warning"]

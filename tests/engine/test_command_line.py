@@ -65,6 +65,17 @@ def test_render_writes_pictures_and_knows_its_cameras(run, tmp_path):
     assert_one_sentence(swag("render", folder, "--out", tmp_path, "--camera", "view_99.png"))
 
 
+def test_film_renders_the_cameras_that_export_writes(run, tmp_path):
+    folder, _ = run
+    assert swag("export", folder, "--format", "ply", "--out", tmp_path / "reef.ply", "--cameras").returncode == 0
+    cameras = tmp_path / "reef_cameras" / "transforms.json"
+    done = swag("film", folder, cameras, "--out", tmp_path / "film", "--alpha", "--depth", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["rendered"] == 10 and "Frame 1 of 10" in done.stderr
+    assert (tmp_path / "film" / "view_03.png").exists() and (tmp_path / "film" / "depth" / "view_03.exr").exists()
+    assert_one_sentence(swag("film", folder, tmp_path / "none.json", "--out", tmp_path / "film"))
+
+
 @pytest.mark.parametrize("format", ["ply", "glb"])
 def test_export(run, tmp_path, format):
     folder, _ = run

@@ -7,15 +7,18 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from swag_engine.app.protocol import TrainRequest, parse_request
+from swag_engine.app.protocol import FilmRequest, TrainRequest, parse_request
 from swag_engine.base.errors import InputError
 from swag_engine.base.strict_json import to_json
+from swag_engine.formats.camera_path import PathFrame, write_camera_path
+from swag_engine.scene.colmap import load_scene
 from tests.scenes.panels import write_photos
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -142,6 +145,31 @@ def test_a_search_for_cameras_that_ends_early_leaves_no_model_and_no_process(wor
         assert len(list((tmp_path / "out" / "images").iterdir())) == 6
     else:
         assert [path.name for path in tmp_path.iterdir()] == ["photos"]
+
+
+def test_a_film_reports_its_frames_and_can_be_cancelled(worker, finished_run, tiny_scene, tmp_path):
+    frames = [PathFrame(replace(load_scene(tiny_scene).views[0].camera, name=f"{n:04d}")) for n in range(1, 2001)]
+    write_camera_path(tmp_path / "cameras.json", frames)
+    film = {"cameras": str(tmp_path / "cameras.json"), "splats": str(finished_run / "result.ply")}
+    worker.send(request="film", out=str(tmp_path / "film"), run=str(finished_run), **film)
+    event = worker.until("progress", "error", "result")
+    assert (event["stage"], event["text"], event["iterations"]) == ("film", "Frame 1 of 2000", 2000)
+    worker.send(request="cancel")
+    result = worker.until("result", "error")
+    assert result["interrupted"] and 0 < result["rendered"] < 2000
+    assert len(list((tmp_path / "film").iterdir())) == result["rendered"]
+    (tmp_path / "nothing.json").write_text("{}")
+    worker.send(request="film", out=str(tmp_path), **film | {"cameras": str(tmp_path / "nothing.json")})
+    assert "no camera path" in worker.until("result", "error")["message"]
+
+
+@pytest.mark.parametrize(("field", "value"), [("fps", True), ("fps", "24"), ("background", [1, 2]), ("background", 1)])
+def test_a_film_request_with_a_wrong_number_is_refused(field, value):
+    message = {"request": "film", "cameras": "a", "splats": "b", "out": "c"}
+    right = parse_request(json.dumps(message | {"fps": 12, "background": [0, 0.5, 1]}))
+    assert isinstance(right, FilmRequest) and (right.fps, right.background) == (12, (0, 0.5, 1))
+    with pytest.raises(InputError, match=f"has {field} = "):
+        parse_request(json.dumps(message | {field: value}))
 
 
 def test_a_killed_worker_leaves_a_run_that_resumes(worker, tiny_scene, tmp_path):

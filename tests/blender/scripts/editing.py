@@ -17,7 +17,7 @@ from bl_ext.user_default.swag_splatting.swag_blender import (
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
 from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply
 from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
-from labels import assert_refused, instance_count, labelled_object, show_as_points
+from labels import assert_refused, instance_count, labelled_object, show_as
 from pictures import linked, new_camera, render_pixel_centres
 
 bpy.context.preferences.edit.use_global_undo = True
@@ -184,7 +184,7 @@ def select_by_properties():
 
 def hide_delete_and_undo():
     obj, made = labelled_object([1] * 50 + [2] * 30 + [0] * 20)
-    show_as_points(obj, False)
+    show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)
     bpy.ops.swag.read_labels()
     for operator in (bpy.ops.swag.delete_splats, bpy.ops.swag.hide_splats):
         assert_refused(operator, "No splats are selected")
@@ -235,7 +235,7 @@ def hide_delete_and_undo():
 def crop(folder):
     """The box limits what is selected, drawn and rendered, and follows its object."""
     obj = new_object(splats_at(np.random.default_rng(2).uniform(-1, 1, (1000, 3)), 0.02), location=(5, 0, 0))
-    show_as_points(obj, False)
+    show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)
     assert bpy.ops.swag.add_crop_box() == {"FINISHED"}
     box = obj.swag_display.crop
     assert bpy.context.active_object == box and box.type == "EMPTY" and box.empty_display_type == "CUBE"

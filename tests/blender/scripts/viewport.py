@@ -7,7 +7,7 @@ import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import display, labels, splats
 from bl_ext.user_default.swag_splatting.swag_blender.viewport import depth_order, packing, splat_store
 from bl_ext.user_default.swag_splatting.swag_blender.water_values import WaterValues
-from mathutils import Matrix
+from mathutils import Matrix, Quaternion
 from pictures import random_splats
 
 scene = bpy.context.scene
@@ -19,10 +19,8 @@ def texels():
     found = packing.geometry_texels(made)
     assert found.shape == (200, 3, 4) and np.array_equal(found[:, 0, :3], made.positions)
     assert np.array_equal(found[:, 0, 3], made.opacities)
-    for texel, quaternion, sigmas in zip(found[:20], made.rotations, made.scales):
+    for texel, quaternion, sigmas in zip(found[:20], made.rotations[:20], made.scales[:20], strict=True):
         w, x, y, z = quaternion.astype(np.float64)
-        from mathutils import Quaternion
-
         turned = np.array(Quaternion((w, x, y, z)).to_matrix(), np.float64) * sigmas.astype(np.float64)
         wanted = turned @ turned.T
         got = [*texel[1], *texel[2, :2]]
@@ -68,7 +66,7 @@ def order():
         )
         first += count
     rows = [np.array([0.2, -0.4, 0.9, 1.0]), np.array([0.7, 0.1, 0.7, 2.0])]
-    depths = np.concatenate([p.positions.astype("f8") @ r[:3] + r[3] for p, r in zip(parts, rows)])
+    depths = np.concatenate([p.positions.astype("f8") @ r[:3] + r[3] for p, r in zip(parts, rows, strict=True)])
     found = depth_order.back_to_front(parts, rows).astype(int)
     assert len(found) == (depths > 0).sum() and (np.diff(depths[found]) <= 1e-5).all()
     coarse = depth_order.back_to_front(parts, rows, exact=False).astype(int)

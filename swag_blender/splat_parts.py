@@ -1,0 +1,33 @@
+"""All splats of an object, those that are shown, or those that are selected."""
+
+import bpy
+import numpy as np
+
+from ..swag_engine.formats.select import inside_box
+from ..swag_engine.splats.splats import Splats
+from . import splats
+from .crop_box import world_to_box
+from .labels import SELECTED
+from .nodes.splat_preview import HIDDEN
+
+
+def part_of(obj: bpy.types.Object, placement: np.ndarray, part: str) -> Splats:
+    """Splats of an object in its own frame, with its modifiers applied.
+
+    Args:
+        obj: a splat object.
+        placement: matrix (4, 4) from its own frame to Blender's world.
+        part: "ALL", "VISIBLE" (neither hidden nor outside the object's crop box) or "SELECTED".
+
+    Raises:
+        InputError: the modifiers leave no splats.
+    """
+    if part == "SELECTED":
+        own, selected = splats.read_modified_splats(obj, SELECTED)
+        return own.subset(selected)
+    own, hidden = splats.read_modified_splats(obj, HIDDEN)
+    if part == "ALL":
+        return own
+    to_box = world_to_box(obj)
+    shown = ~hidden if to_box is None else ~hidden & inside_box(own.positions, to_box @ placement)
+    return own if shown.all() else own.subset(shown)

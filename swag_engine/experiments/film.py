@@ -1,0 +1,292 @@
+"""Films: a camera path rendered to an image sequence or a video, with alpha and depth."""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from ..effects.scene_effects import SceneEffects
+from ..formats.camera_path import PathFrame
+from ..formats.exr import write_exr
+from ..formats.ply import read_ply
+from ..formats.run_folder import RunFolder, read_json
+from ..formats.water import DAMAGED
+from ..gaussians.cloud import GaussianCloud
+from ..kernels.backends import device_for
+from ..rendering.model import SceneModel
+from ..rendering.render import Picture, render
+from ..scene.cameras import Camera
+from ..training.checkpoint import checkpoints
+from ..water.medium import Medium
+from .evaluate_run import load_newest
+
+VIDEO_SUFFIX = ".mp4"
+VIDEO_CODEC = "mp4v"
+"""MPEG-4 Part 2: the only codec of MP4 that every build of OpenCV writes."""
+EMPTY_DEPTH = 1e10
+"""Depth where nothing is, as in Blender's depth pass."""
+LEAST_ALPHA = 0.5 / 255
+"""Alpha below which a pixel is empty in 8 bits, and its mean range is noise."""
+
+
+@dataclass(frozen=True)
+class FilmOptions:
+    """What a film's files hold.
+
+    Attributes:
+        alpha: Leave the background out: PNG files get an alpha channel, a video gets a second one, NAME_alpha.mp4.
+        depth: Write depth (z) of each frame to an EXR file.
+        overwrite: Render frames whose files exist; without it they are kept.
+        fps: Frames of a video per second.
+        unit: Length of a scene unit in units of the depth.
+
+    Raises:
+        InputError: If a number is not above 0.
+    """
+
+    alpha: bool = False
+    depth: bool = False
+    overwrite: bool = False
+    fps: float = 24.0
+    unit: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.fps <= 1000:
+            raise InputError(f"The frames per second must be from above 0 to 1000, not {self.fps}.")
+
+
+def film_model(
+    splats: Path | None, run: Path | None, water: Path | None = None, background: Sequence[float] = (0.0, 0.0, 0.0)
+) -> SceneModel:
+    """Load what a film shows.
+
+    Args:
+        splats: File of splats (PLY) in the coordinates of the run; None for the Gaussians of the run.
+        run: Folder of the run, whose newest checkpoint has water, lamp and background; None without.
+        water: File in the format of water.json, per scene unit, for splats without a run.
+        background: Display values (3,) behind splats without a run, 0..1.
+
+    Returns:
+        The model on the device of the fastest backend. Its effects on whole images, such as exposure, are not part of
+        a film.
+
+    Raises:
+        InputError: Where there are neither splats nor a checkpoint, or a file is damaged.
+    """
+    if run is not None and (splats is None or checkpoints(run)):
+        cloud, effects, _ = load_newest(run)
+        if splats is None:
+            return SceneModel(cloud, effects)
+        background = cloud.background.sigmoid().tolist()
+    elif splats is None:
+        raise InputError("A film needs splats or a run.")
+    else:
+        effects = SceneEffects({} if water is None else {"medium": read_medium(water)})
+    device = device_for("auto")
+    return SceneModel(GaussianCloud.from_splats(read_ply(splats), background), effects).to(device)
+
+
+def read_medium(path: Path) -> Medium:
+    """Read a water per scene unit.
+
+    Args:
+        path: File in the format of water.json.
+
+    Returns:
+        The water.
+
+    Raises:
+        InputError: If the file does not hold coefficients per scene unit.
+    """
+    water = read_json(path, f"There is no {path}.")
+    try:
+        beta_D, beta_B, veil = (torch.tensor(water[name]).float() for name in ("beta_D", "beta_B", "veil_sh"))
+        if water["per"] != "unit" or water["light"] not in ("linear", "srgb"):
+            raise ValueError("another unit or light")
+        # The inverse of softplus, log(exp(x) - 1), without its overflow.
+        attenuation, backscatter = (beta + torch.log(-torch.expm1(-beta)) for beta in (beta_D, beta_B))
+        return Medium(attenuation, backscatter, veil.reshape(9, 3), 1.0, water["light"])
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise InputError(DAMAGED) from error
+
+
+def film_run(folder: Path, out: Path, frames: Sequence[PathFrame], options: FilmOptions, **more: Any) -> dict[str, Any]:
+    """Render the Gaussians of a run along a camera path; arguments and result as `render_film`."""
+    _, settings, _ = RunFolder(folder).read_config()
+    return render_film(film_model(None, folder), out, frames, options, sh_degree=settings.sh_degree, **more)
+
+
+def render_film(
+    model: SceneModel,
+    out: Path,
+    frames: Sequence[PathFrame],
+    options: FilmOptions,
+    water: float = 1.0,
+    sh_degree: int = 3,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> dict[str, Any]:
+    """Render a camera path.
+
+    Args:
+        model: Gaussians and effects.
+        out: Folder of NAME.png and depth/NAME.exr; or a video, NAME.mp4, with NAME_alpha.mp4 and NAME_depth/NAME.exr.
+        frames: The frames, with different names.
+        options: What the files hold.
+        water: Amount of water for frames that have none of their own, 0..1.
+        sh_degree: Highest degree of spherical harmonics.
+        progress: Called with the number of finished frames and that of all frames.
+        should_stop: Asked between two frames. A stopped sequence keeps its frames, a stopped video is not written.
+
+    Returns:
+        `out`; numbers of `frames`, of `rendered` ones and of those `kept` because they existed; `interrupted`.
+
+    Raises:
+        InputError: If the amount of water is not from 0 to 1, a video exists or its frames differ in size, the image
+            is too large, or a file cannot be written.
+    """
+    if not 0 <= water <= 1:
+        raise InputError(f"The amount of water must be from 0 to 1, not {water}.")
+    is_video = out.suffix.lower() == VIDEO_SUFFIX
+    depth_folder = out.with_name(f"{out.stem}_depth") if is_video else out / "depth"
+    result: dict[str, Any] = {"out": str(out), "frames": len(frames), "rendered": 0, "kept": 0, "interrupted": False}
+    try:
+        with _video(out, frames, options) if is_video else _sequence(out) as write:
+            for done, frame in enumerate(frames):
+                if should_stop():
+                    raise _StoppedError
+                image, depth = out / f"{frame.camera.name}.png", depth_folder / f"{frame.camera.name}.exr"
+                files = [image, depth] if options.depth else [image]
+                if not (is_video or options.overwrite) and all(file.exists() for file in files):
+                    result["kept"] += 1
+                else:
+                    amount = water if frame.water is None else frame.water
+                    picture = _picture(model, frame.camera, amount, sh_degree, options)
+                    write(frame.camera.name, _pixels(picture, options.alpha))
+                    if options.depth:
+                        write_exr(depth, _depth(picture, frame.camera, options.unit))
+                    result["rendered"] += 1
+                progress(done + 1, len(frames))
+    except _StoppedError:
+        result["interrupted"] = True
+    return result
+
+
+def describe(result: dict[str, Any]) -> str:
+    """Return a sentence about a film.
+
+    Args:
+        result: What `render_film` returned.
+    """
+    done, kept = result["rendered"] + result["kept"], result["kept"]
+    existed = f" ({kept} of them existed and were kept)" if kept else ""
+    if not result["interrupted"]:
+        return f"{done} frames{existed}: {result['out']}"
+    if Path(result["out"]).suffix.lower() == VIDEO_SUFFIX:
+        return f"Stopped after {done} of {result['frames']} frames; the video was not written."
+    return f"Stopped after {done} of {result['frames']} frames{existed}; start again to render the others."
+
+
+class _StoppedError(Exception):
+    """The film is to stop: an unfinished video is removed by the end of its `with` block."""
+
+
+Write = Callable[[str, np.ndarray], None]
+"""Function of the name of a frame and its pixels (H, W, 3 or 4) uint8, straight alpha."""
+
+
+@contextmanager
+def _sequence(folder: Path) -> Iterator[Write]:
+    """Write each frame to a PNG file."""
+
+    def write(name: str, pixels: np.ndarray) -> None:
+        order = cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR
+        with atomic_path(folder / f"{name}.png") as temporary:
+            temporary.write_bytes(cv2.imencode(".png", cv2.cvtColor(pixels, order))[1].tobytes())
+
+    yield write
+
+
+@contextmanager
+def _video(path: Path, frames: Sequence[PathFrame], options: FilmOptions) -> Iterator[Write]:
+    """Write all frames to a video, and their alpha to a second one where it is asked for."""
+    first = frames[0].camera
+    other = next((f.camera for f in frames if (f.camera.width, f.camera.height) != (first.width, first.height)), None)
+    if other is not None:
+        raise InputError(
+            f"A video has frames of one size, but {first.name} has {first.width} x {first.height} pixels and "
+            f"{other.name} {other.width} x {other.height}: render an image sequence."
+        )
+    paths = [path, path.with_name(f"{path.stem}_alpha{path.suffix}")] if options.alpha else [path]
+    existing = next((file for file in paths if file.exists()), None)
+    if existing and not options.overwrite:
+        raise InputError(f"{existing} exists already: choose another name, or overwrite it.")
+    with ExitStack() as stack:
+        writers = [stack.enter_context(_video_file(file, first, options.fps)) for file in paths]
+
+        def write(_: str, pixels: np.ndarray) -> None:
+            writers[0].write(cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), cv2.COLOR_RGB2BGR))
+            if options.alpha:
+                writers[1].write(cv2.cvtColor(np.ascontiguousarray(pixels[..., 3]), cv2.COLOR_GRAY2BGR))
+
+        yield write
+
+
+@contextmanager
+def _video_file(path: Path, camera: Camera, fps: float) -> Iterator[cv2.VideoWriter]:
+    """Open a video that is whole or does not exist. Raises InputError when OpenCV cannot write it."""
+    with atomic_path(path) as temporary:
+        # The suffix tells OpenCV the container.
+        unfinished = temporary.with_suffix(VIDEO_SUFFIX)
+        size = (camera.width, camera.height)
+        try:
+            writer = cv2.VideoWriter(str(unfinished), cv2.VideoWriter_fourcc(*VIDEO_CODEC), fps, size)  # type: ignore[attr-defined]
+            if not writer.isOpened():
+                raise InputError(f"This OpenCV cannot write the video {path}: render an image sequence.")
+            try:
+                yield writer
+            finally:
+                writer.release()
+            os.replace(unfinished, temporary)
+        finally:
+            unfinished.unlink(missing_ok=True)
+
+
+@torch.no_grad()
+def _picture(model: SceneModel, camera: Camera, amount: float, sh_degree: int, options: FilmOptions) -> Picture:
+    return render(
+        model.cloud, camera, sh_degree, model.effects.medium, amount=amount, lamp=model.effects.lamp,
+        with_range=options.depth, with_background=not options.alpha,
+    )  # fmt: skip
+
+
+def _pixels(picture: Picture, with_alpha: bool) -> np.ndarray:
+    """Return (H, W, 3) uint8 display values, with straight alpha (H, W, 4) where it is asked for."""
+    color = picture.color
+    if with_alpha:
+        alpha = picture.alpha[..., None]
+        color = torch.cat([color / alpha.clamp(min=LEAST_ALPHA), alpha], dim=-1)
+    return _in_8_bits(color)
+
+
+def _in_8_bits(values: Tensor) -> np.ndarray:
+    return (values.clamp(0, 1) * 255).round().byte().cpu().numpy()
+
+
+def _depth(picture: Picture, camera: Camera, unit: float) -> np.ndarray:
+    """Return the depth (H, W) float32 along the camera's axis, scene units times `unit`; EMPTY_DEPTH without splats."""
+    assert picture.range is not None
+    x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    ray_length = np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
+    depth = picture.range.cpu().numpy() / ray_length * unit
+    return np.where(picture.alpha.cpu().numpy() < LEAST_ALPHA, EMPTY_DEPTH, depth).astype(np.float32)
