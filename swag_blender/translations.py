@@ -485,7 +485,6 @@ GERMAN = {
         "Einen Kasten um die Splats legen, der begrenzt, was gezeigt, gerendert und exportiert wird; er lässt sich"
         " verschieben, drehen und skalieren"
     ),
-    "All": "Alle",
     "Below": "Darunter",
     "Box": "Rechteck",
     "Circle": "Kreis",
