@@ -4,6 +4,7 @@ from . import operators
 from .swag_blender import (
     assets,
     commands,
+    effect_pictures,
     engine_process,
     job,
     label_list,
@@ -11,18 +12,21 @@ from .swag_blender import (
     panels,
     preferences,
     properties,
+    run_list,
     translations,
     water,
 )
 
 _MODULES = (
     properties,
+    run_list,
     preferences,
     engine_process,
     job,
     labels,
     operators,
     label_list,
+    effect_pictures,
     panels,
     water,
     assets,

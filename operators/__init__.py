@@ -23,6 +23,8 @@ from . import (
     look_up_engine,
     merge_splats,
     node_assets,
+    open_report,
+    open_run,
     pause,
     pick_scale,
     plan,
@@ -32,8 +34,10 @@ from . import (
     reset_effects,
     search_labels,
     select_label,
+    select_run,
     separate_splats,
     set_scale,
+    show_effect,
     show_labels,
     show_log,
     train,
@@ -42,9 +46,9 @@ from . import (
 
 _GROUPS = (
     (inspect_scene, import_scene),
-    (plan, reset_effects),
+    (plan, reset_effects, show_effect),
     (forecast, train, cancel, pause, show_log),
-    (import_splats,),
+    (open_run, import_splats, open_report, select_run),
     (label_run, read_labels, show_labels, isolate_label, select_label, search_labels, keep_mask),
     (separate_splats, merge_splats),
     (prepare_render, water_objects),
@@ -54,8 +58,8 @@ _GROUPS = (
 )
 """The modules in the order of the menu, where a line separates the groups."""
 _MODULES = tuple(module for group in _GROUPS for module in group)
-_NOT_IN_MENU = (isolate_label, select_label, keep_mask)
-"""They act on one line of the list of labels, where their buttons are."""
+_NOT_IN_MENU = (isolate_label, select_label, keep_mask, select_run, show_effect)
+"""They act on one line of a list, where their buttons are."""
 
 
 class SWAG_MT_splatting(bpy.types.Menu):

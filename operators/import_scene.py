@@ -7,10 +7,10 @@ from typing import Annotated, Any
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..swag_blender import scene_import
+from ..swag_blender import open_run, scene_import
 from ..swag_blender.blender_types import OperatorResult, present, with_properties
 from ..swag_blender.engine_process import Engine, EngineError
-from ..swag_blender.job import Job
+from ..swag_blender.job import Job, can_run_engine
 
 
 @with_properties
@@ -27,6 +27,11 @@ class SWAG_OT_import_scene(Job):
         StringProperty(name="Folder", description="Folder with the photos and their COLMAP model", subtype="DIR_PATH"),
     ]
     filter_folder: Annotated[bool, BoolProperty(default=True, options={"HIDDEN"})]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the engine is there and no job runs."""
+        return can_run_engine(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for the folder where none is given."""
@@ -59,7 +64,7 @@ class SWAG_OT_import_scene(Job):
         if not scene:
             raise EngineError(f"The scene {self._scene} was removed; import again.")
         with self._arrays:
-            scene_import.import_scene(event, scene)
+            open_run.adopt_splats(scene_import.import_scene(event, scene), scene)
         found = scene_import.choose(scene, event)
         return f"{found.splitlines()[0]}."
 

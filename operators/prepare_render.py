@@ -41,8 +41,10 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether the scene has splats."""
-        cls.poll_message_set("There are no splats in the scene")
-        return any(splats.is_splats(obj) for obj in present(context.scene).objects)
+        if not any(splats.is_splats(obj) for obj in present(context.scene).objects):
+            cls.poll_message_set("There are no splats in the scene")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Set up the scene."""

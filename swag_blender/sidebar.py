@@ -10,7 +10,7 @@ from .properties import sparkline, status_of
 
 CHARACTER_WIDTH = 6.4
 """Mean width of a character in Blender's interface font, in pixels at a scale of 1."""
-Icon = Literal["NONE", "INFO", "ERROR", "CHECKMARK", "RECOVER_LAST", "MOD_OCEAN"]
+Icon = Literal["NONE", "INFO", "ERROR", "CHECKMARK", "X", "QUESTION", "RECOVER_LAST", "MOD_OCEAN"]
 
 
 class SwagPanel(bpy.types.Panel):

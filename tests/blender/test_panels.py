@@ -16,7 +16,16 @@ def test_the_plan_is_a_list_of_effects_that_the_user_can_overrule(blender, fake_
             ["lamp", "Lamp", "off", "Light falls off by 0%.", 0.5],
             ["moving_objects", "Moving objects", "unknown", "Only training shows it.", 0.0],
         ],
-        "settings": "water=on,attenuation=off,lamp=on",
+        "figures": {
+            "attenuation": [
+                ["Light lost with range", "75 %", "≥ 10 %", True],
+                ["Evidence (BIC gain)", "3,280", "≥ 50", True],
+            ],
+            "lamp": [["Fall-off from the camera", "0.3 %", "≥ 15 %", False]],
+            "moving_objects": [],
+        },
+        "explained": ["attenuation", "lamp"],
+        "settings": "attenuation=off,lamp=on",
         "after another plan": "attenuation=off,lamp=on",
         "opened": ["attenuation=off,lamp=on", "Light falls off by 0%.", False],
         "stale": True,
@@ -33,8 +42,10 @@ def test_a_stopped_run_can_be_continued_after_the_file_is_opened_again(blender, 
 
 def test_every_operator_has_a_tooltip_and_is_in_the_menu_that_the_search_finds(blender):
     found = blender.run("panels.operators_and_menu")
-    # These act on one line of the list of labels, and stand beside it.
-    assert set(found["names"]) - set(found["menu"]) == {"isolate_label", "select_label", "keep_mask"}
+    # These act on one line of a list, and stand beside it.
+    assert set(found["names"]) - set(found["menu"]) == {
+        *("isolate_label", "select_label", "keep_mask", "select_run", "show_effect")
+    }
     assert found["menu is in the Object menu"] is True
     assert found["without tooltip"] == [] and found["undescribed"] == []
     assert {"swag.train", "swag.plan", "swag.import_scene", "swag.separate_splats"} <= set(found["with undo"])

@@ -24,16 +24,17 @@ def plan_and_overrule(folder):
     swag.scene_folder = folder
     bpy.ops.swag.plan()
     found = {"message": status.message}
+    found["figures"] = {e.name: [[f.name, f.measured, f.needed, f.met] for f in e.figures] for e in swag.plan.lines}
+    found["explained"] = [e.name for e in swag.plan.lines if e.explained]
     found["lines"] = [[e.name, e.title, e.state, e.reason, round(e.cost_ms, 2)] for e in swag.plan.lines]
-    swag.effects = "water=on"
     swag.plan.lines["lamp"].choice, swag.plan.lines["attenuation"].choice = "ON", "OFF"
     found["settings"] = swag.train_settings()["effects"]
     bpy.ops.swag.plan()
     found["after another plan"] = swag.plan.switches()
     opened = save_and_open(folder)
-    found["opened"] = [opened.plan.switches(), opened.plan.lines["lamp"].reason, opened.plan.stale]
+    found["opened"] = [opened.plan.switches(), opened.plan.lines["lamp"].reason, opened.plan_is_stale]
     opened.scene_folder = "/elsewhere"
-    found["stale"] = opened.plan.stale
+    found["stale"] = opened.plan_is_stale
     bpy.ops.swag.reset_effects()
     found["reset"] = [opened.plan.switches(), bpy.ops.swag.reset_effects.poll()]
     return found
@@ -116,7 +117,7 @@ def forecast(folder):
     found = {"before": swag.forecast_lines()}
     bpy.ops.swag.forecast()
     found["message"], found["failed"] = status.message, status.failed
-    swag.preset, swag.time_budget = "high", "10m"  # a forecast has every quality, whatever is chosen
+    swag.preset = "time"  # a forecast has every quality, whatever is chosen
     opened = save_and_open(folder)
     found["opened"] = opened.forecast_lines()
     for name, value in (("iterations", 100), ("recipe", "3dgs"), ("scene_folder", "/elsewhere")):

@@ -1,0 +1,44 @@
+"""Open the report of a run."""
+
+from typing import Annotated
+
+import bpy
+from bpy.props import StringProperty
+
+from ..swag_blender import run_list
+from ..swag_blender.blender_types import with_properties
+from ..swag_blender.operator_base import ReportingOperator
+
+
+@with_properties
+class SWAG_OT_open_report(ReportingOperator):
+    """Open the report of the run in the web browser: images beside photos, curves, settings"""
+
+    bl_idname = "swag.open_report"
+    bl_label = "Open Report"
+
+    folder: Annotated[
+        str,
+        StringProperty(
+            name="Run",
+            description="Folder of the run; empty: the run of the active object",
+            subtype="DIR_PATH",
+            options={"SKIP_SAVE"},
+        ),
+    ]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the scene has a run."""
+        if run_list.shown_run(context) is None:
+            cls.poll_message_set("There is no run in the scene: train, or open a run")
+            return False
+        return True
+
+    def work(self, context: bpy.types.Context) -> str:
+        """Open the page."""
+        run_list.open_report(context, bpy.path.abspath(self.folder))
+        return ""
+
+
+CLASSES = (SWAG_OT_open_report,)
