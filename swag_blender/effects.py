@@ -16,7 +16,7 @@ STATES: dict[str, tuple[Literal["CHECKMARK", "X", "QUESTION"], str]] = {
     "unknown": ("QUESTION", "The photos cannot show whether it is so."),
 }
 """Icon and sentence of each decision."""
-NO_WATER = "Trained without water, as photos taken on land."
+NO_WATER = "No water is modelled, as for photos taken in air."
 WATER_UNKNOWN = "Whether there is water cannot be seen: it stays in the colors."
 WATER_EFFECT = "attenuation"
 """Effect without which no water is modelled."""

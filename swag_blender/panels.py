@@ -47,7 +47,7 @@ class SWAG_PT_scene(SwagPanel):
             for line in swag.found.splitlines():
                 draw_wrapped(layout, line, width)
         elif not problem:
-            draw_wrapped(layout, "Choose the folder with the photos, or open a run.", width, icon="INFO")
+            draw_wrapped(layout, "Choose the folder with the photos, or open a run in Result.", width, icon="INFO")
 
 
 class SWAG_PT_train_later(SwagPanel):
