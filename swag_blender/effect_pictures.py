@@ -12,10 +12,8 @@ from .sidebar import draw_wrapped
 
 FOLDER = Path(__file__).with_name("pictures")
 """A picture NAME.jpg for each effect: left without it, right with it. docs/scripts/effect_pictures.py makes them."""
-SIZE = 5.0
+SIZE = 7.0
 """Size of the picture, in heights of a button."""
-SIDE = 120
-"""Pixels of the region that the picture takes beside the sentence."""
 COLUMNS = ("Measured", "Needed")
 _pictures: Any = None
 
@@ -31,12 +29,10 @@ def draw_effect(layout: bpy.types.UILayout, swag: SwagScene, line: SwagEffect, w
     """
     layout.prop(line, "choice", expand=True)
     box = layout.box()
-    row = box.row()
+    box.label(text=line.title)
     if picture := picture_of(line.name):
-        row.template_icon(icon_value=picture, scale=SIZE)
-    column = row.column()
-    column.label(text=line.title)
-    draw_wrapped(column, line.words.sentence, width - SIDE)
+        box.template_icon(icon_value=picture, scale=SIZE)
+    draw_wrapped(box, line.words.sentence, width - 20)
     draw_wrapped(box, state_sentence(line.state), width - 20, icon=state_icon(line.state))
     if line.figures:
         _draw_figures(box, line)
@@ -50,18 +46,22 @@ def draw_effect(layout: bpy.types.UILayout, swag: SwagScene, line: SwagEffect, w
 
 
 def _draw_figures(layout: bpy.types.UILayout, line: SwagEffect) -> None:
-    """Draw what was measured beside what the effect needs."""
+    """Draw what was measured beside what the effect needs; figures that are not what it needs are red."""
     table = layout.column(align=True)
     table.scale_y = 0.8
-    for name, measured, needed, icon in (
-        ("", *COLUMNS, "BLANK1"),
-        *((row.name, row.measured, row.needed, "CHECKMARK" if row.met else "X") for row in line.figures),
-    ):
-        row = table.split(factor=0.54)
-        row.label(text=name)
-        values = row.split(factor=0.45)
-        values.label(text=measured)
-        values.label(text=needed, icon=icon)
+    _draw_row(table, "", *COLUMNS)
+    for figure in line.figures:
+        row = table.row()
+        row.alert = not figure.met
+        _draw_row(row, figure.name, figure.measured, figure.needed)
+
+
+def _draw_row(layout: bpy.types.UILayout, name: str, measured: str, needed: str) -> None:
+    row = layout.split(factor=0.46)
+    row.label(text=name)
+    values = row.split(factor=0.5)
+    values.label(text=measured)
+    values.label(text=needed)
 
 
 def picture_of(effect: str) -> int:

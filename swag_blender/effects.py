@@ -16,7 +16,7 @@ STATES: dict[str, tuple[Literal["CHECKMARK", "X", "QUESTION"], str]] = {
     "unknown": ("QUESTION", "The photos cannot show whether it is so."),
 }
 """Icon and sentence of each decision."""
-NO_WATER = "No water is modelled, as for photos taken in air."
+NO_WATER = "No water is modelled: the colors are as photographed."
 WATER_UNKNOWN = "Whether there is water cannot be seen: it stays in the colors."
 WATER_EFFECT = "attenuation"
 """Effect without which no water is modelled."""
@@ -162,7 +162,7 @@ class SWAG_UL_effects(bpy.types.UIList):
         flt_flag: int | None,
     ) -> None:
         """Draw one effect; Blender calls this."""
-        row = layout.row(align=True)
+        row = layout.split(factor=0.84, align=True)
         line = row.row(align=True)
         line.alignment = "LEFT"
         button = line.operator("swag.show_effect", text=item.words.statement, icon=state_icon(item.state), emboss=False)

@@ -224,10 +224,8 @@ class SWAG_PT_result(SwagPanel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, swag = present(self.layout), swag_of(context.scene)
+        layout = present(self.layout)
         run_list.draw_runs(layout, context)
-        if swag.result_water:
-            draw_wrapped(layout, swag.result_water, present(context.region).width, icon="MOD_OCEAN")
         layout.operator("swag.prepare_render", icon="RESTRICT_RENDER_OFF")
         _draw_open(layout)
 

@@ -203,7 +203,6 @@ class SwagScene(PropertyGroup):
     result_psnr: Annotated[float, FloatProperty(name="PSNR", description="PSNR on held-out photos, in dB")]
     result_ssim: Annotated[float, FloatProperty(name="SSIM", description="SSIM on held-out photos")]
     result_seconds: Annotated[float, FloatProperty(name="Seconds", description="Duration of the last run")]
-    result_water: Annotated[str, StringProperty(name="Water", description="Water that the last run fitted")]
     result_interrupted: Annotated[
         bool, BoolProperty(name="Interrupted", description="Whether the last run was stopped before its end")
     ]
@@ -290,7 +289,6 @@ class SwagScene(PropertyGroup):
         self.result_psnr = metrics.get("test_psnr") or 0.0
         self.result_ssim = metrics.get("test_ssim") or 0.0
         self.result_seconds = metrics["seconds"]
-        self.result_water = " ".join([metrics["water"], *metrics["notes"]]).strip()
         self.result_interrupted = event["interrupted"]
 
 

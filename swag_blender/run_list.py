@@ -16,8 +16,10 @@ from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.run_folder import RunFolder, read_json
 from . import splats
 from .blender_types import present, set_button, with_properties
+from .effects import NO_WATER
 from .properties import time_text
 from .runs import RUN_KEY
+from .sidebar import draw_wrapped
 
 REPORT = "report.html"
 """Name of the report in a run's folder."""
@@ -63,15 +65,24 @@ def compared_run(context: bpy.types.Context) -> bpy.types.Object | None:
 
 def figures_of(folder: Path) -> dict[str, str]:
     """The figures of a run by the names of LABELS, from its files; empty where the folder has none."""
+    return _read(folder)[0]
+
+
+def notes_of(folder: Path) -> list[str]:
+    """What a run noticed, in sentences."""
+    return _read(folder)[1]
+
+
+def _read(folder: Path) -> tuple[dict[str, str], list[str]]:
     run = RunFolder(folder)
     try:
-        return _figures(run, run.metrics.stat().st_mtime_ns)
+        return _figures_and_notes(run, run.metrics.stat().st_mtime_ns)
     except (OSError, InputError):
-        return {}
+        return {}, []
 
 
 @functools.lru_cache(maxsize=32)
-def _figures(run: RunFolder, _changed: int) -> dict[str, str]:
+def _figures_and_notes(run: RunFolder, _changed: int) -> tuple[dict[str, str], list[str]]:
     metrics = read_json(run.metrics, "")
     _, settings, _ = run.read_config()
     size = settings.sized()
@@ -80,7 +91,7 @@ def _figures(run: RunFolder, _changed: int) -> dict[str, str]:
         number = metrics.get(name)
         return shown(number) if isinstance(number, int | float) else "-"
 
-    return {
+    figures = {
         "test_psnr": text("test_psnr", "{:.2f} dB".format),
         "test_ssim": text("test_ssim", "{:.3f}".format),
         "gaussians": text("gaussians", "{:,}".format),
@@ -90,6 +101,9 @@ def _figures(run: RunFolder, _changed: int) -> dict[str, str]:
         "recipe": settings.recipe,
         "state": "Stopped" if metrics.get("interrupted") else "Finished",
     }
+    notes = metrics.get("notes")
+    water = [] if run.water.is_file() else [NO_WATER]
+    return figures, water + [str(note) for note in (notes if isinstance(notes, list) else [])]
 
 
 def open_report(context: bpy.types.Context, folder: str) -> None:
@@ -127,6 +141,9 @@ def draw_runs(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         layout.label(text="The run folder is gone; only the splats are left.", icon="INFO")
     else:
         _draw_figures(layout, [folder_of(obj).name for obj in (shown, other) if obj], columns)
+    width = present(context.region).width
+    for note in notes_of(folder_of(shown)):
+        draw_wrapped(layout, note, width, icon="INFO")
     row = layout.row(align=True)
     set_button(row.operator("swag.open_report", icon="URL"), folder=str(folder_of(shown)))
     if other:

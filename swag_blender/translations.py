@@ -393,7 +393,6 @@ GERMAN = {
         "Nutzt die Grafikkarte; zeichnet ein Splat-Objekt ganz vor einem anderen"
     ),
     "Value of swag:label": "Wert von swag:label",
-    "Water that the last run fitted": "Wasser, das der letzte Lauf angepasst hat",
     "What assigns the labels": "Woraus die Etiketten bestimmt werden",
     "What to look for; empty: the words in the panel": "Was zu suchen ist; leer: die Worte im Feld",
     "Whether the last run was stopped before its end": "Ob der letzte Lauf vor seinem Ende abgebrochen wurde",
@@ -405,7 +404,7 @@ GERMAN = {
     "Your own mask images: one folder for each label, with an image for each photo": (
         "Eigene Maskenbilder: ein Ordner für jedes Etikett, mit einem Bild für jedes Foto"
     ),
-    "A lamp moves with the camera": "Eine Lampe bewegt sich mit der Kamera",
+    "A lamp is at the camera": "An der Kamera ist eine Lampe",
     "Advanced": "Erweitert",
     "Allow Online Access": "Online-Zugriff erlauben",
     "Allow online access in Preferences > System > Network, or set a folder of wheels": (
@@ -418,7 +417,7 @@ GERMAN = {
     "Backscatter": "Rückstreuung",
     "Blender has no online access.": "Blender hat keinen Online-Zugriff.",
     "Caustics": "Kaustiken",
-    "Cells with points": "Felder mit Punkten",
+    "Filled cells": "Volle Felder",
     "Choose the folder with the photos and their COLMAP model first": (
         "Zuerst den Ordner mit den Fotos und ihrem COLMAP-Modell wählen"
     ),
@@ -433,18 +432,17 @@ GERMAN = {
     "Compare With": "Vergleichen mit",
     "Corners are darker": "Die Ecken sind dunkler",
     "Depth prior": "Tiefenvorwissen",
-    "Difference between photos": "Unterschied zwischen Fotos",
+    "Variation": "Schwankung",
     "Draft": "Entwurf",
     "Each photo has an exposure and a color balance of its own.": (
         "Jedes Foto hat eine eigene Belichtung und einen eigenen Weißabgleich."
     ),
-    "Evidence (BIC gain)": "Beleg (BIC-Gewinn)",
+    "BIC gain": "BIC-Gewinn",
     "Exposure": "Belichtung",
     "Exposure varies": "Die Belichtung schwankt",
-    "Fading beside another color": "Verblassen neben anderer Farbe",
-    "Fall-off from the camera": "Abfall von der Kamera aus",
-    "Fall-off to the corners": "Abfall zu den Ecken",
-    "Farthest to nearest range": "Fernster zu nächstem Abstand",
+    "Color fading": "Farbverlust",
+    "Fall-off": "Abfall",
+    "Range ratio": "Abstandsverhältnis",
     "Figures": "Zahlen",
     "Finished": "Fertig",
     "Fish or divers move": "Fische oder Taucher bewegen sich",
@@ -453,7 +451,7 @@ GERMAN = {
     ),
     "Fitted to the photos": "An die Fotos angepasst",
     "Flicker": "Flackern",
-    "Flicker alike nearby": "Gleiches Flackern in der Nähe",
+    "Shared flicker": "Gleiches Flackern",
     "Folder of the photos that the plan was made for": "Ordner der Fotos, für die der Plan gilt",
     "Folder of the run, which has config.json and result.ply": (
         "Ordner des Laufs, in dem config.json und result.ply sind"
@@ -477,11 +475,11 @@ GERMAN = {
     "Largest number of Gaussians that densification may reach": (
         "Größte Zahl an Gaußglocken, bis zu der verdichtet wird"
     ),
-    "Light added far away": "Licht, das in der Ferne hinzukommt",
+    "Added light": "Fremdes Licht",
     "Light from a lamp at the camera falls off with its distance.": (
         "Das Licht einer Lampe an der Kamera fällt mit dem Abstand ab."
     ),
-    "Light lost with range": "Licht, das mit dem Abstand fehlt",
+    "Light lost": "Lichtverlust",
     "Light that waves throw on the ground flickers.": "Licht, das Wellen auf den Grund werfen, flackert.",
     "Measured": "Gemessen",
     "Minutes": "Minuten",
@@ -494,13 +492,15 @@ GERMAN = {
     "Murky open ocean": "Trüber offener Ozean",
     "Name of the effect in the plan": "Name des Effekts im Plan",
     "Name of the splat object of the run": "Name des Splat-Objekts des Laufs",
-    "Near to far views": "Nahe zu fernen Blicken",
+    "Near to far": "Nah zu fern",
     "Needed": "Nötig",
     "No job is running": "Es läuft kein Auftrag",
     "No splats in the scene have a fitted water": "Keine Splats in der Szene haben ein angepasstes Wasser",
-    "No water is modelled, as for photos taken in air.": "Es wird kein Wasser modelliert, wie bei Fotos an Luft.",
+    "No water is modelled: the colors are as photographed.": (
+        "Kein Wasser wird modelliert: die Farben sind wie fotografiert."
+    ),
     "Number of optimisation steps, each on one image": "Zahl der Optimierungsschritte, jeder mit einem Bild",
-    "Observed points": "Beobachtete Punkte",
+    "Observations": "Beobachtungen",
     "Open Report": "Bericht öffnen",
     "Open Run": "Lauf öffnen",
     "Open a training run: its splats, water, labels and figures, and the cameras of its photos": (
@@ -510,20 +510,20 @@ GERMAN = {
     "Open the report of the run in the web browser: images beside photos, curves, settings": (
         "Den Bericht des Laufs im Browser öffnen: Bilder neben Fotos, Kurven, Einstellungen"
     ),
-    "Open water in photos": "Offenes Wasser in den Fotos",
+    "Open water": "Offenes Wasser",
     "Open water needs a label": "Offenes Wasser braucht ein Etikett",
     "Output Folder": "Ausgabeordner",
     "Own Values": "Eigene Werte",
-    "Pairs of near views": "Paare naher Blicke",
+    "Near pairs": "Nahe Paare",
     "Photos are far apart": "Die Fotos liegen weit auseinander",
-    "Photos with fitting depth": "Fotos mit passender Tiefe",
+    "Fitting photos": "Passende Fotos",
     "Points a photo": "Punkte je Foto",
-    "Points shared by neighbors": "Gemeinsame Punkte von Nachbarn",
+    "Shared points": "Gleiche Punkte",
     "Predicted depth helps where sparse points are few.": "Geschätzte Tiefe hilft, wo es wenige Punkte gibt.",
-    "Radial part of it": "Radialer Teil davon",
-    "Range follows image radius": "Abstand folgt dem Bildradius",
+    "Radial part": "Radialer Teil",
+    "Radius correlation": "Radiuskorrelation",
     "Reason": "Grund",
-    "Rise of the darkest light": "Anstieg des dunkelsten Lichts",
+    "Rise of dark light": "Anstieg im Dunkeln",
     "Run": "Lauf",
     "Run whose figures stand beside those of the selected run": "Lauf, dessen Zahlen neben denen des gewählten stehen",
     "SWAG Run (folder)": "SWAG-Lauf (Ordner)",
@@ -537,7 +537,7 @@ GERMAN = {
         "Zeigen, was zu diesem Effekt gemessen wurde und was er braucht"
     ),
     "Side by Side": "Nebeneinander",
-    "Smallest visible loss": "Kleinster sichtbarer Verlust",
+    "Visible loss": "Sichtbarer Verlust",
     "Sparse points are few": "Es gibt wenige Punkte",
     "Standard": "Standard",
     "State": "Zustand",
@@ -581,7 +581,7 @@ GERMAN = {
         "Das Training braucht den Rechenkern, ein eigenes Python. Öffnen, Zeigen und Exportieren von Splats "
         "geht ohne ihn."
     ),
-    "Uncertainty of the loss": "Unsicherheit des Verlusts",
+    "Uncertainty": "Unsicherheit",
     "Value that the effect needs": "Wert, den der Effekt braucht",
     "Value that was measured in the photos": "Wert, der in den Fotos gemessen wurde",
     "Very clear open ocean": "Sehr klarer offener Ozean",

@@ -10,7 +10,7 @@ class Figure:
     """One figure of a decision.
 
     Attributes:
-        label: Noun of a few words for a table.
+        label: Noun of at most 18 characters, for a table in a narrow panel.
         kind: A fraction shown as a percentage, an amount of light (0..1), or a number.
         below: Whether the scene calls for the effect where the figure misses its threshold.
     """
@@ -37,53 +37,53 @@ class FigureRow:
     met: bool
 
 
-_BIC = Figure("Evidence (BIC gain)")
+_BIC = Figure("BIC gain")
 _VIEWS = {
-    "range_ratio": Figure("Farthest to nearest range"),
-    "radius_correlation": Figure("Range follows image radius"),
-    "observations": Figure("Observed points"),
+    "range_ratio": Figure("Range ratio"),
+    "radius_correlation": Figure("Radius correlation"),
+    "observations": Figure("Observations"),
 }
 FIGURES: dict[str, dict[str, Figure]] = {
     "attenuation": {
-        "change": Figure("Light lost with range", "fraction"),
-        "color": Figure("Fading beside another color", "fraction"),
+        "change": Figure("Light lost", "fraction"),
+        "color": Figure("Color fading", "fraction"),
         "bic_gain": _BIC,
-        "interval": Figure("Uncertainty of the loss", "fraction"),
-        "resolution": Figure("Smallest visible loss", "fraction"),
+        "interval": Figure("Uncertainty", "fraction"),
+        "resolution": Figure("Visible loss", "fraction"),
         **_VIEWS,
     },
     "backscatter": {
-        "background_light": Figure("Light added far away", "light"),
-        "dark_rise": Figure("Rise of the darkest light", "light"),
+        "background_light": Figure("Added light", "light"),
+        "dark_rise": Figure("Rise of dark light", "light"),
         "bic_gain": _BIC,
         **_VIEWS,
     },
     "separate_backscatter": {"bic_gain": _BIC, **_VIEWS},
-    "lamp": {"falloff": Figure("Fall-off from the camera", "fraction"), "bic_gain": _BIC, **_VIEWS},
-    "exposure": {"gain_sd": Figure("Difference between photos", "fraction"), "bic_gain": _BIC, **_VIEWS},
+    "lamp": {"falloff": Figure("Fall-off", "fraction"), "bic_gain": _BIC, **_VIEWS},
+    "exposure": {"gain_sd": Figure("Variation", "fraction"), "bic_gain": _BIC, **_VIEWS},
     "vignetting": {
-        "falloff": Figure("Fall-off to the corners", "fraction"),
-        "radial": Figure("Radial part of it", "fraction"),
+        "falloff": Figure("Fall-off", "fraction"),
+        "radial": Figure("Radial part", "fraction"),
         "bic_gain": _BIC,
         **_VIEWS,
     },
     "caustics": {
         "flicker": Figure("Flicker", "fraction"),
-        "shared": Figure("Flicker alike nearby", "fraction"),
-        "steadiness": Figure("Near to far views"),
-        "pairs": Figure("Pairs of near views"),
-        "observations": Figure("Observed points"),
+        "shared": Figure("Shared flicker", "fraction"),
+        "steadiness": Figure("Near to far"),
+        "pairs": Figure("Near pairs"),
+        "observations": Figure("Observations"),
     },
     "moving_objects": {},
     "interpolation": {
         "images": Figure("Photos"),
-        "shared_points": Figure("Points shared by neighbors", "fraction"),
+        "shared_points": Figure("Shared points", "fraction"),
     },
-    "semantics": {"open_water": Figure("Open water in photos", "fraction")},
+    "semantics": {"open_water": Figure("Open water", "fraction")},
     "depth_prior": {
-        "cells": Figure("Cells with points", "fraction", below=True),
+        "cells": Figure("Filled cells", "fraction", below=True),
         "points": Figure("Points a photo", below=True),
-        "accepted": Figure("Photos with fitting depth", "fraction"),
+        "accepted": Figure("Fitting photos", "fraction"),
     },
 }
 """The figures of each effect in the order of the table. Figures that only replace another one are left out: they are in

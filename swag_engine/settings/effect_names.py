@@ -27,7 +27,7 @@ EFFECTS = {
     "separate_backscatter": EffectWords(
         "Haze grows at its own rate", "The light that the water adds grows with range by a coefficient of its own."
     ),
-    "lamp": EffectWords("A lamp moves with the camera", "Light from a lamp at the camera falls off with its distance."),
+    "lamp": EffectWords("A lamp is at the camera", "Light from a lamp at the camera falls off with its distance."),
     "exposure": EffectWords("Exposure varies", "Each photo has an exposure and a color balance of its own."),
     "vignetting": EffectWords("Corners are darker", "The lens darkens photos towards their corners."),
     "caustics": EffectWords("Waves cast moving light", "Light that waves throw on the ground flickers."),

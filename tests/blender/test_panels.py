@@ -18,10 +18,10 @@ def test_the_plan_is_a_list_of_effects_that_the_user_can_overrule(blender, fake_
         ],
         "figures": {
             "attenuation": [
-                ["Light lost with range", "75 %", "≥ 10 %", True],
-                ["Evidence (BIC gain)", "3,280", "≥ 50", True],
+                ["Light lost", "75 %", "≥ 10 %", True],
+                ["BIC gain", "3,280", "≥ 50", True],
             ],
-            "lamp": [["Fall-off from the camera", "0.3 %", "≥ 15 %", False]],
+            "lamp": [["Fall-off", "0.3 %", "≥ 15 %", False]],
             "moving_objects": [],
         },
         "explained": ["attenuation", "lamp"],
