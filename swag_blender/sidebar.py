@@ -53,7 +53,8 @@ def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: Icon = "NONE") -> None:
     """Draw a sentence over as many lines as a region of `width` pixels needs."""
     text = bpy.app.translations.pgettext_iface(text)
-    pixels = width / present(bpy.context.preferences).system.ui_scale - (30 if icon == "NONE" else 54)
+    scale = present(bpy.context.preferences).system.ui_scale or 1.0  # 0 without a window
+    pixels = width / scale - (30 if icon == "NONE" else 54)
     characters = max(20, int(pixels / CHARACTER_WIDTH))
     column = layout.column(align=True)
     column.scale_y = 0.8

@@ -40,6 +40,42 @@ def until(condition, seconds):
         yield 0.05
 
 
+def point(x, y):
+    """Move the pointer to a pixel of the screen, as steps. Blender counts pixels from below."""
+    # In steps: Blender highlights the button that the pointer moves over.
+    for offset in (3, 0):
+        subprocess.run(["xdotool", "mousemove", str(int(x) - offset), str(int(y))], check=True)
+        yield 0.04
+
+
+def click(command):
+    """Click the button of an operator in the sidebar, as steps; raise LookupError where there is none.
+
+    The pointer searches it from the top: Blender tells the command of the button below the pointer, so that no test
+    depends on where a panel has its buttons.
+
+    Args:
+        command: beginning of the button's Python command, such as "bpy.ops.swag.plan(".
+    """
+    window, area, region = view3d()
+    seen = set()
+    for y in range(region.y + region.height - 20, region.y + 10, -11):
+        for x in (region.x + region.width * 0.25, region.x + region.width * 0.62):
+            yield from point(x, window.height - y)
+            yield 0.06
+            with bpy.context.temp_override(window=window, area=area, region=region):
+                if not bpy.ops.ui.copy_python_command_button.poll():
+                    continue
+                bpy.ops.ui.copy_python_command_button()
+            seen.add(bpy.context.window_manager.clipboard)
+            if bpy.context.window_manager.clipboard.startswith(command):
+                yield 0.4
+                subprocess.run(["xdotool", "click", "1"], check=True)
+                yield 0.2
+                return
+    raise LookupError(f"{command} is not among {sorted(seen)}")
+
+
 def install():
     """Install the extension SWAG_ZIP without online access, and remove all objects."""
     bpy.context.preferences.system.use_online_access = False
