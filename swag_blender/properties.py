@@ -135,6 +135,7 @@ class SwagScene(PropertyGroup):
     plan: Annotated[effects.SwagPlan, PointerProperty(type=effects.SwagPlan)]
     # The settings of the next run are added below the class, one for each field of TrainSettings. Blender has its own
     # properties for those that are texts on the command line; the effects are chosen in the plan.
+    recipe: str
     masks: str
     metres_per_unit: float
     preset: Annotated[

@@ -193,7 +193,7 @@ def draw_all(context):
     for module in (panels, water):
         for cls in module._CLASSES:
             if not hasattr(cls, "poll") or cls.poll(context):
-                drawn = []
+                drawn: list[str] = []
                 cls.draw(type("Panel", (), {"layout": RecordingPanel(drawn)})(), context)
                 found[cls.__name__] = drawn
     return found
@@ -265,8 +265,8 @@ def reasons(folder):
         status.job = "Training" if when == "busy" else ""
         for module in operators._MODULES:
             for cls in (cls for cls in module.CLASSES if issubclass(cls, bpy.types.Operator) and hasattr(cls, "poll")):
-                said = []
-                stand_in = type(cls.__name__, (cls,), {"poll_message_set": staticmethod(said.append)})
+                said: list[str] = []
+                stand_in: Any = type(cls.__name__, (cls,), {"poll_message_set": staticmethod(said.append)})
                 found[f"{when} {cls.bl_idname}"] = [bool(stand_in.poll(bpy.context)), said]
     status.job = ""
     return found
