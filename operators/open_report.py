@@ -29,9 +29,12 @@ class SWAG_OT_open_report(ReportingOperator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the scene has a run."""
+        """Whether the shown run has a report."""
         if run_list.shown_run(context) is None:
             cls.poll_message_set("There is no run in the scene: train, or open a run")
+            return False
+        if not run_list.has_report(context):
+            cls.poll_message_set("The run has no report yet: it is written at the end of the training")
             return False
         return True
 

@@ -39,7 +39,7 @@ def draw_effect(layout: bpy.types.UILayout, swag: SwagScene, line: SwagEffect, w
     if not line.explained:
         draw_wrapped(box, line.reason, width - 20)
     if line.cost_ms:
-        box.label(text=f"About {line.cost_ms:.1f} ms an iteration on this machine")
+        draw_wrapped(box, f"Takes about {line.cost_ms:.1f} ms of an iteration on this machine.", width - 20)
     if line.name == "semantics" and line.choice == "ON":
         box.prop(swag, "words")
         box.prop(swag, "masks")

@@ -39,11 +39,11 @@ def open_run(context: bpy.types.Context, path: Path) -> tuple[bpy.types.Object, 
         InputError: there is no run, it has no result yet, or a file of it is damaged.
     """
     run = find_run(path)
-    images, _, up = run.read_config()
     if not run.ply.is_file():
         raise InputError(
-            f"{run.path} has no result yet: choose it as Output Folder and its photos, and press Continue."
+            f"{run.path} holds no result yet: choose it as Output Folder and its photos, and press Continue."
         )
+    images, _, up = run.read_config()
     loaded, metrics = read_ply(run.ply), _metrics(run)
     scene = present(context.scene)
     swag = swag_of(scene)

@@ -106,6 +106,12 @@ def _figures_and_notes(run: RunFolder, _changed: int) -> tuple[dict[str, str], l
     return figures, water + [str(note) for note in (notes if isinstance(notes, list) else [])]
 
 
+def has_report(context: bpy.types.Context) -> bool:
+    """Whether the shown run has a report."""
+    shown = shown_run(context)
+    return shown is not None and (folder_of(shown) / REPORT).is_file()
+
+
 def open_report(context: bpy.types.Context, folder: str) -> None:
     """Open the report of a run, of the shown one where `folder` is "", in the web browser.
 
@@ -137,11 +143,11 @@ def draw_runs(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if len(found) > 2:
         layout.prop(compare_of(scene), "other")
     columns = [figures_of(folder_of(obj)) for obj in (shown, other) if obj]
-    if not any(columns):
-        layout.label(text="The run folder is gone; only the splats are left.", icon="INFO")
-    else:
-        _draw_figures(layout, [folder_of(obj).name for obj in (shown, other) if obj], columns)
     width = present(context.region).width
+    if not folder_of(shown).is_dir():
+        draw_wrapped(layout, "The run folder is gone; only the splats are left.", width, icon="INFO")
+    elif any(columns):
+        _draw_figures(layout, [folder_of(obj).name for obj in (shown, other) if obj], columns)
     for note in notes_of(folder_of(shown)):
         draw_wrapped(layout, note, width, icon="INFO")
     row = layout.row(align=True)

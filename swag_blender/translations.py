@@ -404,7 +404,7 @@ GERMAN = {
     "Your own mask images: one folder for each label, with an image for each photo": (
         "Eigene Maskenbilder: ein Ordner für jedes Etikett, mit einem Bild für jedes Foto"
     ),
-    "A lamp is at the camera": "An der Kamera ist eine Lampe",
+    "A lamp is at the camera": "Lampe an der Kamera",
     "Advanced": "Erweitert",
     "Allow Online Access": "Online-Zugriff erlauben",
     "Allow online access in Preferences > System > Network, or set a folder of wheels": (
@@ -442,10 +442,10 @@ GERMAN = {
     "Exposure varies": "Die Belichtung schwankt",
     "Color fading": "Farbverlust",
     "Fall-off": "Abfall",
-    "Range ratio": "Abstandsverhältnis",
+    "Range ratio": "Abstände",
     "Figures": "Zahlen",
     "Finished": "Fertig",
-    "Fish or divers move": "Fische oder Taucher bewegen sich",
+    "Fish or divers move": "Fische oder Taucher",
     "Fish, divers and other moving objects are masked out.": (
         "Fische, Taucher und anderes Bewegtes werden ausgeblendet."
     ),
@@ -481,7 +481,7 @@ GERMAN = {
     ),
     "Light lost": "Lichtverlust",
     "Light that waves throw on the ground flickers.": "Licht, das Wellen auf den Grund werfen, flackert.",
-    "Measured": "Gemessen",
+    "Measured": "Wert",
     "Minutes": "Minuten",
     "Move the compared run beside the selected one in the viewport, and back": (
         "Den verglichenen Lauf in der Ansicht neben den gewählten rücken, und zurück"
@@ -511,11 +511,11 @@ GERMAN = {
         "Den Bericht des Laufs im Browser öffnen: Bilder neben Fotos, Kurven, Einstellungen"
     ),
     "Open water": "Offenes Wasser",
-    "Open water needs a label": "Offenes Wasser braucht ein Etikett",
+    "Open water needs a label": "Wasser braucht Etikett",
     "Output Folder": "Ausgabeordner",
     "Own Values": "Eigene Werte",
     "Near pairs": "Nahe Paare",
-    "Photos are far apart": "Die Fotos liegen weit auseinander",
+    "Photos are far apart": "Fotos weit auseinander",
     "Fitting photos": "Passende Fotos",
     "Points a photo": "Punkte je Foto",
     "Shared points": "Gleiche Punkte",
@@ -555,6 +555,9 @@ GERMAN = {
     "The photos cannot show whether it is so.": "Die Fotos können nicht zeigen, ob es so ist.",
     "The plan does not model it.": "Der Plan modelliert es nicht.",
     "The plan models it.": "Der Plan modelliert es.",
+    "The run has no report yet: it is written at the end of the training": (
+        "Der Lauf hat noch keinen Bericht: er wird am Ende des Trainings geschrieben"
+    ),
     "The run folder is gone; only the splats are left.": "Der Ordner des Laufs ist weg; nur die Splats sind noch da.",
     "The splats get labels during training, where you switch it on.": (
         "Die Splats bekommen beim Training Etiketten, wo es eingeschaltet ist."
@@ -589,7 +592,7 @@ GERMAN = {
     "Vignetting": "Vignettierung",
     "Water absorbs colors": "Wasser schluckt Farben",
     "Water adds haze": "Wasser fügt Dunst hinzu",
-    "Waves cast moving light": "Wellen werfen bewegtes Licht",
+    "Waves cast moving light": "Licht der Wellen flackert",
     "What was measured, and what is needed": "Was gemessen wurde, und was nötig ist",
     "Whether the measured value is what the effect needs": "Ob der gemessene Wert ist, was der Effekt braucht",
     "Whether there is water cannot be seen: it stays in the colors.": (

@@ -82,7 +82,7 @@ def test_what_is_no_run_is_refused_in_a_sentence(blender, tmp_path, reef):
     found = blender.run("runs.refusals", run, reef)
     assert found["other"].startswith(f"{reef} is not the folder of a run")
     assert "water.json" in found["water"]
-    assert "has no result yet" in found["result"] and "Continue" in found["result"]
+    assert "holds no result yet" in found["result"] and "Continue" in found["result"]
     assert "config.json does not hold a JSON object" in found["config"]
 
 
@@ -100,7 +100,7 @@ def test_two_runs_stand_side_by_side_with_their_figures(blender, tmp_path, reef,
     assert found["shown"] == ["run-2", "run"] and found["swapped"] == "run"
     at_home, beside, back = found["places"]
     assert at_home == back and 1.8 < beside[0] - at_home[0] < 2.4 and beside[1:] == at_home[1:]
-    assert "has no report.html" in found["report"]
+    assert "has no report yet" in found["report"]
 
 
 @pytest.mark.main_version

@@ -40,14 +40,6 @@ def until(condition, seconds):
         yield 0.05
 
 
-def point(x, y):
-    """Move the pointer to a pixel of the screen, as steps. Blender counts pixels from below."""
-    # In steps: Blender highlights the button that the pointer moves over.
-    for offset in (3, 0):
-        subprocess.run(["xdotool", "mousemove", str(int(x) - offset), str(int(y))], check=True)
-        yield 0.04
-
-
 def click(command):
     """Click the button of an operator in the sidebar, as steps; raise LookupError where there is none.
 
@@ -59,10 +51,11 @@ def click(command):
     """
     window, area, region = view3d()
     seen = set()
-    for y in range(region.y + region.height - 20, region.y + 10, -11):
+    for y in range(region.y + region.height - 20, region.y + 10, -14):
         for x in (region.x + region.width * 0.25, region.x + region.width * 0.62):
-            yield from point(x, window.height - y)
-            yield 0.06
+            # The X server counts pixels from above.
+            subprocess.run(["xdotool", "mousemove", str(int(x)), str(window.height - y)], check=True)
+            yield 0.08
             with bpy.context.temp_override(window=window, area=area, region=region):
                 if not bpy.ops.ui.copy_python_command_button.poll():
                     continue

@@ -62,10 +62,13 @@ def refusals(run, other):
     found = {"other": refusal(bpy.ops.swag.open_run, directory=other)}
     Path(run, "water.json").write_text("{")
     found["water"] = refusal(bpy.ops.swag.open_run, directory=run)
+    config = Path(run, "config.json")
+    kept = config.read_text()
+    config.write_text("[]")
+    found["config"] = refusal(bpy.ops.swag.open_run, directory=run)
+    config.write_text(kept)
     Path(run, "result.ply").unlink()
     found["result"] = refusal(bpy.ops.swag.open_run, directory=run)
-    Path(run, "config.json").write_text("[]")
-    found["config"] = refusal(bpy.ops.swag.open_run, directory=run)
     return found
 
 
