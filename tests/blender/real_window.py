@@ -14,8 +14,9 @@ import bpy
 sys.path.insert(0, os.environ["SWAG_OUT"])
 from window import click, install, photograph, report, start, until, view3d
 
-TRAIN, CONTINUE = "bpy.ops.swag.train(resume=False)", "bpy.ops.swag.train(resume=True)"
-PAUSE, CANCEL = "bpy.ops.swag.pause()", "bpy.ops.swag.cancel()"
+# Commands of the buttons, and their columns in the sidebar.
+TRAIN, CONTINUE = ("bpy.ops.swag.train(resume=False)", 0.25), ("bpy.ops.swag.train(resume=True)", 0.62)
+PAUSE, CANCEL = ("bpy.ops.swag.pause()", 0.25), ("bpy.ops.swag.cancel()", 0.62)
 
 
 def timed(function, seconds):
@@ -55,7 +56,7 @@ def steps():
     yield 1.0
     photograph("2-imported")
 
-    yield from click(TRAIN)
+    yield from click(*TRAIN)
     yield from until(lambda: status.job == "Training", 90)
     yield from until(lambda: status.iteration > 0 and status.factor > 0, 90)
     clouds = lambda: [o for o in bpy.data.objects if "swag_run" in o]  # noqa: E731
@@ -69,16 +70,16 @@ def steps():
     report["preview"] = len(clouds()[0].data.points)
     photograph("3-training")
 
-    yield from click(PAUSE)
+    yield from click(*PAUSE)
     yield from until(lambda: status.paused, 90)
     yield 3.0  # events under way arrive
     paused_at = status.iteration
     yield 2.0
     report["iterations_while_paused"] = status.iteration - paused_at
-    yield from click(PAUSE)
+    yield from click(*PAUSE)
     yield from until(lambda: not status.paused and status.iteration > paused_at, 90)
 
-    yield from click(CANCEL)
+    yield from click(*CANCEL)
     report["stopping"] = status.stopping or not status.job
     yield from until(lambda: not status.job, 90)
     yield 1.0
@@ -88,13 +89,13 @@ def steps():
     }  # fmt: skip
     photograph("4-cancelled")
 
-    yield from click(CONTINUE)
+    yield from click(*CONTINUE)
     yield from until(lambda: status.job == "Training" and status.iteration > report["training"]["iteration"], 90)
     subprocess.run(["xdotool", "key", "Escape"], check=True)
     yield from until(lambda: not status.job, 90)
     report["escaped"] = {"failed": status.failed, "message": status.message, "points": len(clouds()[0].data.points)}
 
-    yield from click(CONTINUE)
+    yield from click(*CONTINUE)
     yield from until(lambda: status.job == "Training", 90)
     bpy.ops.wm.read_homefile(use_empty=True)
     yield 0.5
