@@ -6,6 +6,7 @@ from .swag_blender import (
     commands,
     display,
     edit_panel,
+    effect_pictures,
     engine_process,
     film,
     film_panel,
@@ -16,6 +17,7 @@ from .swag_blender import (
     panels,
     preferences,
     properties,
+    run_list,
     translations,
     viewport,
     viewport_tool,
@@ -24,6 +26,7 @@ from .swag_blender import (
 
 _MODULES = (
     properties,
+    run_list,
     preferences,
     engine_process,
     job,
@@ -32,6 +35,7 @@ _MODULES = (
     film,
     operators,
     label_list,
+    effect_pictures,
     panels,
     find_cameras,
     edit_panel,

@@ -33,6 +33,8 @@ from . import (
     measure,
     merge_splats,
     node_assets,
+    open_report,
+    open_run,
     pause,
     pick_scale,
     plan,
@@ -51,8 +53,10 @@ from . import (
     select_circle,
     select_label,
     select_lasso,
+    select_run,
     separate_splats,
     set_scale,
+    show_effect,
     show_labels,
     show_log,
     train,
@@ -61,9 +65,9 @@ from . import (
 
 _GROUPS = (
     (find_cameras, inspect_scene, import_scene),
-    (plan, reset_effects),
+    (plan, reset_effects, show_effect),
     (forecast, train, cancel, pause, show_log),
-    (import_splats,),
+    (open_run, import_splats, open_report, select_run),
     (label_run, read_labels, show_labels, isolate_label, select_label, search_labels, keep_mask),
     (select_box, select_circle, select_lasso, select_all_splats, select_by, find_floaters, score_selection),
     (delete_splats, hide_splats, reveal_splats, add_crop_box, delete_outside_crop, measure, read_point),
@@ -76,8 +80,8 @@ _GROUPS = (
 )
 """The modules in the order of the menu, where a line separates the groups."""
 _MODULES = tuple(module for group in _GROUPS for module in group)
-_NOT_IN_MENU = (isolate_label, select_label, keep_mask)
-"""They act on one line of the list of labels, where their buttons are."""
+_NOT_IN_MENU = (isolate_label, select_label, keep_mask, select_run, show_effect)
+"""They act on one line of a list, where their buttons are."""
 
 
 class SWAG_MT_splatting(bpy.types.Menu):

@@ -16,9 +16,10 @@ class SWAG_OT_cancel(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether a job runs that was not asked to stop."""
         status = status_of(context)
-        if status.stopping:
-            cls.poll_message_set("The job is stopping already")
-        return bool(status.job) and not status.stopping
+        if not status.job or status.stopping:
+            cls.poll_message_set("The job is stopping already" if status.stopping else "No job is running")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Ask the job to stop."""

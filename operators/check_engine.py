@@ -7,7 +7,7 @@ import bpy
 from ..swag_blender.blender_types import OperatorResult
 from ..swag_blender.engine_process import Engine, engine_python
 from ..swag_blender.installation import remember_doctor
-from ..swag_blender.job import Job
+from ..swag_blender.job import Job, can_run_engine
 
 
 class SWAG_OT_check_engine(Job):
@@ -16,6 +16,11 @@ class SWAG_OT_check_engine(Job):
     bl_idname = "swag.check_engine"
     bl_label = "Check Engine"
     job = "Engine check"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the engine is there and no job runs."""
+        return can_run_engine(cls, context)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Run without blocking the window."""

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..swag_blender import scene_import
+from ..swag_blender import open_run, scene_import
 from ..swag_blender.blender_types import OperatorResult, present, with_properties
 from ..swag_blender.engine_process import Engine, EngineError
-from ..swag_blender.job import Job
+from ..swag_blender.job import Job, can_run_engine
 
 
 @with_properties
@@ -27,6 +27,11 @@ class SWAG_OT_import_scene(Job):
         StringProperty(name="Folder", description="Folder with the photos and their COLMAP model", subtype="DIR_PATH"),
     ]
     filter_folder: Annotated[bool, BoolProperty(default=True, options={"HIDDEN"})]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the engine is there and no job runs."""
+        return can_run_engine(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for the folder where none is given."""
@@ -55,7 +60,8 @@ class SWAG_OT_import_scene(Job):
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Build the objects."""
         with self._arrays:
-            _, message = scene_import.add_to_scene(self._scene, event)
+            root, message = scene_import.add_to_scene(self._scene, event)
+        open_run.adopt_splats(root, bpy.data.scenes[self._scene])
         return message
 
 

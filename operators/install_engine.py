@@ -7,9 +7,9 @@ import bpy
 from ..swag_blender import engine_process
 from ..swag_blender.blender_types import OperatorResult, present
 from ..swag_blender.engine_process import Engine
-from ..swag_blender.installation import remember_doctor, start_installer
+from ..swag_blender.installation import can_install, remember_doctor, start_installer
 from ..swag_blender.job import Job
-from ..swag_blender.preferences import preferences
+from ..swag_blender.preferences import expected_download, preferences
 
 
 class SWAG_OT_install_engine(Job):
@@ -19,14 +19,19 @@ class SWAG_OT_install_engine(Job):
     bl_label = "Install Engine"
     job = "Installation"
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether packages can be had and no job runs."""
+        return can_install(cls, context)
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for confirmation."""
-        where = "Installs from the folder of wheels" if preferences().wheels_folder else "Downloads the packages"
+        where = "Installs from the folder of wheels" if preferences().wheels_folder else expected_download(context)
         return present(context.window_manager).invoke_confirm(
             self,
             event,
             title="Install Engine",
-            message=f"{where} into {engine_process.environment_folder()}",
+            message=f"{where}. Folder: {engine_process.environment_folder()}",
             confirm_text="Install",
         )
 

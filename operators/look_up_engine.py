@@ -6,7 +6,7 @@ import bpy
 
 from ..swag_blender.blender_types import OperatorResult
 from ..swag_blender.engine_process import Engine
-from ..swag_blender.installation import start_installer
+from ..swag_blender.installation import can_install, remember_download, start_installer
 from ..swag_blender.job import Job
 
 
@@ -16,6 +16,11 @@ class SWAG_OT_look_up_engine(Job):
     bl_idname = "swag.look_up_engine"
     bl_label = "Look Up Size of Engine"
     job = "Look-up"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether packages can be had and no job runs."""
+        return can_install(cls, context)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Run without blocking the window."""
@@ -27,10 +32,11 @@ class SWAG_OT_look_up_engine(Job):
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Describe the packages."""
-        left = max(0, event["bytes"] - event["present"]) / 1e6
+        left = max(0, event["bytes"] - event["present"])
+        remember_download(context, left)
         return (
             f"torch {event['torch']} and {event['packages'] - 1} other packages, {event['bytes'] / 1e6:.0f} MB; "
-            f"{left:.0f} MB of them are to be downloaded."
+            f"{left / 1e6:.0f} MB of them are to be downloaded."
         )
 
 

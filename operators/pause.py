@@ -16,8 +16,10 @@ class SWAG_OT_pause(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether a training runs that was not asked to stop."""
         status = status_of(context)
-        cls.poll_message_set("No training is running")
-        return status.job == "Training" and not status.stopping
+        if status.job != "Training" or status.stopping:
+            cls.poll_message_set("No training is running")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Switch between running and paused."""

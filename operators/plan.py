@@ -20,7 +20,7 @@ class SWAG_OT_plan(SceneJob):
 
     def take(self, swag: SwagScene, event: dict[str, Any]) -> str:
         """Show the plan."""
-        swag.plan.take(event["plan"])
+        swag.plan.take(event["plan"], swag.scene_path)
         on = [line.title for line in swag.plan.lines if line.state == "on"]
         return f"Effects to model: {', '.join(on).lower() or 'none'}."
 

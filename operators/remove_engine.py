@@ -20,8 +20,10 @@ class SWAG_OT_remove_engine(ReportingOperator):
         """Whether there is an environment and no job runs."""
         if not no_job_runs(cls, context):
             return False
-        cls.poll_message_set("No environment is installed")
-        return environment_folder().exists()
+        if not environment_folder().exists():
+            cls.poll_message_set("No environment is installed")
+            return False
+        return True
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for confirmation."""

@@ -16,8 +16,10 @@ class SWAG_OT_reset_effects(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether any choice differs from the plan."""
-        cls.poll_message_set("Nothing differs from the plan")
-        return bool(swag_of(context.scene).plan.switches())
+        if not swag_of(context.scene).plan.switches():
+            cls.poll_message_set("Nothing differs from the plan")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Reset the choices."""

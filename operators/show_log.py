@@ -15,8 +15,10 @@ class SWAG_OT_show_log(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether there is a log."""
-        cls.poll_message_set("No job has written a log yet")
-        return bool(job.last_log)
+        if not job.last_log:
+            cls.poll_message_set("No job has written a log yet")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Show the log."""

@@ -8,7 +8,7 @@ from bpy.props import BoolProperty
 from ..swag_blender import scene_import
 from ..swag_blender.blender_types import OperatorResult, present, with_properties
 from ..swag_blender.engine_process import Engine
-from ..swag_blender.job import Job
+from ..swag_blender.job import Job, can_work_on_photos
 from ..swag_blender.training import Training
 
 
@@ -27,6 +27,11 @@ class SWAG_OT_train(Job):
             name="Continue", description="Continue the run in the run folder where it stopped", options={"SKIP_SAVE"}
         ),
     ]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether photos are chosen, the engine is there and no job runs."""
+        return can_work_on_photos(cls, context)
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: Any) -> str:

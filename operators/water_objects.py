@@ -22,9 +22,13 @@ class SWAG_OT_water_objects(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether objects with materials are selected and the splats have a water."""
-        cls.poll_message_set("Select objects with materials, in a scene whose splats have a fitted water")
-        source = water.find(present(context.scene), context.active_object)
-        return bool(water.objects_with_materials(context)) and source is not None
+        if water.find(present(context.scene), context.active_object) is None:
+            cls.poll_message_set("No splats in the scene have a fitted water")
+            return False
+        if not water.objects_with_materials(context):
+            cls.poll_message_set("Select objects with materials first")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Add or remove the nodes."""

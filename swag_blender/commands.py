@@ -12,10 +12,9 @@ from typing import Any
 import bpy
 
 from ..swag_engine.base.errors import InputError
-from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.formats.registry import SUFFIXES
-from ..swag_engine.formats.run_folder import RunFolder, read_json
-from . import engine_process, runs
+from ..swag_engine.formats.run_folder import RunFolder
+from . import engine_process
 from .blender_types import call_operator, present
 from .render_setup import prepare_render
 
@@ -102,13 +101,8 @@ def bring_in(path: Path) -> None:
     elif not run.config.exists():
         call_operator("import_scene", directory=str(path.absolute()))
     else:
-        scene = present(bpy.context.scene)
-        metrics = read_json(run.metrics, f"{path} holds no result yet: finish its training first.")
-        images = str(run.read_config()[0])
-        call_operator("import_scene", directory=images)
-        obj = runs.show_splats(scene, read_ply(run.ply), str(run.path), images)
-        runs.remember_training(obj, run, metrics)
-        prepare_render(scene, display_values=False, engine="CYCLES")
+        call_operator("open_run", directory=str(run.path))
+        prepare_render(present(bpy.context.scene), display_values=False, engine="CYCLES")
 
 
 def register() -> None:

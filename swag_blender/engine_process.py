@@ -92,6 +92,15 @@ def engine_python() -> str:
     )
 
 
+def engine_problem() -> str:
+    """Why the engine cannot run; "" where it can."""
+    try:
+        engine_python()
+    except EngineError as error:
+        return str(error)
+    return ""
+
+
 def clean_environment() -> dict[str, str]:
     """Environment variables for the engine: it finds this extension's swag_engine, and no modules of Blender's."""
     kept = {key: value for key, value in os.environ.items() if key not in ("PYTHONHOME", "PYTHONPATH", "LD_PRELOAD")}

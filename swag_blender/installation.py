@@ -10,6 +10,7 @@ import bpy
 from ..swag_engine.base.errors import InputError
 from . import EXTENSION, engine_process
 from .engine_process import Engine
+from .job import no_job_runs
 from .preferences import preferences
 from .properties import status_of
 
@@ -40,6 +41,21 @@ def start_installer(look_only: bool) -> Engine:
     }
     script = engine_process.ROOT / "swag_blender" / "make_environment.py"
     return Engine([sys.executable, str(script), json.dumps(task)])
+
+
+def can_install(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether packages can be had and no job runs, for `poll` of an operator that needs both."""
+    if not no_job_runs(operator, context):
+        return False
+    if not (bpy.app.online_access or preferences().wheels_folder):
+        operator.poll_message_set("Allow online access in Preferences > System > Network, or set a folder of wheels")
+        return False
+    return True
+
+
+def remember_download(context: bpy.types.Context, size: int) -> None:
+    """Store how many bytes Install Engine would download, for `expected_download`."""
+    status_of(context).download_mb = max(1, round(size / 1e6))
 
 
 def remember_doctor(context: bpy.types.Context, found: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ import bpy
 
 from ..swag_engine.base.errors import InputError
 from .blender_types import OperatorResult, present
-from .engine_process import Engine, EngineError, stop_all, wait_for_result
+from .engine_process import Engine, EngineError, engine_problem, stop_all, wait_for_result
 from .properties import SwagScene, status_of, swag_of
 
 TIMER_SECONDS = 0.1
@@ -18,6 +18,7 @@ REDRAW_SECONDS = 0.5
 """Shortest time between two redraws of the sidebar: one can take long without a graphics card."""
 PRINT_SECONDS = 1.0
 """Shortest time between two printed lines of progress."""
+NO_PHOTOS = "Choose the folder with the photos and their COLMAP model first"
 LOG_NAME = "SWAG Log"
 last_log: list[str] = []
 """Lines that the engine wrote to its log during the last job."""
@@ -184,6 +185,11 @@ class SceneJob(Job):
     The result goes to the Blender scene that was open at the start, even if another one is open by then.
     """
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether photos are chosen, the engine is there and no job runs."""
+        return can_work_on_photos(cls, context)
+
     def request(self, swag: SwagScene) -> dict[str, Any]:
         """The request without the scene's folder."""
         raise NotImplementedError
@@ -211,14 +217,34 @@ class SceneJob(Job):
 
 def no_job_runs(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """Whether no job runs, for `poll` of an operator that must wait for the end of any job."""
-    operator.poll_message_set("A job is running: wait for its end, or cancel it")
-    return not status_of(context).job
+    if status_of(context).job:
+        operator.poll_message_set("A job is running: wait for its end, or cancel it")
+        return False
+    return True
+
+
+def can_run_engine(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether the engine is there and no job runs, for `poll` of an operator that needs both."""
+    if not no_job_runs(operator, context):
+        return False
+    if problem := engine_problem():
+        operator.poll_message_set(problem)
+        return False
+    return True
+
+
+def can_work_on_photos(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether photos are chosen, the engine is there and no job runs, for `poll` of an operator that needs all."""
+    if not swag_of(context.scene).scene_folder:
+        operator.poll_message_set(NO_PHOTOS)
+        return False
+    return can_run_engine(operator, context)
 
 
 def chosen_scene(swag: SwagScene) -> str:
     """Absolute path of the chosen images. Raises InputError when none are chosen."""
     if not swag.scene_folder:
-        raise InputError("Choose the folder with the photos and their COLMAP model first.")
+        raise InputError(f"{NO_PHOTOS}.")
     return swag.scene_path
 
 

@@ -61,5 +61,7 @@ class SplatsOperator(ReportingOperator):
 
 def splats_are_active(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """Whether the active object has splats, for `poll` of an operator that needs them."""
-    operator.poll_message_set("Select an object with splats first")
-    return splats.is_splats(context.active_object)
+    if not splats.is_splats(context.active_object):
+        operator.poll_message_set("Select an object with splats first")
+        return False
+    return True

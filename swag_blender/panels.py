@@ -1,83 +1,82 @@
-"""The panels of the sidebar tab SWAG: one for each stage of the work."""
+"""The panels of the sidebar tab SWAG, in the order of work: Cameras, Train, Result, Labels, Export.
+
+Further panels are in files of their own; bl_order is 30 for Edit, 35 for Film and 40 for Water. Train and Result have a
+closed panel until their stage is reached; the panel that replaces it then is open.
+"""
 
 import bpy
 
 from ..swag_engine.formats.registry import FORMATS
-from . import EXTENSION, engine_process, label_list, splats
+from ..swag_engine.settings.presets import SIZES
+from ..swag_engine.settings.recipes import RECIPES
+from . import EXTENSION, effect_pictures, engine_process, label_list, run_list, splats
 from .blender_types import present, set_button
-from .properties import SETTINGS, status_of, swag_of, time_text
+from .properties import IN_TIME, OWN_WATER, status_of, swag_of
 from .sidebar import SwagPanel, draw_job, draw_outcome, draw_wrapped
 
-MAIN_SETTINGS = ("recipe", "preset", "time_budget")
-"""Settings that are always visible; the others are in the closed panel below them."""
+OF_CAMERAS = ("Import", "Check")
+"""Jobs whose progress the panel Cameras shows."""
 
 
 class SWAG_PT_scene(SwagPanel):
     """Panel that chooses, checks and imports the photos."""
 
-    bl_label = "Scene"
+    bl_label = "Cameras"
     bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
         layout, swag, status = present(self.layout), swag_of(context.scene), status_of(context)
         width = present(context.region).width
+        if problem := engine_process.engine_problem():
+            draw_wrapped(layout, problem, width, icon="ERROR")
+            button = layout.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES")
+            set_button(button, module=EXTENSION)
         column = layout.column()
         column.label(text="Photos with COLMAP Model")
         column.prop(swag, "scene_folder", text="")
         row = column.row(align=True)
-        row.enabled = bool(swag.scene_folder)
         row.operator("swag.inspect_scene", text="Check", icon="VIEWZOOM")
         button = row.operator("swag.import_scene", text="Import", icon="IMPORT")
         set_button(button, directory=swag.scene_path)
-        if not swag.scene_folder:
-            draw_wrapped(layout, "Choose the folder with the photos first.", width, icon="INFO")
-        elif status.job in ("Import", "Check"):
+        if status.job in OF_CAMERAS:
             draw_job(layout, context)
-        elif status.failed and status.last_job in ("Import", "Check"):
+        elif status.failed and status.last_job in OF_CAMERAS:
             draw_outcome(layout, context)
-        else:
+        elif swag.scene_folder:
             for line in swag.found.splitlines():
                 draw_wrapped(layout, line, width)
+        elif not problem:
+            draw_wrapped(layout, "Choose the folder with the photos, or open a run in Result.", width, icon="INFO")
 
 
-class SWAG_PT_effects(SwagPanel):
-    """Panel that plans the effects and shows the plan."""
+class SWAG_PT_train_later(SwagPanel):
+    """Panel in place of SWAG_PT_train until photos are chosen."""
 
-    bl_label = "Effects"
-    bl_order = 1
+    bl_label = "Train"
+    bl_order = 10
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether no photos are chosen."""
+        return not SWAG_PT_train.poll(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, swag, status = present(self.layout), swag_of(context.scene), status_of(context)
-        plan, width = swag.plan, present(context.region).width
-        if status.job == "Plan":
-            draw_job(layout, context)
-            return
-        row = layout.row(align=True)
-        row.enabled = bool(swag.scene_folder)
-        row.operator("swag.plan", text="Plan Again" if plan.lines else "Plan", icon="VIEWZOOM")
-        row.operator("swag.reset_effects", text="", icon="LOOP_BACK")
-        if status.failed and status.last_job == "Plan":
-            draw_outcome(layout, context)
-        if not plan.lines:
-            draw_wrapped(
-                layout, "Plan determines from the photos which effects training should model.", width, icon="INFO"
-            )
-            return
-        if plan.stale:
-            draw_wrapped(layout, "This plan was made for other photos: plan again.", width, icon="ERROR")
-        layout.template_list("SWAG_UL_effects", "", plan, "lines", plan, "active", rows=len(plan.lines))
-        line = plan.lines[plan.active]
-        layout.prop(line, "choice", expand=True)
-        draw_wrapped(layout.box(), line.reason, width - 20)
+        draw_wrapped(present(self.layout), "Choose the photos first.", present(context.region).width, icon="INFO")
 
 
 class SWAG_PT_train(SwagPanel):
     """Panel that trains, continues and forecasts."""
 
     bl_label = "Train"
-    bl_order = 2
+    bl_order = 10
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether photos are chosen, or a training runs."""
+        return bool(swag_of(context.scene).scene_folder) or status_of(context).job == "Training"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
@@ -89,23 +88,19 @@ class SWAG_PT_train(SwagPanel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column(align=True)
-        for name in MAIN_SETTINGS:
-            column.prop(swag, name)
-        try:
-            engine_process.engine_python()
-            problem = "" if swag.scene_folder else "Choose the photos in the panel Scene first."
-        except engine_process.EngineError as error:
-            problem = str(error)
+        column.prop(swag, "preset")
+        if swag.preset == IN_TIME:
+            column.prop(swag, "minutes")
+        else:
+            for name in SIZES:
+                column.prop(swag, name)
         row = layout.row(align=True)
         row.scale_y = 1.4
-        row.enabled = not problem
         set_button(row.operator("swag.train", text="Train", icon="PLAY"), resume=False)
         can_continue = swag.can_continue
         if can_continue:
             set_button(row.operator("swag.train", text="Continue", icon="FRAME_NEXT"), resume=True)
-        row = layout.row()
-        row.enabled = not problem
-        row.operator("swag.forecast", icon="TIME")
+        layout.operator("swag.forecast", icon="TIME")
         for name, seconds, psnr, memory in swag.forecast_lines():
             split = layout.split(factor=0.3)
             split.label(text=name)
@@ -113,21 +108,55 @@ class SWAG_PT_train(SwagPanel):
             column.scale_y = 0.8
             column.label(text=seconds)
             column.label(text=f"{psnr}, {memory}")
-        if problem:
-            draw_wrapped(layout, problem, width, icon="INFO")
-            if swag.scene_folder:
-                button = layout.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES")
-                set_button(button, module=EXTENSION)
-        elif status.last_job == "Training" or status.failed and status.last_job == "Forecast":
+        if status.last_job == "Training" or status.failed and status.last_job == "Forecast":
             draw_outcome(layout, context)
         if can_continue:
             draw_wrapped(layout, f"{swag.stopped_at} Press Continue to finish it.", width, icon="RECOVER_LAST")
 
 
+class SWAG_PT_effects(SwagPanel):
+    """Panel that plans the effects, shows the plan, and lets the user overrule it."""
+
+    bl_label = "Effects"
+    bl_parent_id = "SWAG_PT_train"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether no training runs."""
+        return status_of(context).job != "Training"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel; Blender calls this."""
+        layout, swag, status = present(self.layout), swag_of(context.scene), status_of(context)
+        plan, width = swag.plan, present(context.region).width
+        if status.job == "Plan":
+            draw_job(layout, context)
+            return
+        row = layout.row(align=True)
+        row.operator("swag.plan", text="Plan Again" if plan.lines else "Plan", icon="VIEWZOOM")
+        row.operator("swag.reset_effects", text="", icon="LOOP_BACK")
+        if status.failed and status.last_job == "Plan":
+            draw_outcome(layout, context)
+        if not plan.lines:
+            draw_wrapped(
+                layout, "Plan determines from the photos which effects training should model.", width, icon="INFO"
+            )
+            return
+        if swag.plan_is_stale:
+            draw_wrapped(layout, "This plan was made for other photos: plan again.", width, icon="ERROR")
+        if not RECIPES[swag.recipe].planned:
+            draw_wrapped(layout, "This method has its own effects: the plan is not followed.", width, icon="INFO")
+        elif plan.water_note:
+            draw_wrapped(layout, plan.water_note, width, icon="INFO")
+        layout.template_list("SWAG_UL_effects", "", plan, "lines", plan, "active", rows=len(plan.lines))
+        effect_pictures.draw_effect(layout, swag, plan.lines[plan.active], width)
+
+
 class SWAG_PT_train_more(SwagPanel):
     """Panel of the settings that few users change."""
 
-    bl_label = "More"
+    bl_label = "Advanced"
     bl_parent_id = "SWAG_PT_train"
     bl_options = {"DEFAULT_CLOSED"}
 
@@ -141,54 +170,88 @@ class SWAG_PT_train_more(SwagPanel):
         layout, swag = present(self.layout), swag_of(context.scene)
         layout.use_property_split = True
         layout.use_property_decorate = False
+        layout.prop(swag, "recipe")
         column = layout.column(align=True)
-        for name in (*(name for name in SETTINGS if name not in MAIN_SETTINGS), "run_folder"):
-            column.prop(swag, name)
+        column.prop(swag, "sh_degree")
+        column.prop(swag, "stop_when_flat")
+        column = layout.column(align=True)
+        column.prop(swag, "water_type")
+        if swag.water_type == OWN_WATER:
+            column.prop(swag, "attenuation")
+        column.prop(swag, "metres_per_unit")
+        if swag.water_type != "auto" and not swag.metres_per_unit:
+            draw_wrapped(
+                layout,
+                "This water is per metre: set the scale in the panel Water, or Metres per Unit.",
+                present(context.region).width,
+                icon="ERROR",
+            )
+        column = layout.column(align=True)
+        column.prop(swag, "run_folder")
+        column.prop(swag, "backend")
+        column.prop(swag, "seed")
 
 
-class SWAG_PT_result(SwagPanel):
-    """Panel of the figures of the last run, of rendering and of opening files."""
+class SWAG_PT_no_result(SwagPanel):
+    """Panel in place of SWAG_PT_result until there are splats."""
 
     bl_label = "Result"
-    bl_order = 3
+    bl_order = 20
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the scene has no splats."""
+        return not SWAG_PT_result.poll(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, swag = present(self.layout), swag_of(context.scene)
-        if not swag.result_ply:
-            draw_wrapped(layout, "Train first, or open a splat file below.", present(context.region).width, icon="INFO")
-        else:
-            column = layout.column(align=True)
-            for label, value in (
-                ("Gaussians", f"{swag.result_gaussians}"),
-                ("Held-out PSNR", f"{swag.result_psnr:.2f} dB" if swag.result_psnr else "no held-out photos"),
-                ("Held-out SSIM", f"{swag.result_ssim:.3f}" if swag.result_ssim else ""),
-                ("Time", time_text(swag.result_seconds) + (" (stopped)" if swag.result_interrupted else "")),
-            ):
-                if value:
-                    row = column.split(factor=0.45)
-                    row.label(text=label)
-                    row.label(text=value)
-            if swag.result_water:
-                draw_wrapped(layout, swag.result_water, present(context.region).width, icon="MOD_OCEAN")
+        layout = present(self.layout)
+        draw_wrapped(layout, "Train first, or open a run or a splat file.", present(context.region).width, icon="INFO")
+        _draw_open(layout)
+
+
+class SWAG_PT_result(SwagPanel):
+    """Panel of the runs and their figures, of rendering and of opening files."""
+
+    bl_label = "Result"
+    bl_order = 20
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the scene has splats."""
+        return any(splats.is_splats(obj) for obj in present(context.scene).objects)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel; Blender calls this."""
+        layout = present(self.layout)
+        run_list.draw_runs(layout, context)
         layout.operator("swag.prepare_render", icon="RESTRICT_RENDER_OFF")
-        layout.operator("swag.import_splats", text="Open Splat File", icon="FILE_FOLDER")
+        _draw_open(layout)
+
+
+def _draw_open(layout: bpy.types.UILayout) -> None:
+    """Draw the buttons that open runs and splat files."""
+    row = layout.row(align=True)
+    row.operator("swag.open_run", icon="FILE_FOLDER")
+    row.operator("swag.import_splats", text="Open Splat File", icon="FILE")
 
 
 class SWAG_PT_labels(SwagPanel):
     """Panel of the labels of the active splat object."""
 
     bl_label = "Labels"
-    bl_parent_id = "SWAG_PT_result"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object has splats."""
-        return splats.is_splats(context.active_object)
+    bl_order = 50
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        label_list.draw_labels(present(self.layout), present(context.active_object))
+        layout = present(self.layout)
+        obj = context.active_object
+        if obj is None or not splats.is_splats(obj):
+            draw_wrapped(layout, "Select an object with splats first.", present(context.region).width, icon="INFO")
+        else:
+            label_list.draw_labels(layout, obj)
 
 
 class SWAG_PT_label(SwagPanel):
@@ -196,6 +259,11 @@ class SWAG_PT_label(SwagPanel):
 
     bl_label = "Make Labels"
     bl_parent_id = "SWAG_PT_labels"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the active object has splats."""
+        return splats.is_splats(context.active_object)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
@@ -207,16 +275,15 @@ class SWAG_PT_label(SwagPanel):
             return
         label_list.draw_labelling(layout, present(context.active_object))
         if status.last_job == "Labelling":
-            draw_wrapped(
-                layout, status.message, present(context.region).width, icon="ERROR" if status.failed else "CHECKMARK"
-            )
+            draw_outcome(layout, context)
 
 
 class SWAG_PT_export(SwagPanel):
     """Panel that saves splats for other programs."""
 
     bl_label = "Export"
-    bl_order = 4
+    bl_order = 60
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
@@ -233,9 +300,11 @@ class SWAG_PT_export(SwagPanel):
 
 _CLASSES = (
     SWAG_PT_scene,
-    SWAG_PT_effects,
+    SWAG_PT_train_later,
     SWAG_PT_train,
+    SWAG_PT_effects,
     SWAG_PT_train_more,
+    SWAG_PT_no_result,
     SWAG_PT_result,
     SWAG_PT_labels,
     SWAG_PT_label,

@@ -1,6 +1,9 @@
 """Preferences of the extension: the engine's Python, the buttons that install it, and what it has."""
 
+import contextlib
 import json
+import platform
+import sys
 from typing import Annotated, Any, cast
 
 import bpy
@@ -13,6 +16,10 @@ from .sidebar import draw_job, draw_outcome, draw_wrapped
 
 JOBS = ("Installation", "Look-up", "Engine check")
 """Names of the jobs whose progress the preferences show."""
+MEGABITS = 50
+"""Speed of the internet connection that the shown time assumes, Mbit/s."""
+UNPACK_SECONDS = 0.05
+"""Time to unpack a megabyte of packages, assumed: 2.5 minutes for 3 GB."""
 
 
 def preferences() -> "SwagPreferences":
@@ -55,60 +62,77 @@ class SwagPreferences(bpy.types.AddonPreferences):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the preferences; Blender calls this."""
         layout, status, width = present(self.layout), status_of(context), present(context.region).width
-        layout.label(text="Training runs in a separate Python; opening, showing and exporting splats needs none.")
-        try:
-            ready = f"Engine: {engine_process.engine_python()}"
-            layout.label(text=ready, icon="CHECKMARK")
-        except engine_process.EngineError as error:
-            ready = ""
-            draw_wrapped(layout, str(error), width, icon="ERROR")
-        if status.doctor:
-            draw_doctor(layout.box(), json.loads(status.doctor))
+        problem = engine_process.engine_problem()
         if status.job in JOBS:
             draw_job(layout, context)
-            return
-        if status.last_job in JOBS:
+        elif problem:
+            self.draw_install(layout, context)
+        else:
+            layout.label(text="The engine is installed: you can train.", icon="CHECKMARK")
+            layout.operator("swag.check_engine", icon="VIEWZOOM")
+        if not status.job and status.last_job in JOBS:
             draw_outcome(layout, context)
-        row = layout.row()
-        row.enabled = bool(ready)
-        row.operator("swag.check_engine", icon="VIEWZOOM")
+        if status.doctor:
+            draw_doctor(layout.box(), json.loads(status.doctor))
+        header, body = layout.panel("swag_advanced", default_closed=True)
+        header.label(text="Advanced")
+        if body:
+            if problem:
+                draw_wrapped(body, problem, width, icon="INFO")
+            self.draw_advanced(body)
 
+    def draw_install(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+        """Draw the button that installs the engine, below what it takes."""
+        width = present(context.region).width
+        draw_wrapped(
+            layout,
+            "Training needs the engine, a Python of its own. Opening, showing and exporting splats works without it.",
+            width,
+            icon="INFO",
+        )
+        if self.wheels_folder:
+            layout.label(text="Installs from your folder of wheels, without internet; about 3 minutes.")
+        else:
+            layout.label(text=expected_download(context), icon="IMPORT")
+        row = layout.row()
+        row.scale_y = 1.6
+        row.operator("swag.install_engine", icon="IMPORT")
+        if not bpy.app.online_access and not self.wheels_folder:
+            row = layout.row()
+            row.label(text="Blender has no online access.", icon="INTERNET_OFFLINE")
+            row.prop(present(context.preferences).system, "use_online_access", text="Allow Online Access")
+
+    def draw_advanced(self, layout: bpy.types.UILayout) -> None:
+        """Draw what most users never need: a Python of their own, other packages, the asset library."""
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        column = layout.column()
+        column.prop(self, "engine_python")
+        column.prop(self, "package_index")
+        column.prop(self, "wheels_folder")
+        row = layout.row()
+        row.operator("swag.look_up_engine", text="Look Up Size", icon="VIEWZOOM")
+        if engine_process.environment_is_whole():
+            row.operator("swag.install_engine", text="Install Engine Again", icon="IMPORT")
+        row.operator("swag.remove_engine", icon="TRASH")
+        with contextlib.suppress(engine_process.EngineError):
+            layout.label(text=engine_process.engine_python(), icon="FILE_SCRIPT", translate=False)
+        layout.label(text=str(engine_process.environment_folder()), icon="FILE_FOLDER", translate=False)
         row = layout.row()
         set_button(row.operator("swag.node_assets", icon="ASSET_MANAGER"), remove=False)
         if assets.folder().exists():
             set_button(row.operator("swag.node_assets", text="Remove", icon="TRASH"), remove=True)
 
-        header, body = layout.panel("swag_install", default_closed=bool(ready))
-        header.label(text="Install Engine")
-        if body:
-            self.draw_install(body)
 
-    def draw_install(self, layout: bpy.types.UILayout) -> None:
-        """Draw the part that installs the engine."""
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        layout.label(text="Choose a Python that has the packages of requirements.txt:")
-        layout.prop(self, "engine_python")
-        layout.label(text="or install one in the extension's own folder (0.5 GB, with CUDA 3 GB):")
-        column = layout.column()
-        column.prop(self, "package_index")
-        column.prop(self, "wheels_folder")
-        can_fetch = bpy.app.online_access or bool(self.wheels_folder)
-        row = layout.row()
-        row.enabled = can_fetch
-        row.operator("swag.look_up_engine", text="Look Up Size", icon="VIEWZOOM")
-        row.operator(
-            "swag.install_engine",
-            text="Install Engine Again" if engine_process.environment_is_whole() else "Install Engine",
-            icon="IMPORT",
-        )
-        layout.operator("swag.remove_engine", icon="TRASH")
-        if not can_fetch:
-            layout.label(
-                text="Installing needs online access (Preferences > System > Network) or a folder of wheels.",
-                icon="INTERNET_OFFLINE",
-            )
-        layout.label(text=str(engine_process.environment_folder()), icon="FILE_FOLDER")
+def expected_download(context: bpy.types.Context) -> str:
+    """How much Install Engine downloads, and how long that takes: as looked up, else as usual on this system."""
+    looked_up = status_of(context).download_mb
+    # PyTorch's usual build for Linux on x86 has CUDA in it.
+    usual = 3000 if sys.platform == "linux" and platform.machine() == "x86_64" else 500
+    megabytes = looked_up or usual
+    minutes = megabytes * 8 / MEGABITS / 60 + megabytes * UNPACK_SECONDS / 60
+    size = f"{megabytes / 1000:.1f} GB" if megabytes >= 100 else f"{megabytes} MB"
+    return f"Downloads {'' if looked_up else 'about '}{size}: {max(1, round(minutes))} minutes at {MEGABITS} Mbit/s"
 
 
 def draw_doctor(layout: bpy.types.UILayout, found: dict[str, Any]) -> None:

@@ -2,22 +2,89 @@
 
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
 import bpy
-from bpy.props import BoolProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)
 from bpy.types import PropertyGroup
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.run_folder import RunFolder
-from ..swag_engine.settings.field import settings_of
+from ..swag_engine.settings.field import Setting, settings_of
+from ..swag_engine.settings.jerlov import JERLOV, MOST
+from ..swag_engine.settings.presets import PRESETS, SIZES, Size
 from ..swag_engine.settings.settings import TrainSettings
 from . import effects
 from .blender_types import with_properties
 from .setting_property import setting_property
 
 SETTINGS = tuple(name for name, _, _ in settings_of(TrainSettings))
+IN_TIME = "time"
+"""Quality that stands for a time budget."""
+OWN_WATER = "own"
+"""Water type that stands for the user's own attenuation."""
+WATER_TYPES = {
+    "I": "Clearest open ocean",
+    "IA": "Very clear open ocean",
+    "IB": "Clear open ocean",
+    "II": "Open ocean",
+    "III": "Murky open ocean",
+    "1C": "Clear coast",
+    "3C": "Coast",
+    "5C": "Murky coast",
+    "7C": "Very murky coast",
+    "9C": "Murkiest coast",
+}
+"""What each type of JERLOV is."""
+assert list(WATER_TYPES) == list(JERLOV)
+
+
+def size_property(name: str, described: Setting) -> Any:
+    """Make the property of a setting that the quality chooses where the user does not.
+
+    It shows the number of the quality, and `chosen_NAME` stores the user's own number, 0 for none.
+
+    Args:
+        name: One of SIZES.
+        described: Label, help and range.
+
+    Returns:
+        What Blender takes as a property's annotation.
+    """
+    chosen = f"chosen_{name}"
+
+    def value(swag: Any) -> int:
+        return getattr(swag, chosen) or getattr(swag.size, name)
+
+    def choose(swag: Any, number: int) -> None:
+        setattr(swag, chosen, 0 if number == getattr(swag.size, name) else number)
+
+    return IntProperty(
+        name=described.label,
+        description=described.help,
+        min=0,
+        soft_min=int(described.least),
+        max=int(described.most),
+        subtype="PIXEL" if described.unit == "px" else "NONE",
+        get=value,
+        set=choose,
+    )
+
+
+def _forget_sizes(swag: Any, context: bpy.types.Context) -> None:
+    """Let the quality choose all sizes; called when another one is chosen."""
+    for name in SIZES:
+        setattr(swag, f"chosen_{name}", 0)
 
 
 @with_properties
@@ -30,13 +97,12 @@ class SwagScene(PropertyGroup):
             name="Photos",
             description="Folder with the photos and their COLMAP model",
             subtype="DIR_PATH",
-            update=lambda self, context: setattr(self.plan, "stale", True),
         ),
     ]
     run_folder: Annotated[
         str,
         StringProperty(
-            name="Run",
+            name="Output Folder",
             description="Folder that the training writes to; empty: the folder swag_run beside the COLMAP model",
             subtype="DIR_PATH",
         ),
@@ -44,10 +110,54 @@ class SwagScene(PropertyGroup):
     found: Annotated[str, StringProperty(description="Counts and warnings of the folder of photos")]
 
     plan: Annotated[effects.SwagPlan, PointerProperty(type=effects.SwagPlan)]
-    # The settings of the next run are added below the class, one for each field of TrainSettings. These are used here.
-    effects: str
+    # The settings of the next run are added below the class, one for each field of TrainSettings. Blender has its own
+    # properties for those that are texts on the command line; the effects are chosen in the plan.
+    recipe: str
     masks: str
     metres_per_unit: float
+    preset: Annotated[
+        str,
+        EnumProperty(
+            name="Quality",
+            description="How long to train and at which size",
+            items=[
+                *((name, name.capitalize(), size.description) for name, size in PRESETS.items()),
+                (IN_TIME, "Time Budget", "As good as possible in a time; the size is chosen by measuring this machine"),
+            ],
+            default=TrainSettings.preset,
+            update=_forget_sizes,
+        ),
+    ]
+    minutes: Annotated[
+        float,
+        FloatProperty(
+            name="Minutes", description="Time that the whole run may take", default=10.0, min=0.1, max=1e5, precision=1
+        ),
+    ]
+    water_type: Annotated[
+        str,
+        EnumProperty(
+            name="Water Type",
+            description="Initial attenuation of the water: fitted to the photos, or that of a Jerlov type",
+            items=[
+                ("auto", "From Photos", "Fitted to the photos"),
+                *((name, name, description) for name, description in WATER_TYPES.items()),
+                (OWN_WATER, "Own Values", "Your own attenuation of red, green and blue"),
+            ],
+        ),
+    ]
+    attenuation: Annotated[
+        Sequence[float],
+        FloatVectorProperty(
+            name="Attenuation",
+            description="Initial attenuation of red, green and blue per metre",
+            size=3,
+            default=JERLOV["IB"],
+            min=0.0,
+            max=MOST,
+            precision=3,
+        ),
+    ]
 
     forecast: Annotated[
         str, StringProperty(description="Forecast of each quality and the settings it was made for, as JSON")
@@ -71,7 +181,6 @@ class SwagScene(PropertyGroup):
     result_psnr: Annotated[float, FloatProperty(name="PSNR", description="PSNR on held-out photos, in dB")]
     result_ssim: Annotated[float, FloatProperty(name="SSIM", description="SSIM on held-out photos")]
     result_seconds: Annotated[float, FloatProperty(name="Seconds", description="Duration of the last run")]
-    result_water: Annotated[str, StringProperty(name="Water", description="Water that the last run fitted")]
     result_interrupted: Annotated[
         bool, BoolProperty(name="Interrupted", description="Whether the last run was stopped before its end")
     ]
@@ -80,6 +189,11 @@ class SwagScene(PropertyGroup):
     def scene_path(self) -> str:
         """Absolute path of the chosen images; "" when none are chosen."""
         return _absolute(self.scene_folder)
+
+    @property
+    def plan_is_stale(self) -> bool:
+        """Whether the plan was made for other photos than the chosen ones."""
+        return bool(self.plan.lines) and self.plan.folder != self.scene_path
 
     @property
     def run_path(self) -> str:
@@ -105,10 +219,22 @@ class SwagScene(PropertyGroup):
         return f"The run {os.path.basename(self.run_path)} {where}."
 
     def train_settings(self) -> dict[str, Any]:
-        """The settings for the engine; choices in the list of effects overrule the setting `effects`."""
-        switches = ",".join(filter(None, (self.effects, self.plan.switches())))
-        own = {name: getattr(self, name) for name in SETTINGS}
-        return own | {"effects": switches, "masks": _absolute(self.masks)}
+        """The settings for the engine."""
+        in_time, own_water = self.preset == IN_TIME, self.water_type == OWN_WATER
+        changed = {
+            "preset": TrainSettings.preset if in_time else self.preset,
+            "time_budget": f"{self.minutes:.1f}m" if in_time else "",
+            "effects": self.plan.switches(),
+            "masks": _absolute(self.masks),
+            "water_type": ",".join(f"{beta:.4g}" for beta in self.attenuation) if own_water else self.water_type,
+            **{name: getattr(self, f"chosen_{name}") for name in SIZES},
+        }
+        return {name: changed[name] if name in changed else getattr(self, name) for name in SETTINGS}
+
+    @property
+    def size(self) -> Size:
+        """Size that the quality gives."""
+        return PRESETS.get(self.preset, PRESETS[TrainSettings.preset])
 
     def forecast_question(self) -> str:
         """What a forecast depends on, as text: the images and the settings that qualities do not change."""
@@ -141,13 +267,17 @@ class SwagScene(PropertyGroup):
         self.result_psnr = metrics.get("test_psnr") or 0.0
         self.result_ssim = metrics.get("test_ssim") or 0.0
         self.result_seconds = metrics["seconds"]
-        self.result_water = " ".join([metrics["water"], *metrics["notes"]]).strip()
         self.result_interrupted = event["interrupted"]
 
 
-SwagScene.__annotations__ |= {
-    name: setting_property(default, described) for name, default, described in settings_of(TrainSettings)
-}
+for _name, _default, _described in settings_of(TrainSettings):
+    if _name in SIZES:
+        SwagScene.__annotations__ |= {
+            f"chosen_{_name}": IntProperty(options={"HIDDEN"}),
+            _name: size_property(_name, _described),
+        }
+    elif _name not in ("preset", "time_budget", "effects", "water_type"):
+        SwagScene.__annotations__[_name] = setting_property(_default, _described)
 
 
 @with_properties
@@ -158,6 +288,9 @@ class SwagStatus(PropertyGroup):
     last_job: Annotated[str, StringProperty(description="Name of the last job that ended")]
     stopping: Annotated[bool, BoolProperty(description="Whether the job was asked to stop")]
     paused: Annotated[bool, BoolProperty(description="Whether the training is paused")]
+    download_mb: Annotated[
+        int, IntProperty(description="Megabytes that Install Engine would download; 0 until looked up")
+    ]
     doctor: Annotated[str, StringProperty(description="What the last check of the engine's Python found, as JSON")]
     curve: Annotated[str, StringProperty(description="PSNR on the validation photos so far, in dB")]
     factor: Annotated[float, FloatProperty(min=0.0, max=1.0, subtype="FACTOR")]
@@ -174,7 +307,7 @@ class SwagStatus(PropertyGroup):
     def begin(self, job: str) -> None:
         """Reset everything for a new job."""
         for name in SwagStatus.__annotations__:
-            if name != "doctor":
+            if name not in ("doctor", "download_mb"):
                 self.property_unset(name)
         self.job, self.text = job, "Starting"
 

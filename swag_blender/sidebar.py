@@ -10,7 +10,7 @@ from .properties import sparkline, status_of
 
 CHARACTER_WIDTH = 6.4
 """Mean width of a character in Blender's interface font, in pixels at a scale of 1."""
-Icon = Literal["NONE", "INFO", "ERROR", "CHECKMARK", "RECOVER_LAST", "MOD_OCEAN"]
+Icon = Literal["NONE", "INFO", "ERROR", "CHECKMARK", "X", "QUESTION", "RECOVER_LAST", "MOD_OCEAN"]
 
 
 class SwagPanel(bpy.types.Panel):
@@ -53,7 +53,8 @@ def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: Icon = "NONE") -> None:
     """Draw a sentence over as many lines as a region of `width` pixels needs."""
     text = bpy.app.translations.pgettext_iface(text)
-    pixels = width / present(bpy.context.preferences).system.ui_scale - (30 if icon == "NONE" else 54)
+    scale = present(bpy.context.preferences).system.ui_scale or 1.0  # 0 without a window
+    pixels = width / scale - (30 if icon == "NONE" else 54)
     characters = max(20, int(pixels / CHARACTER_WIDTH))
     column = layout.column(align=True)
     column.scale_y = 0.8

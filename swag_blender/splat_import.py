@@ -3,12 +3,14 @@
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.gltf import COLMAP_UP
 from ..swag_engine.formats.registry import find_format
 from . import scene_import, splats
 from .blender_types import present
+from .open_run import know_run, run_of_file
 
 
 def open_splats(
@@ -41,10 +43,18 @@ def _open_file(context: bpy.types.Context, path: Path, in_scene: bool, sh_degree
     root = scene_import.active_root(context) if in_scene else None
     if in_scene and root is None:
         raise InputError(f"{path.name} needs an imported scene: import its COLMAP scene, or place it upright.")
-    loaded = format.read(path, scene_import.up_of(root) if root else COLMAP_UP)
+    run = run_of_file(path)
+    up = scene_import.up_of(root) if root else np.asarray(run.read_config()[2] if run else COLMAP_UP, float)
+    loaded = format.read(path, up)
     loaded.sh = loaded.sh[:, : (sh_degree + 1) ** 2]
     obj = splats.new_splat_object(path.stem, loaded, present(context.collection), root)
     scene_import.hide_sparse_points(root)
     if root is None:
-        obj.matrix_world = splats.FILE_FRAME
+        obj.matrix_world = scene_import.colmap_to_blender(up, loaded.positions) if run else splats.FILE_FRAME
+    if run:
+        try:
+            know_run(obj, run)
+        except InputError:
+            bpy.data.objects.remove(obj)
+            raise
     return obj

@@ -37,11 +37,9 @@ GERMAN = {
     "Pause": "Anhalten",
     "Cancel": "Abbrechen",
     "Show Log": "Protokoll zeigen",
-    "More": "Mehr",
     "Method": "Verfahren",
     "Quality": "Güte",
     "Time Budget": "Zeitrahmen",
-    "Stop When Flat": "Enden, wenn nichts mehr kommt",
     "Iterations": "Schritte",
     "Width": "Breite",
     "Max Gaussians": "Höchstzahl der Gaußglocken",
@@ -88,7 +86,6 @@ GERMAN = {
     ),
     "Effect": "Effekt",
     "Engine": "Renderer",
-    "Evidence": "Beleg",
     "Export Gaussian Splats": "Gauß-Splats exportieren",
     "Extend": "Erweitern",
     "Folder": "Ordner",
@@ -97,9 +94,6 @@ GERMAN = {
     "Gaussian Splats": "Gauß-Splats",
     "Gaussians": "Gaußglocken",
     "Import Gaussian Splats": "Gauß-Splats importieren",
-    "Installing needs online access (Preferences > System > Network) or a folder of wheels.": (
-        "Das Einrichten braucht Online-Zugriff (Einstellungen > System > Netzwerk) oder einen Ordner mit Wheels."
-    ),
     "Interrupted": "Abgebrochen",
     "Isolate": "Freistellen",
     "Label": "Etikettieren",
@@ -135,7 +129,6 @@ GERMAN = {
     "Python": "Python",
     "Read Labels": "Etiketten lesen",
     "Remove": "Entfernen",
-    "Run": "Lauf",
     "Save splat objects as one PLY, GLB or SPZ file, their transforms and modifiers applied": (
         "Splat-Objekte als eine PLY-, GLB- oder SPZ-Datei speichern, Transformationen und Modifikatoren angewandt"
     ),
@@ -161,7 +154,6 @@ GERMAN = {
     "The selected splat objects": "Die gewählten Splat-Objekte",
     "The splats have no fitted water.": "Die Splats haben kein angepasstes Wasser.",
     "Threshold": "Schwelle",
-    "Train first, or open a splat file below.": "Zuerst trainieren, oder unten eine Splat-Datei öffnen.",
     "Upright": "Aufrecht",
     "Visible": "Sichtbar",
     "What to label, as in coral, wreck, open water": "Was zu etikettieren ist, wie in coral, wreck, open water",
@@ -189,31 +181,11 @@ GERMAN = {
     "To see whether a scene works": "Um zu sehen, ob eine Szene geht",
     "A good result in moderate time": "Ein gutes Ergebnis in mäßiger Zeit",
     "For a result to keep": "Für ein Ergebnis, das bleibt",
-    (
-        "Time that the whole run may take, such as 90s, 10m or 1h30m; the size is then chosen by measuring this "
-        "machine, in place of a preset"
-    ): (
-        "Zeit, die der ganze Lauf brauchen darf, wie 90s, 10m oder 1h30m; die Größe wird dann durch Messen auf "
-        "diesem Rechner gewählt statt nach der Güte"
-    ),
-    "Number of optimisation steps, each on one image; 0: as many as the preset has": (
-        "Zahl der Optimierungsschritte, jeder mit einem Bild; 0: so viele, wie die Güte vorsieht"
-    ),
-    "Width in pixels of the training images; smaller images keep their size; 0: as the preset has it": (
-        "Breite der Trainingsbilder in Pixeln; kleinere Bilder behalten ihre Größe; 0: wie es die Güte vorsieht"
-    ),
-    "Largest number of Gaussians that densification may reach; 0: as many as the preset has": (
-        "Größte Zahl an Gaußglocken, bis zu der verdichtet wird; 0: so viele, wie die Güte vorsieht"
-    ),
     "End early when a fifth of the run has improved the validation PSNR by less than 0.05 dB": (
         "Früher enden, wenn ein Fünftel des Laufs das PSNR der Prüffotos um weniger als 0,05 dB verbessert hat"
     ),
-    "Effects and parts of the method to switch by hand, such as water=off,lamp=on (docs/recipes.md lists them)": (
-        "Effekte und Teile des Verfahrens, die von Hand geschaltet werden, wie water=off,lamp=on (docs/recipes.md"
-        " listet sie auf)"
-    ),
-    "What to label while training with semantics=on, such as coral, wreck, open water; needs pretrained networks": (
-        "Was beim Training mit semantics=on zu etikettieren ist, wie coral, wreck, open water; braucht "
+    "What to label while training with semantics on, such as coral, wreck, open water; needs pretrained networks": (
+        "Was beim Training mit dem Effekt Semantik zu etikettieren ist, wie coral, wreck, open water; braucht "
         "vortrainierte Netze"
     ),
     (
@@ -222,13 +194,6 @@ GERMAN = {
     ): (
         "Ordner mit Maskenbildern statt Worten; ohne beides gelten Masken im Ordner labels der Szene, sonst die "
         "Auffälligkeit"
-    ),
-    (
-        "Initial attenuation of the water: auto fits it to the photos; or a Jerlov type (I IA IB II III 1C 3C 5C "
-        "7C 9C), or three numbers per metre for red, green and blue, such as 0.3,0.1,0.06"
-    ): (
-        "Anfangswert der Dämpfung des Wassers: auto bestimmt ihn aus den Fotos; oder ein Jerlov-Typ (I IA IB II "
-        "III 1C 3C 5C 7C 9C), oder drei Zahlen je Meter für Rot, Grün und Blau, wie 0.3,0.1,0.06"
     ),
     "Length in metres of one unit of the scene's coordinates; 0: unknown": (
         "Länge einer Einheit der Szenenkoordinaten in Metern; 0: unbekannt"
@@ -276,10 +241,6 @@ GERMAN = {
     ),
     "COLMAP Scene": "COLMAP-Szene",
     "Check Photos": "Fotos prüfen",
-    "Choose a Python that has the packages of requirements.txt:": (
-        "Ein Python wählen, das die Pakete von requirements.txt hat:"
-    ),
-    "Choose the folder with the photos first.": "Zuerst den Ordner mit den Fotos wählen.",
     "Continue the run in the run folder where it stopped": (
         "Den Lauf im Ordner des Laufs fortsetzen, wo er stehen blieb"
     ),
@@ -296,7 +257,6 @@ GERMAN = {
     ),
     "Duration of the last run": "Dauer des letzten Laufs",
     "Extra Properties": "Weitere Eigenschaften",
-    "Figures of the decision, with their thresholds": "Zahlen der Entscheidung, mit ihren Schwellen",
     "Find splats by words: writes swag:similarity and selects the splats above the threshold": (
         "Splats nach Worten finden: schreibt swag:similarity und wählt die Splats über der Schwelle"
     ),
@@ -370,7 +330,6 @@ GERMAN = {
     "Open water, salient regions and the rest; needs no networks": (
         "Offenes Wasser, auffällige Bereiche und der Rest; braucht keine Netze"
     ),
-    "Other photos were chosen after the plan was made": "Nach dem Plan wurden andere Fotos gewählt",
     "PLY in the COLMAP coordinates of the imported scene": "PLY in den COLMAP-Koordinaten der importierten Szene",
     "PLY with Blender's own axes; a GLB or SPZ always has y up": (
         "PLY mit Blenders eigenen Achsen; ein GLB oder SPZ hat y immer oben"
@@ -419,9 +378,6 @@ GERMAN = {
     "Save the selection as an attribute mask:NAME, for geometry nodes": (
         "Die Auswahl als Attribut mask:NAME speichern, für Geometrieknoten"
     ),
-    "Select objects with materials, in a scene whose splats have a fitted water": (
-        "Objekte mit Materialien auswählen, in einer Szene, deren Splats ein angepasstes Wasser haben"
-    ),
     "Select the splats of this label; with Shift in addition to the selection": (
         "Die Splats dieses Etiketts wählen; mit Umschalt zusätzlich zur Auswahl"
     ),
@@ -456,14 +412,10 @@ GERMAN = {
         "Einige Sekunden trainieren und Zeit, PSNR und Speicher jeder Güte auf diesem Rechner vorhersagen; "
         "Escape bricht ab"
     ),
-    "Training runs in a separate Python; opening, showing and exporting splats needs none.": (
-        "Das Training läuft in einem eigenen Python; Öffnen, Zeigen und Exportieren von Splats braucht keins."
-    ),
     "Uses the graphics card; draws one splat object completely in front of another": (
         "Nutzt die Grafikkarte; zeichnet ein Splat-Objekt ganz vor einem anderen"
     ),
     "Value of swag:label": "Wert von swag:label",
-    "Water that the last run fitted": "Wasser, das der letzte Lauf angepasst hat",
     "What assigns the labels": "Woraus die Etiketten bestimmt werden",
     "What to look for; empty: the words in the panel": "Was zu suchen ist; leer: die Worte im Feld",
     "Whether the last run was stopped before its end": "Ob der letzte Lauf vor seinem Ende abgebrochen wurde",
@@ -475,8 +427,11 @@ GERMAN = {
     "Your own mask images: one folder for each label, with an image for each photo": (
         "Eigene Maskenbilder: ein Ordner für jedes Etikett, mit einem Bild für jedes Foto"
     ),
-    "or install one in the extension's own folder (0.5 GB, with CUDA 3 GB):": (
-        "oder eins im Ordner der Erweiterung einrichten (0,5 GB, mit CUDA 3 GB):"
+    "A lamp is at the camera": "Lampe an der Kamera",
+    "Advanced": "Erweitert",
+    "Allow Online Access": "Online-Zugriff erlauben",
+    "Allow online access in Preferences > System > Network, or set a folder of wheels": (
+        "Online-Zugriff in Einstellungen > System > Netzwerk erlauben, oder einen Ordner mit Wheels setzen"
     ),
     "Above": "Darüber",
     "Action": "Aktion",
@@ -679,6 +634,199 @@ GERMAN = {
     "film.mp4 (MPEG-4), to look at; it is written when all frames are done": (
         "film.mp4 (MPEG-4) zum Ansehen; geschrieben, wenn alle Bilder fertig sind"
     ),
+    "As good as possible in a time; the size is chosen by measuring this machine": (
+        "So gut wie in einer Zeit möglich; die Größe wird durch Messen auf diesem Rechner gewählt"
+    ),
+    "Attenuation": "Dämpfung",
+    "Backscatter": "Rückstreuung",
+    "Blender has no online access.": "Blender hat keinen Online-Zugriff.",
+    "Caustics": "Kaustiken",
+    "Filled cells": "Volle Felder",
+    "Choose the folder with the photos and their COLMAP model first": (
+        "Zuerst den Ordner mit den Fotos und ihrem COLMAP-Modell wählen"
+    ),
+    "Choose the folder with the photos, or open a run in Result.": (
+        "Den Ordner mit den Fotos wählen, oder unter Ergebnis einen Lauf öffnen."
+    ),
+    "Choose the photos first.": "Zuerst die Fotos wählen.",
+    "Clear coast": "Klare Küste",
+    "Clear open ocean": "Klarer offener Ozean",
+    "Clearest open ocean": "Klarster offener Ozean",
+    "Coast": "Küste",
+    "Compare With": "Vergleichen mit",
+    "Corners are darker": "Die Ecken sind dunkler",
+    "Depth prior": "Tiefenvorwissen",
+    "Variation": "Schwankung",
+    "Draft": "Entwurf",
+    "Each photo has an exposure and a color balance of its own.": (
+        "Jedes Foto hat eine eigene Belichtung und einen eigenen Weißabgleich."
+    ),
+    "BIC gain": "BIC-Gewinn",
+    "Exposure": "Belichtung",
+    "Exposure varies": "Die Belichtung schwankt",
+    "Color fading": "Farbverlust",
+    "Fall-off": "Abfall",
+    "Range ratio": "Abstände",
+    "Figures": "Zahlen",
+    "Finished": "Fertig",
+    "Fish or divers move": "Fische oder Taucher",
+    "Fish, divers and other moving objects are masked out.": (
+        "Fische, Taucher und anderes Bewegtes werden ausgeblendet."
+    ),
+    "Fitted to the photos": "An die Fotos angepasst",
+    "Flicker": "Flackern",
+    "Shared flicker": "Gleiches Flackern",
+    "Folder of the photos that the plan was made for": "Ordner der Fotos, für die der Plan gilt",
+    "Folder of the run, which has config.json and result.ply": (
+        "Ordner des Laufs, in dem config.json und result.ply sind"
+    ),
+    "Folder of the run; empty: the run of the active object": "Ordner des Laufs; leer: der Lauf des aktiven Objekts",
+    "Frames are interpolated between photos that are far apart.": (
+        "Zwischen Fotos, die weit auseinander liegen, werden Bilder interpoliert."
+    ),
+    "From Photos": "Aus den Fotos",
+    "Haze grows at its own rate": "Der Dunst hat eigene Stärke",
+    "High": "Hoch",
+    "Initial attenuation of red, green and blue per metre": "Anfangswert der Dämpfung von Rot, Grün und Blau je Meter",
+    "Initial attenuation of the water: fitted to the photos, or that of a Jerlov type": (
+        "Anfangswert der Dämpfung des Wassers: an die Fotos angepasst, oder der eines Jerlov-Typs"
+    ),
+    "Installs from your folder of wheels, without internet; about 3 minutes.": (
+        "Richtet aus dem Ordner mit Wheels ein, ohne Internet; etwa 3 Minuten."
+    ),
+    "Interpolation": "Zwischenbilder",
+    "Lamp": "Lampe",
+    "Largest number of Gaussians that densification may reach": (
+        "Größte Zahl an Gaußglocken, bis zu der verdichtet wird"
+    ),
+    "Added light": "Fremdes Licht",
+    "Light from a lamp at the camera falls off with its distance.": (
+        "Das Licht einer Lampe an der Kamera fällt mit dem Abstand ab."
+    ),
+    "Light lost": "Lichtverlust",
+    "Light that waves throw on the ground flickers.": "Licht, das Wellen auf den Grund werfen, flackert.",
+    "Measured": "Wert",
+    "Minutes": "Minuten",
+    "Move the compared run beside the selected one in the viewport, and back": (
+        "Den verglichenen Lauf in der Ansicht neben den gewählten rücken, und zurück"
+    ),
+    "Moving objects": "Bewegtes",
+    "Murkiest coast": "Trübste Küste",
+    "Murky coast": "Trübe Küste",
+    "Murky open ocean": "Trüber offener Ozean",
+    "Name of the effect in the plan": "Name des Effekts im Plan",
+    "Name of the splat object of the run": "Name des Splat-Objekts des Laufs",
+    "Near to far": "Nah zu fern",
+    "Needed": "Nötig",
+    "No job is running": "Es läuft kein Auftrag",
+    "No splats in the scene have a fitted water": "Keine Splats in der Szene haben ein angepasstes Wasser",
+    "No water is modelled: the colors are as photographed.": (
+        "Kein Wasser wird modelliert: die Farben sind wie fotografiert."
+    ),
+    "Number of optimisation steps, each on one image": "Zahl der Optimierungsschritte, jeder mit einem Bild",
+    "Observations": "Beobachtungen",
+    "Open Report": "Bericht öffnen",
+    "Open Run": "Lauf öffnen",
+    "Open a training run: its splats, water, labels and figures, and the cameras of its photos": (
+        "Einen Trainingslauf öffnen: seine Splats, Wasser, Etiketten und Zahlen, und die Kameras seiner Fotos"
+    ),
+    "Open ocean": "Offener Ozean",
+    "Open the report of the run in the web browser: images beside photos, curves, settings": (
+        "Den Bericht des Laufs im Browser öffnen: Bilder neben Fotos, Kurven, Einstellungen"
+    ),
+    "Open water": "Offenes Wasser",
+    "Open water needs a label": "Wasser braucht Etikett",
+    "Output Folder": "Ausgabeordner",
+    "Own Values": "Eigene Werte",
+    "Near pairs": "Nahe Paare",
+    "Photos are far apart": "Fotos weit auseinander",
+    "Fitting photos": "Passende Fotos",
+    "Points a photo": "Punkte je Foto",
+    "Shared points": "Gleiche Punkte",
+    "Predicted depth helps where sparse points are few.": "Geschätzte Tiefe hilft, wo es wenige Punkte gibt.",
+    "Radial part": "Radialer Teil",
+    "Radius correlation": "Radiuskorrelation",
+    "Reason": "Grund",
+    "Rise of dark light": "Anstieg im Dunkeln",
+    "Run": "Lauf",
+    "Run whose figures stand beside those of the selected run": "Lauf, dessen Zahlen neben denen des gewählten stehen",
+    "SWAG Run (folder)": "SWAG-Lauf (Ordner)",
+    "Select Run": "Lauf wählen",
+    "Select objects with materials first": "Zuerst Objekte mit Materialien auswählen",
+    "Select this run and show its figures": "Diesen Lauf wählen und seine Zahlen zeigen",
+    "Semantics": "Semantik",
+    "Separate backscatter": "Eigene Rückstreuung",
+    "Show Effect": "Effekt zeigen",
+    "Show what was measured of this effect, and what it needs": (
+        "Zeigen, was zu diesem Effekt gemessen wurde und was er braucht"
+    ),
+    "Side by Side": "Nebeneinander",
+    "Visible loss": "Sichtbarer Verlust",
+    "Sparse points are few": "Es gibt wenige Punkte",
+    "Standard": "Standard",
+    "State": "Zustand",
+    "Stopped": "Angehalten",
+    "Test PSNR": "PSNR an Testfotos",
+    "Test SSIM": "SSIM an Testfotos",
+    "The decision in a sentence, with figures and thresholds": (
+        "Die Entscheidung in einem Satz, mit Zahlen und Schwellen"
+    ),
+    "The engine is installed: you can train.": "Der Rechenkern ist eingerichtet: Training ist möglich.",
+    "The lens darkens photos towards their corners.": "Das Objektiv dunkelt die Fotos zu den Ecken hin ab.",
+    "The light that the water adds grows with range by a coefficient of its own.": (
+        "Das Licht, das das Wasser hinzufügt, wächst mit dem Abstand nach einem eigenen Koeffizienten."
+    ),
+    "The photos cannot show whether it is so.": "Die Fotos können nicht zeigen, ob es so ist.",
+    "The plan does not model it.": "Der Plan modelliert es nicht.",
+    "The plan models it.": "Der Plan modelliert es.",
+    "The run has no report yet: it is written at the end of the training": (
+        "Der Lauf hat noch keinen Bericht: er wird am Ende des Trainings geschrieben"
+    ),
+    "The run folder is gone; only the splats are left.": "Der Ordner des Laufs ist weg; nur die Splats sind noch da.",
+    "The splats get labels during training, where you switch it on.": (
+        "Die Splats bekommen beim Training Etiketten, wo es eingeschaltet ist."
+    ),
+    "The water adds light of its own, more with distance.": "Das Wasser fügt eigenes Licht hinzu, in der Ferne mehr.",
+    "The water takes light, of one color more than of another.": (
+        "Das Wasser nimmt Licht, von einer Farbe mehr als von einer anderen."
+    ),
+    "There is no run in the scene: train, or open a run": (
+        "In der Szene ist kein Lauf: trainieren, oder einen Lauf öffnen"
+    ),
+    "This method has its own effects: the plan is not followed.": (
+        "Dieses Verfahren hat eigene Effekte: Dem Plan wird nicht gefolgt."
+    ),
+    "This water is per metre: set the scale in the panel Water, or Metres per Unit.": (
+        "Dieses Wasser gilt je Meter: unter Wasser den Maßstab setzen, oder „Meter je Einheit“."
+    ),
+    "Time": "Zeit",
+    "Time that the whole run may take": "Zeit, die der ganze Lauf brauchen darf",
+    "Train first, or open a run or a splat file.": "Zuerst trainieren, oder einen Lauf oder eine Splat-Datei öffnen.",
+    "Train first, or open a run.": "Zuerst trainieren, oder einen Lauf öffnen.",
+    "Training Run": "Trainingslauf",
+    "Training needs the engine, a Python of its own. Opening, showing and exporting splats works without it.": (
+        "Das Training braucht den Rechenkern, ein eigenes Python. Öffnen, Zeigen und Exportieren von Splats "
+        "geht ohne ihn."
+    ),
+    "Uncertainty": "Unsicherheit",
+    "Value that the effect needs": "Wert, den der Effekt braucht",
+    "Value that was measured in the photos": "Wert, der in den Fotos gemessen wurde",
+    "Very clear open ocean": "Sehr klarer offener Ozean",
+    "Very murky coast": "Sehr trübe Küste",
+    "Vignetting": "Vignettierung",
+    "Water absorbs colors": "Wasser schluckt Farben",
+    "Water adds haze": "Wasser fügt Dunst hinzu",
+    "Waves cast moving light": "Licht der Wellen flackert",
+    "What was measured, and what is needed": "Was gemessen wurde, und was nötig ist",
+    "Whether the measured value is what the effect needs": "Ob der gemessene Wert ist, was der Effekt braucht",
+    "Whether there is water cannot be seen: it stays in the colors.": (
+        "Ob da Wasser ist, ist nicht zu sehen: es bleibt in den Farben."
+    ),
+    "Width in pixels of the training images; smaller images keep their size": (
+        "Breite der Trainingsbilder in Pixeln; kleinere Bilder behalten ihre Größe"
+    ),
+    "Your own attenuation of red, green and blue": "Eigene Dämpfung von Rot, Grün und Blau",
+    "Stop Early": "Vorzeitig enden",
 }
 
 

@@ -110,16 +110,15 @@ class SWAG_PT_water(SwagPanel):
     """Panel of the fitted water: slider, coefficients, water for other objects, scale."""
 
     bl_label = "Water"
-    bl_parent_id = "SWAG_PT_result"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the scene has splats."""
-        return any(splats.is_splats(obj) for obj in present(context.scene).objects)
+    bl_order = 40
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
         layout, scene = present(self.layout), present(context.scene)
+        if not any(splats.is_splats(obj) for obj in scene.objects):
+            layout.label(text="Train first, or open a run.", icon="INFO")
+            return
         obj = find(scene, context.active_object)
         values = water_of(obj)
         if obj is None or values is None:

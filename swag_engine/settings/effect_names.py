@@ -3,22 +3,42 @@
 EFFECTS is the registry of effects: each name is a file of swag_engine/effects/.
 """
 
+from dataclasses import dataclass
+
 from ..base.errors import InputError
 
+
+@dataclass(frozen=True)
+class EffectWords:
+    """What the interface says of an effect.
+
+    Attributes:
+        statement: What is so where the effect is on, in at most 30 characters.
+        sentence: What the effect does, in one sentence.
+    """
+
+    statement: str
+    sentence: str
+
+
 EFFECTS = {
-    "attenuation": "The water takes light, of one color more than of another.",
-    "backscatter": "The water adds light of its own.",
-    "separate_backscatter": "The light that the water adds grows with range by a coefficient of its own.",
-    "lamp": "A lamp at the camera: light falls off with the square of the range.",
-    "exposure": "Each photo has an exposure of its own.",
-    "vignetting": "The lens darkens photos towards their corners.",
-    "caustics": "Light that waves throw on the ground flickers.",
-    "moving_objects": "Fish, divers and other moving objects are masked out.",
-    "interpolation": "Frames are interpolated between photos that are far apart.",
-    "semantics": "Gaussians get labels.",
-    "depth_prior": "Predicted depth helps where sparse points are few.",
+    "attenuation": EffectWords("Water absorbs colors", "The water takes light, of one color more than of another."),
+    "backscatter": EffectWords("Water adds haze", "The water adds light of its own, more with distance."),
+    "separate_backscatter": EffectWords(
+        "Haze grows at its own rate", "The light that the water adds grows with range by a coefficient of its own."
+    ),
+    "lamp": EffectWords("A lamp is at the camera", "Light from a lamp at the camera falls off with its distance."),
+    "exposure": EffectWords("Exposure varies", "Each photo has an exposure and a color balance of its own."),
+    "vignetting": EffectWords("Corners are darker", "The lens darkens photos towards their corners."),
+    "caustics": EffectWords("Waves cast moving light", "Light that waves throw on the ground flickers."),
+    "moving_objects": EffectWords("Fish or divers move", "Fish, divers and other moving objects are masked out."),
+    "interpolation": EffectWords("Photos are far apart", "Frames are interpolated between photos that are far apart."),
+    "semantics": EffectWords(
+        "Open water needs a label", "The splats get labels during training, where you switch it on."
+    ),
+    "depth_prior": EffectWords("Sparse points are few", "Predicted depth helps where sparse points are few."),
 }
-"""Effects that the plan decides about, in the order of decisions, with a sentence for the user."""
+"""Effects that the plan decides about, in the order of decisions."""
 PARTS = {
     "stages": "Geometry and water are frozen at the end, and colors follow the squared error.",
     "dropout": "Gaussians are dropped at random where the run overfits.",

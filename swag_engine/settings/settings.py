@@ -71,7 +71,7 @@ class TrainSettings:
     )
     stop_when_flat: bool = setting(
         False,
-        "Stop When Flat",
+        "Stop Early",
         "End early when a fifth of the run has improved the validation PSNR by less than 0.05 dB",
     )
     effects: str = setting(
@@ -82,7 +82,7 @@ class TrainSettings:
     words: str = setting(
         "",
         "Words",
-        "What to label while training with semantics=on, such as coral, wreck, open water; needs pretrained networks",
+        "What to label while training with semantics on, such as coral, wreck, open water; needs pretrained networks",
     )
     masks: str = setting(
         "",

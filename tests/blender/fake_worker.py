@@ -119,14 +119,15 @@ def sfm(request):
 
 
 def plan(request):
+    lost = {"change": [0.75, 0.4, None], "change_least": 0.1, "bic_gain": 3279.5, "bic_gain_least": 50.0}
     lines = {
-        "attenuation": ("on", "Red loses 75% over the scene.", 1.25),
-        "lamp": ("off", "Light falls off by 0%.", 0.5),
-        "moving_objects": ("unknown", "Only training shows it.", 0.0),
+        "attenuation": ("on", lost, "Red loses 75% over the scene.", 1.25),
+        "lamp": ("off", {"falloff": 0.003, "falloff_least": 0.15}, "Light falls off by 0%.", 0.5),
+        "moving_objects": ("unknown", {"masked_images": 0}, "Only training shows it.", 0.0),
     }
     effects = {
-        name: {"state": state, "evidence": {}, "reason": reason, "cost_ms": cost, "start": {}, "overruled": False}
-        for name, (state, reason, cost) in lines.items()
+        name: {"state": state, "evidence": found, "reason": reason, "cost_ms": cost, "start": {}, "overruled": False}
+        for name, (state, found, reason, cost) in lines.items()
     }
     send(event="result", request="plan", plan={"effects": effects, "water": None})
 

@@ -12,20 +12,11 @@ import time
 import bpy
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import install, photograph, report, start, until, view3d
+from window import click, install, photograph, report, start, until, view3d
 
-# Pixels of the buttons from the top left corner of a screen of 1280 x 800.
-TRAIN, CONTINUE, PAUSE, CANCEL = (900, 486), (960, 486), (830, 440), (950, 440)
-
-
-def click(x, y):
-    # In steps: Blender clicks the button that it highlighted when the pointer moved over it.
-    for offset in (40, 20, 10, 0):
-        subprocess.run(["xdotool", "mousemove", str(x - offset), str(y)], check=True)
-        yield 0.2
-    yield 0.5
-    subprocess.run(["xdotool", "click", "1"], check=True)
-    yield 0.2
+# Commands of the buttons, and their columns in the sidebar.
+TRAIN, CONTINUE = ("bpy.ops.swag.train(resume=False)", 0.25), ("bpy.ops.swag.train(resume=True)", 0.62)
+PAUSE, CANCEL = ("bpy.ops.swag.pause()", 0.25), ("bpy.ops.swag.cancel()", 0.62)
 
 
 def timed(function, seconds):
@@ -46,6 +37,8 @@ def steps():
     yield 2.0
     window, area, region = view3d()
     area.spaces.active.show_region_ui = True
+    # The pointer's way over the sidebar then redraws no viewport, which takes long without a graphics card.
+    bpy.context.preferences.system.use_region_overlap = False
     yield 1.0
     region.active_panel_category = "SWAG"
     yield 1.0

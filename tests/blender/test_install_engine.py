@@ -8,7 +8,7 @@ import pytest
 @pytest.mark.parametrize("blender", ["5.0", "4.5"], indirect=True)  # the wheels are for Python 3.11
 def test_the_engine_is_installed_from_wheels_checked_and_removed(blender, wheels):
     found = blender.run("install_engine.install_check_and_remove", wheels)
-    assert "Online access is off" in found["offline"]
+    assert "Allow online access" in found["offline"]
     assert found["look up"].endswith("0 MB of them are to be downloaded.")
     assert found["complete after look-up"] is False
     assert found["install"].startswith("The engine is installed: Python 3.11")

@@ -4,6 +4,8 @@ import sys
 
 import pytest
 
+from swag_engine.settings.effect_names import EFFECTS
+from swag_engine.settings.jerlov import JERLOV
 from swag_engine.settings.settings import TrainSettings
 
 
@@ -16,7 +18,16 @@ def test_the_plan_is_a_list_of_effects_that_the_user_can_overrule(blender, fake_
             ["lamp", "Lamp", "off", "Light falls off by 0%.", 0.5],
             ["moving_objects", "Moving objects", "unknown", "Only training shows it.", 0.0],
         ],
-        "settings": "water=on,attenuation=off,lamp=on",
+        "figures": {
+            "attenuation": [
+                ["Light lost", "75 %", "≥ 10 %", True],
+                ["BIC gain", "3,280", "≥ 50", True],
+            ],
+            "lamp": [["Fall-off", "0.3 %", "≥ 15 %", False]],
+            "moving_objects": [],
+        },
+        "explained": ["attenuation", "lamp"],
+        "settings": "attenuation=off,lamp=on",
         "after another plan": "attenuation=off,lamp=on",
         "opened": ["attenuation=off,lamp=on", "Light falls off by 0%.", False],
         "stale": True,
@@ -33,8 +44,10 @@ def test_a_stopped_run_can_be_continued_after_the_file_is_opened_again(blender, 
 
 def test_every_operator_has_a_tooltip_and_is_in_the_menu_that_the_search_finds(blender):
     found = blender.run("panels.operators_and_menu")
-    # These act on one line of the list of labels, and stand beside it.
-    assert set(found["names"]) - set(found["menu"]) == {"isolate_label", "select_label", "keep_mask"}
+    # These act on one line of a list, and stand beside it.
+    assert set(found["names"]) - set(found["menu"]) == {
+        *("isolate_label", "select_label", "keep_mask", "select_run", "show_effect")
+    }
     assert found["menu is in the Object menu"] is True
     assert found["without tooltip"] == [] and found["undescribed"] == []
     assert {"swag.train", "swag.plan", "swag.import_scene", "swag.separate_splats"} <= set(found["with undo"])
@@ -61,6 +74,59 @@ def test_pause_switches_a_running_training(blender, paused):
 def test_no_thread_and_no_timer_is_active_after_a_training(blender, fake_engine, tmp_path):
     found = blender.run("panels.idle_after_training", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
     assert found["threads"] == [] and found["processor seconds"] < 0.05
+
+
+def test_the_panels_follow_the_work(blender, fake_engine, tmp_path):
+    found = blender.run("panels.panels_by_stage", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
+    assert list(dict.fromkeys(found["order"])) == ["Cameras", "Train", "Result", "Water", "Labels", "Export"]
+    # Train and Result appear open when their stage is reached; until then a closed panel has their place.
+    assert found["open"] == ["SWAG_PT_scene", "SWAG_PT_train", "SWAG_PT_result"]
+    fresh, planned, trained = found["fresh"], found["planned"], found["trained"]
+    assert {"SWAG_PT_train_later", "SWAG_PT_no_result"} <= set(fresh) and "SWAG_PT_train" not in fresh
+    assert "swag.open_run" in fresh["SWAG_PT_no_result"]
+    assert planned["SWAG_PT_train"][:4] == ["preset", "iterations", "width", "max_gaussians"]
+    effects = planned["SWAG_PT_effects"]
+    assert effects[effects.index("Measured") :][:8] == [
+        *("Measured", "Needed", "Light lost", "75 %", "≥ 10 %", "BIC gain", "3,280", "≥ 50"),
+    ]
+    assert not {"effects", "time_budget", "words", "masks"} & set(planned["SWAG_PT_train_more"])
+    assert "SWAG_PT_no_result" not in trained and "SWAG_PT_train_later" not in trained
+    result = trained["SWAG_PT_result"]
+    assert result[result.index("Test PSNR") + 1] == "25.50 dB" and "swag.open_report" in result
+
+
+def test_the_sizes_show_the_numbers_of_the_quality(blender):
+    found = blender.run("panels.sizes")
+    assert found["standard"] == [[3000, 640, 60_000], [0, 0, 0], ""]
+    assert found["draft"] == found["as the preset"] == [[1500, 480, 45_000], [0, 0, 0], ""]
+    assert found["own"] == [[700, 480, 45_000], [700, 0, 0], ""]
+    assert found["high"] == [[9000, 960, 150_000], [0, 0, 0], ""]  # another quality replaces own numbers
+    assert found["time"][1:] == [[0, 0, 0], "2.5m"]
+    TrainSettings(time_budget="2.5m")
+
+
+def test_water_types_are_a_menu(blender):
+    found = blender.run("panels.water_types")
+    assert found.pop("auto") == "auto" and found.pop("own") == "0.3,0.1,0.0625"
+    assert list(found) == list(found.values()) == list(JERLOV)
+    TrainSettings(water_type="0.3,0.1,0.0625", metres_per_unit=1.0)
+
+
+def test_a_reason_is_given_only_where_it_holds(blender, fake_engine, tmp_path):
+    found = blender.run("panels.reasons", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
+    assert len(found) > 40
+    for operator, (runs, reasons) in found.items():
+        when, name = operator.split()
+        assert len(reasons) == (not runs), operator
+        assert any("A job is running" in reason for reason in reasons) <= (when == "busy"), operator
+        if when == "idle" and name in ("swag.train", "swag.plan", "swag.forecast", "swag.inspect_scene"):
+            assert reasons == ["Choose the folder with the photos and their COLMAP model first"]
+    assert found["busy swag.import_scene"][1] == ["A job is running: wait for its end, or cancel it"]
+
+
+def test_every_effect_has_a_small_picture(blender):
+    loaded, largest = blender.run("panels.pictures")
+    assert loaded == [[160, 160]] * len(EFFECTS) and largest < 20_000
 
 
 @pytest.mark.main_version

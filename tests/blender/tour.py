@@ -12,7 +12,7 @@ import bpy
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
 import window as blender_window
-from window import OUT, install, report, start, view3d, write_report
+from window import OUT, install, open_panels, report, start, view3d, write_report
 
 EXTENSION = "bl_ext.user_default.swag_splatting"
 LIMIT = 300  # seconds to wait for anything
@@ -61,6 +61,7 @@ def scroll(lines):
 
 def steps():
     install()
+    open_panels("SWAG_PT_effects", "SWAG_PT_water", "SWAG_PT_labels")
     yield 2.0
     window, area, region = view3d()
     status, swag = bpy.context.window_manager.swag, bpy.context.scene.swag

@@ -17,6 +17,8 @@ import bpy
 bpy.context.preferences.view.show_splash = False
 OUT = Path(os.environ["SWAG_OUT"])
 report = {"version": bpy.app.version_string}
+_last_row = 0
+"""Pixel of the row where the last button was; 0 at first, when the search starts at the top."""
 
 
 def view3d():
@@ -40,6 +42,43 @@ def until(condition, seconds):
         yield 0.05
 
 
+def click(command, column):
+    """Click the button of an operator in the sidebar, as steps; raise LookupError where there is none.
+
+    The pointer searches it, first where the last button was: Blender tells the command of the button below the
+    pointer, so that no test depends on where a panel has its buttons.
+
+    Args:
+        command: beginning of the button's Python command, such as "bpy.ops.swag.plan(".
+        column: where to look, as a fraction of the sidebar's width.
+    """
+    global _last_row
+    window, area, region = view3d()
+    # The pointer meets every row of buttons: they are 20 pixels high at least.
+    rows = range(region.y + region.height - 30, region.y + 10, -19)
+    seen = set()
+    for y in sorted(rows, key=lambda y: abs(y - _last_row), reverse=_last_row == 0):
+        # The X server counts pixels from above.
+        subprocess.run(
+            ["xdotool", "mousemove", str(int(region.x + region.width * column)), str(window.height - y)], check=True
+        )
+        # Blender reads the pointer once in a loop, after its timers: drawing may make one loop long.
+        for _ in range(3):
+            yield 0.02
+        with bpy.context.temp_override(window=window, area=area, region=region):
+            if not bpy.ops.ui.copy_python_command_button.poll():
+                continue
+            bpy.ops.ui.copy_python_command_button()
+        seen.add(bpy.context.window_manager.clipboard)
+        if bpy.context.window_manager.clipboard.startswith(command):
+            _last_row = y
+            yield 0.4
+            subprocess.run(["xdotool", "click", "1"], check=True)
+            yield 0.2
+            return
+    raise LookupError(f"{command} is not among {sorted(seen)}")
+
+
 def install():
     """Install the extension SWAG_ZIP without online access, and remove all objects."""
     bpy.context.preferences.system.use_online_access = False
@@ -48,6 +87,14 @@ def install():
     )
     for name in ("Cube", "Light", "Camera"):
         bpy.data.objects.remove(bpy.data.objects[name])
+
+
+def open_panels(*names):
+    """Let closed panels of the extension be open when the sidebar is drawn for the first time."""
+    for cls in [getattr(bpy.types, name) for name in names]:
+        bpy.utils.unregister_class(cls)
+        cls.bl_options = cls.bl_options - {"DEFAULT_CLOSED"}
+        bpy.utils.register_class(cls)
 
 
 def write_report():

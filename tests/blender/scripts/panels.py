@@ -2,12 +2,13 @@
 
 import threading
 import time
+import types
 from pathlib import Path
 from typing import Any
 
 import bpy
 from bl_ext.user_default.swag_splatting import operators
-from bl_ext.user_default.swag_splatting.swag_blender import properties
+from bl_ext.user_default.swag_splatting.swag_blender import effect_pictures, effects, panels, properties, water
 
 swag, status = bpy.context.scene.swag, bpy.context.window_manager.swag
 
@@ -24,16 +25,17 @@ def plan_and_overrule(folder):
     swag.scene_folder = folder
     bpy.ops.swag.plan()
     found = {"message": status.message}
+    found["figures"] = {e.name: [[f.name, f.measured, f.needed, f.met] for f in e.figures] for e in swag.plan.lines}
+    found["explained"] = [e.name for e in swag.plan.lines if e.explained]
     found["lines"] = [[e.name, e.title, e.state, e.reason, round(e.cost_ms, 2)] for e in swag.plan.lines]
-    swag.effects = "water=on"
     swag.plan.lines["lamp"].choice, swag.plan.lines["attenuation"].choice = "ON", "OFF"
     found["settings"] = swag.train_settings()["effects"]
     bpy.ops.swag.plan()
     found["after another plan"] = swag.plan.switches()
     opened = save_and_open(folder)
-    found["opened"] = [opened.plan.switches(), opened.plan.lines["lamp"].reason, opened.plan.stale]
+    found["opened"] = [opened.plan.switches(), opened.plan.lines["lamp"].reason, opened.plan_is_stale]
     opened.scene_folder = "/elsewhere"
-    found["stale"] = opened.plan.stale
+    found["stale"] = opened.plan_is_stale
     bpy.ops.swag.reset_effects()
     found["reset"] = [opened.plan.switches(), bpy.ops.swag.reset_effects.poll()]
     return found
@@ -116,7 +118,7 @@ def forecast(folder):
     found = {"before": swag.forecast_lines()}
     bpy.ops.swag.forecast()
     found["message"], found["failed"] = status.message, status.failed
-    swag.preset, swag.time_budget = "high", "10m"  # a forecast has every quality, whatever is chosen
+    swag.preset = "time"  # a forecast has every quality, whatever is chosen
     opened = save_and_open(folder)
     found["opened"] = opened.forecast_lines()
     for name, value in (("iterations", 100), ("recipe", "3dgs"), ("scene_folder", "/elsewhere")):
@@ -158,3 +160,123 @@ def plan_by_the_engine(scene):
             line.choice = choice
         found[choice] = swag.train_settings()
     return found
+
+
+class RecordingPanel:
+    """Stands in for the layout of a panel: takes any call and keeps the texts, properties and operators drawn."""
+
+    def __init__(self, drawn):
+        object.__setattr__(self, "drawn", drawn)
+
+    def __setattr__(self, name, value):
+        pass
+
+    def __getattr__(self, name):
+        def call(*arguments, text="", **options):
+            if name in ("prop", "template_list"):
+                self.drawn.append(str(arguments[1] if name == "prop" else arguments[0]))
+            elif name == "operator":
+                self.drawn.append(arguments[0])
+                return RecordingPanel([])
+            elif name == "panel":
+                return RecordingPanel(self.drawn), RecordingPanel(self.drawn)
+            if text:
+                self.drawn.append(text)
+            return RecordingPanel(self.drawn)
+
+        return call
+
+
+def draw_all(context):
+    """What each panel that is shown draws, by its name."""
+    found = {}
+    for module in (panels, water):
+        for cls in module._CLASSES:
+            if not hasattr(cls, "poll") or cls.poll(context):
+                drawn: list[str] = []
+                cls.draw(type("Panel", (), {"layout": RecordingPanel(drawn)})(), context)
+                found[cls.__name__] = drawn
+    return found
+
+
+def context_of_a_sidebar():
+    """A context with a region, which there is none of without a window."""
+    own = bpy.context
+    return types.SimpleNamespace(
+        scene=own.scene, window_manager=own.window_manager, preferences=own.preferences, mode=own.mode,
+        active_object=own.active_object, selected_objects=own.selected_objects, view_layer=own.view_layer,
+        region=types.SimpleNamespace(width=280),
+    )  # fmt: skip
+
+
+def panels_by_stage(folder):
+    """Order and closed panels of the tab, and what is drawn before photos are chosen, before and after training."""
+    tops = [cls for module in (panels, water) for cls in module._CLASSES if not getattr(cls, "bl_parent_id", "")]
+    found = {
+        "order": [cls.bl_label for cls in sorted(tops, key=lambda cls: cls.bl_order)],
+        "open": [cls.__name__ for cls in tops if "DEFAULT_CLOSED" not in getattr(cls, "bl_options", ())],
+        "fresh": draw_all(context_of_a_sidebar()),
+    }
+    swag.scene_folder = folder
+    bpy.ops.swag.plan()
+    found["planned"] = draw_all(context_of_a_sidebar())
+    bpy.ops.swag.train()
+    found["trained"] = draw_all(context_of_a_sidebar())
+    return found
+
+
+def sizes():
+    """Numbers that the panel shows, and settings of the engine, for several choices."""
+    names = ("iterations", "width", "max_gaussians")
+
+    def now():
+        settings = swag.train_settings()
+        return [[getattr(swag, name) for name in names], [settings[name] for name in names], settings["time_budget"]]
+
+    found = {"standard": now()}
+    swag.preset = "draft"
+    found["draft"] = now()
+    swag.iterations = 700
+    found["own"] = now()
+    swag.iterations = 1500  # the preset's own number
+    found["as the preset"] = now()
+    swag.iterations = 700
+    swag.preset = "high"
+    found["high"] = now()
+    swag.preset, swag.minutes = "time", 2.5
+    found["time"] = now()
+    return found
+
+
+def water_types():
+    """The engine's setting for each water type of the menu."""
+    found = {}
+    swag.attenuation = (0.3, 0.1, 0.0625)
+    for item in swag.bl_rna.properties["water_type"].enum_items:
+        swag.water_type = item.identifier
+        found[item.identifier] = swag.train_settings()["water_type"]
+    return found
+
+
+def reasons(folder):
+    """For each operator: whether it can run, and the reason that its button shows, without and with a job."""
+    found = {}
+    for when in ("idle", "busy"):
+        status.job = "Training" if when == "busy" else ""
+        for module in operators._MODULES:
+            for cls in (cls for cls in module.CLASSES if issubclass(cls, bpy.types.Operator) and hasattr(cls, "poll")):
+                said: list[str] = []
+                stand_in: Any = type(cls.__name__, (cls,), {"poll_message_set": staticmethod(said.append)})
+                found[f"{when} {cls.bl_idname}"] = [bool(stand_in.poll(bpy.context)), said]
+    status.job = ""
+    return found
+
+
+def pictures():
+    """Sizes of the pictures of all effects in pixels, and the largest size of a file in bytes."""
+    names = list(effects.EFFECTS)
+    files = [effect_pictures.FOLDER / f"{name}.jpg" for name in names]
+    for name in names:
+        effect_pictures.picture_of(name)  # 0 without a window
+    loaded = [list(effect_pictures._pictures[name].image_size) for name in names]
+    return [loaded, max(path.stat().st_size for path in files)]

@@ -3,6 +3,9 @@
 import re
 
 import bpy
+from bl_ext.user_default.swag_splatting.swag_blender import effect_pictures, effects, job, run_list
+from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_figures import FIGURES
+from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_names import EFFECTS
 
 KINDS = (
     bpy.types.Operator,
@@ -44,4 +47,9 @@ def shown_words():
             if not prop.is_hidden:
                 for item in (prop, *getattr(prop, "enum_items", ())):
                     found |= {item.description} | ({item.name} - {item.identifier})
+    found |= {words.statement for words in EFFECTS.values()} | {words.sentence for words in EFFECTS.values()}
+    found |= {name.replace("_", " ").capitalize() for name in EFFECTS}
+    found |= {figure.label for figures in FIGURES.values() for figure in figures.values()}
+    found |= {sentence for _, sentence in effects.STATES.values()} | {effects.NO_WATER, effects.WATER_UNKNOWN}
+    found |= {*effect_pictures.COLUMNS, *run_list.LABELS.values(), "Stopped", "Finished", job.NO_PHOTOS}
     return sorted(word for word in found if re.search("[A-Za-z]{2}", word))
