@@ -19,7 +19,6 @@ class SWAG_OT_import_scene(Job):
 
     bl_idname = "swag.import_scene"
     bl_label = "Import COLMAP Scene"
-    bl_options = {"REGISTER", "UNDO"}
     job = "Import"
 
     directory: Annotated[
@@ -39,7 +38,6 @@ class SWAG_OT_import_scene(Job):
         """Import: for a script until it is done, for a user without blocking the window."""
         if bpy.app.background or not self.options.is_invoke:
             return self.run_blocking(context)
-        scene_import.show_colors(present(context.screen))
         return self.run_modal(context)
 
     def start(self, context: bpy.types.Context) -> Engine:
@@ -60,6 +58,8 @@ class SWAG_OT_import_scene(Job):
             raise EngineError(f"The scene {self._scene} was removed; import again.")
         with self._arrays:
             scene_import.import_scene(event, scene)
+        if not bpy.app.background:
+            scene_import.show_colors(present(context.screen))
         found = scene_import.choose(scene, event)
         return f"{found.splitlines()[0]}."
 

@@ -2,10 +2,11 @@
 
 import bpy
 
+from ..swag_engine.base.text import time_text
 from ..swag_engine.formats.registry import FORMATS
 from . import EXTENSION, engine_process, label_list, splats
 from .blender_types import present, set_button
-from .properties import SETTINGS, status_of, swag_of, time_text
+from .properties import SETTINGS, status_of, swag_of
 from .sidebar import SwagPanel, draw_job, draw_outcome, draw_wrapped
 
 MAIN_SETTINGS = ("recipe", "preset", "time_budget")

@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 from bl_ext.user_default.swag_splatting import operators
 from bl_ext.user_default.swag_splatting.swag_blender import properties
+from bl_ext.user_default.swag_splatting.swag_engine.base.text import sparkline
 
 swag, status = bpy.context.scene.swag, bpy.context.window_manager.swag
 
@@ -105,8 +106,8 @@ def curve_and_figures():
         )  # fmt: skip
     return {
         "curve": status.curve,
-        "drawn": properties.sparkline([float(value) for value in status.curve.split()]),
-        "flat": properties.sparkline([3.0, 3.0]),
+        "drawn": sparkline([float(value) for value in status.curve.split()]),
+        "flat": sparkline([3.0, 3.0]),
         "figures": status.figures(),
     }
 
