@@ -59,8 +59,8 @@ GERMAN = {
     "COLMAP Scene (folder)": "COLMAP-Szene (Ordner)",
     "Cameras": "Kameras",
     "Choice": "Wahl",
-    "Click two points of the splats whose distance you know; the scene is then scaled to metres": (
-        "Zwei Punkte der Splats anklicken, deren Abstand bekannt ist; dann wird die Szene auf Meter gebracht"
+    "Click two points of the splats whose distance you know; the scene is then scaled by it": (
+        "Zwei Punkte der Splats anklicken, deren Abstand bekannt ist; danach wird die Szene skaliert"
     ),
     "Colour": "Farbe",
     "Cost": "Kosten",

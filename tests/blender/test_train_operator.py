@@ -7,8 +7,10 @@ import sys
 import pytest
 
 GO_ON = "What was saved is kept: start again, or press Continue."
-INSTALL = "install the packages of requirements.txt there, or press Install Engine in Blender's preferences of SWAG "
+INSTALL = (
+    "install the packages of requirements.txt there, or press Install Engine in Blender's preferences of SWAG "
     "Splatting."
+)
 
 
 def test_a_training_reports_progress_and_puts_its_result_into_the_scene(blender, fake_engine, tmp_path):
