@@ -64,6 +64,8 @@ def train(request):
             os.kill(os.getpid(), signal.SIGKILL)
         if iteration == 6 and behaviour == "terminated":
             os.kill(os.getpid(), signal.SIGTERM)
+        if iteration == 6 and behaviour == "interrupted":  # as the engine ends that has handled the signal
+            os._exit(143)
         if iteration == 6 and behaviour == "incomplete":
             raise ModuleNotFoundError("No module named 'numpy'", name="numpy")
         if iteration == 6 and behaviour == "crash":

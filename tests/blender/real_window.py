@@ -12,7 +12,7 @@ import time
 import bpy
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import install, photograph, report, start, until, view3d
+from window import install, photograph, press, report, start, until, view3d
 
 # Pixels of the buttons from the top left corner of a screen of 1280 x 800.
 TRAIN, CONTINUE, PAUSE, CANCEL = (900, 486), (960, 486), (830, 440), (950, 440)
@@ -87,6 +87,10 @@ def steps():
     yield from until(lambda: not status.paused and status.iteration > paused_at, 90)
 
     yield from click(*CANCEL)
+    yield 1.0
+    report["asked first"] = not status.stopping
+    press("Return")
+    yield 0.5
     report["stopping"] = status.stopping or not status.job
     yield from until(lambda: not status.job, 90)
     yield 1.0
@@ -98,12 +102,6 @@ def steps():
 
     yield from click(*CONTINUE)
     yield from until(lambda: status.job == "Training" and status.iteration > report["training"]["iteration"], 90)
-    subprocess.run(["xdotool", "key", "Escape"], check=True)
-    yield from until(lambda: not status.job, 90)
-    report["escaped"] = {"failed": status.failed, "message": status.message, "points": len(clouds()[0].data.points)}
-
-    yield from click(*CONTINUE)
-    yield from until(lambda: status.job == "Training", 90)
     bpy.ops.wm.read_homefile(use_empty=True)
     yield 0.5
     status = bpy.context.window_manager.swag
