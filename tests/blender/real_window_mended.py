@@ -112,10 +112,9 @@ def steps():
     moved = bpy.data.objects[name].matrix_world.translation.x
     for _ in range(3):  # to before the plan was made
         yield from press_in_viewport("ctrl+z")
-    back = bpy.data.objects[name].matrix_world.translation.x
-    report["undone"] = {
-        "object is back": abs(back - moved) > 0.5, "job": status().job, "run": swag().run_path, "plan": len(swag().plan.lines),
-    }  # fmt: skip
+    back = abs(bpy.data.objects[name].matrix_world.translation.x - moved) > 0.5
+    kept = {"run": swag().run_path, "plan": len(swag().plan.lines)}
+    report["undone"] = kept | {"object is back": back, "job": status().job}
     yield from press_in_viewport("Escape")
     report["after escape"] = "" if status().stopping else status().job
     photograph("3-training")

@@ -28,7 +28,8 @@ def options():
 def close_dialog():
     """The running job after Blender has closed the file dialog of another one, whose operator did not start."""
     status.begin("Training")
-    operators.import_scene.SWAG_OT_import_scene.cancel(SimpleNamespace(_engine=None), bpy.context)
+    asked: Any = SimpleNamespace(_engine=None)
+    operators.import_scene.SWAG_OT_import_scene.cancel(asked, bpy.context)
     return status.job
 
 
@@ -37,7 +38,7 @@ def start_beside(folder):
     # As a file dialog calls it, which does not ask `poll`.
     told: list[Any] = []
     importer = operators.import_scene.SWAG_OT_import_scene
-    asked = SimpleNamespace(report=lambda kind, text: told.append(text))
+    asked: Any = SimpleNamespace(report=lambda kind, text: told.append(text))
     asked._must_wait = lambda context: importer._must_wait(asked, context)
     assert importer.run_blocking(asked, bpy.context) == {"CANCELLED"}
     return {"message": told[0], "job": status.job}
@@ -49,7 +50,8 @@ def cancel():
     bpy.ops.swag.cancel()
     found = {"running": status.stopping}
     status.begin("")
-    operators.cancel.SWAG_OT_cancel.execute(SimpleNamespace(), bpy.context)
+    asked: Any = SimpleNamespace()
+    operators.cancel.SWAG_OT_cancel.execute(asked, bpy.context)
     return found | {"ended": status.stopping}
 
 
