@@ -42,6 +42,7 @@ class Training:
         kept_through_undo.keep(scene)
         self._preview: tuple[Future[Splats], dict[str, Any] | None] | None = None
         self._shown = False
+        self._cloud = 0
         self.request: dict[str, Any] = {
             "request": "train",
             "scene": self._images,
@@ -69,6 +70,7 @@ class Training:
             if scene := bpy.data.scenes.get(self._scene):
                 obj = self._show(context, scene, reading.result())
                 water.remember_water(obj, values, 0.0)
+                self._remember_step(obj)
 
     def show_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Show the result of a `result` event in the scene and select it; returns what to tell the user.
@@ -88,6 +90,13 @@ class Training:
         quality = f", {metrics['test_psnr']:.1f} dB on held-out photos" if metrics.get("test_psnr") else ""
         how = "Stopped; kept" if event["interrupted"] else "Trained"
         return f"{how} {metrics['gaussians']} Gaussians in {time_text(metrics['seconds'])}{quality}."
+
+    def _remember_step(self, obj: bpy.types.Object) -> None:
+        """Make a step of undo where the preview has made data: Blender crashes on undo of steps that do not have it."""
+        cloud = present(obj.data).session_uid
+        if cloud != self._cloud:
+            bpy.ops.ed.undo_push(message="Show Training")
+        self._cloud = cloud
 
     def _show(self, context: bpy.types.Context, scene: bpy.types.Scene, loaded: Splats) -> bpy.types.Object:
         """Show splats of the run; the first time, viewports change to a shading that has colours."""

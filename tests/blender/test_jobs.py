@@ -49,3 +49,8 @@ def test_a_folder_that_cannot_be_written_is_named_with_what_to_do(blender, tiny_
     message = blender.run("jobs.train_to", tiny_scene, run, SWAG_ENGINE_PYTHON=sys.executable)
     assert message == f"Cannot write {run}: Not a directory; choose another folder, or check who may write to this one."
     assert "Traceback" not in blender.printed
+
+
+def test_undo_between_two_previews_does_not_end_blender(blender, tmp_path):
+    found = blender.run("jobs.undo_previews", tmp_path)
+    assert len(found["counts"]) == 4 and all(len(points) <= 1 for points in found["counts"])

@@ -1,5 +1,6 @@
 """Jobs without a window: options, dialogs, undo, messages."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -7,6 +8,8 @@ import bpy
 from bl_ext.user_default.swag_splatting import operators
 from bl_ext.user_default.swag_splatting.swag_blender import job
 from bl_ext.user_default.swag_splatting.swag_blender.training import Training
+from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import write_ply
+from pictures import random_splats
 
 status = bpy.context.window_manager.swag
 
@@ -103,3 +106,29 @@ def train_to(scene, run):
     swag = bpy.context.scene.swag
     swag.scene_folder, swag.run_folder = scene, run
     return failure(bpy.ops.swag.train).strip().removeprefix("Error: ")
+
+
+def undo_previews(folder):
+    """Number of splat objects after undo of what the user did between previews, and whether Blender survives it."""
+    context = bpy.context
+    preview = folder + "/preview.ply"
+    context.scene.swag.scene_folder = folder
+    bpy.ops.object.empty_add()
+    for step in range(3):
+        bpy.data.objects["Empty"].location.x = step
+        context.view_layer.update()
+        bpy.ops.ed.undo_push(message=f"move {step}")
+    training = Training(context, resume=False)
+    counts = []
+    for number in range(4):
+        for size in (30 + number, 50 - number):
+            write_ply(Path(preview), random_splats(size, 1))
+            training.read_preview({"path": preview})
+            training._preview[0].result()
+            training.show_preview(context)
+            context.view_layer.update()
+        bpy.ops.ed.undo()
+        context.view_layer.update()
+        found = [obj for obj in bpy.data.objects if "swag_run" in obj]
+        counts.append([len(obj.data.points) for obj in found])
+    return {"counts": counts, "x": bpy.data.objects["Empty"].location.x}
