@@ -15,6 +15,7 @@ class SWAG_OT_check_engine(Job):
 
     bl_idname = "swag.check_engine"
     bl_label = "Check Engine"
+    bl_options = set()
     job = "Engine check"
 
     @classmethod

@@ -7,11 +7,10 @@ from ..swag_blender.properties import SwagScene
 
 
 class SWAG_OT_forecast(SceneJob):
-    """Train for some seconds and forecast the time, PSNR and memory of each quality on this machine; Escape stops"""
+    """Train for some seconds and forecast the time, PSNR and memory of each quality on this machine"""
 
     bl_idname = "swag.forecast"
     bl_label = "Forecast"
-    bl_options = {"REGISTER", "UNDO"}
     job = "Forecast"
 
     def request(self, swag: SwagScene) -> dict[str, Any]:

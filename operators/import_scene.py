@@ -19,7 +19,6 @@ class SWAG_OT_import_scene(Job):
 
     bl_idname = "swag.import_scene"
     bl_label = "Import COLMAP Scene"
-    bl_options = {"REGISTER", "UNDO"}
     job = "Import"
 
     directory: Annotated[

@@ -13,7 +13,6 @@ class SWAG_OT_inspect_scene(SceneJob):
 
     bl_idname = "swag.inspect_scene"
     bl_label = "Check Photos"
-    bl_options = {"REGISTER"}
     job = "Check"
 
     def request(self, swag: SwagScene) -> dict[str, Any]:

@@ -17,6 +17,7 @@ class SWAG_OT_install_engine(Job):
 
     bl_idname = "swag.install_engine"
     bl_label = "Install Engine"
+    bl_options = set()
     job = "Installation"
 
     @classmethod

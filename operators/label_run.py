@@ -14,11 +14,10 @@ from ..swag_blender.operator_base import splats_are_active
 
 @with_properties
 class SWAG_OT_label_run(Job):
-    """Give every splat of the run a label: from your masks, from words or from salient regions; Escape stops"""
+    """Give every splat of the run a label: from your masks, from words or from salient regions"""
 
     bl_idname = "swag.label_run"
     bl_label = "Label"
-    bl_options = {"REGISTER", "UNDO"}
     job = "Labelling"
 
     source: labels.Source

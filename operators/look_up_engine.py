@@ -15,6 +15,7 @@ class SWAG_OT_look_up_engine(Job):
 
     bl_idname = "swag.look_up_engine"
     bl_label = "Look Up Size of Engine"
+    bl_options = set()
     job = "Look-up"
 
     @classmethod

@@ -9,7 +9,7 @@ from ..swag_blender.picking import splat_at
 
 
 class SWAG_OT_pick_scale(bpy.types.Operator):
-    """Click two points of the splats whose distance you know; the scene is then scaled to metres"""
+    """Click two points of the splats whose distance you know; the scene is then scaled by it"""
 
     bl_idname = "swag.pick_scale"
     bl_label = "Pick Two Points"

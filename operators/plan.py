@@ -11,7 +11,6 @@ class SWAG_OT_plan(SceneJob):
 
     bl_idname = "swag.plan"
     bl_label = "Plan Effects"
-    bl_options = {"REGISTER", "UNDO"}
     job = "Plan"
 
     def request(self, swag: SwagScene) -> dict[str, Any]:

@@ -16,6 +16,8 @@ class SWAG_OT_search_labels(SplatOperator):
 
     bl_idname = "swag.search_labels"
     bl_label = "Search Splats"
+    # Without REGISTER: Adjust Last Operation would ask the engine's text network again at each key.
+    bl_options = {"UNDO"}
 
     words: Annotated[str, StringProperty(name="Search", description="What to look for; empty: the words in the panel")]
 

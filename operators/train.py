@@ -5,8 +5,7 @@ from typing import Annotated, Any
 import bpy
 from bpy.props import BoolProperty
 
-from ..swag_blender import scene_import
-from ..swag_blender.blender_types import OperatorResult, present, with_properties
+from ..swag_blender.blender_types import present, with_properties
 from ..swag_blender.engine_process import Engine
 from ..swag_blender.job import Job, can_work_on_photos
 from ..swag_blender.training import Training
@@ -14,11 +13,10 @@ from ..swag_blender.training import Training
 
 @with_properties
 class SWAG_OT_train(Job):
-    """Train 3D Gaussians on the photos; Escape stops and keeps the result so far"""
+    """Train 3D Gaussians on the photos; Cancel stops and keeps the result so far"""
 
     bl_idname = "swag.train"
     bl_label = "Train"
-    bl_options = {"REGISTER", "UNDO"}
     job = "Training"
 
     resume: Annotated[
@@ -40,12 +38,6 @@ class SWAG_OT_train(Job):
             return "Continue the run where it stopped, with the settings it was started with"
         return present(cls.__doc__)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
-        """Train without blocking the window, in viewports that show colours."""
-        if not bpy.app.background:
-            scene_import.show_colors(present(context.screen))
-        return super().invoke(context, event)
-
     def start(self, context: bpy.types.Context) -> Engine:
         """Start the training."""
         self._training = Training(context, self.resume)
@@ -60,7 +52,7 @@ class SWAG_OT_train(Job):
 
     def on_timer(self, context: bpy.types.Context) -> None:
         """Show the preview once it is read."""
-        self._training.show_preview()
+        self._training.show_preview(context)
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Show the result."""

@@ -10,6 +10,8 @@ import importlib.util
 import json
 import os
 import queue
+import re
+import signal
 import subprocess
 import sys
 import threading
@@ -21,6 +23,7 @@ from typing import Any
 
 import bpy
 
+from ..swag_engine.base.errors import missing_package_sentence
 from . import EXTENSION
 from .blender_types import present
 
@@ -33,6 +36,10 @@ TERMINATE_SECONDS = 5.0
 """Time that a terminated child gets before it is killed."""
 CLOSE_SECONDS = 2.0
 """Time that a child gets to end by itself after its stdin was closed."""
+KILL = 9
+"""Number of the signal SIGKILL, which Python on Windows does not name."""
+GO_ON = "What was saved is kept: start again, or press Continue."
+"""What to do when the engine has ended before it was done."""
 NICENESS = 10
 """Lower priority of the child: it uses the processors that Blender does not need."""
 
@@ -120,6 +127,7 @@ class Engine:
 
     def __init__(self, command: list[str] | None = None) -> None:
         command = command or [engine_python(), "-m", "swag_engine.app.worker"]
+        self._python = command[0]
         # A session of its own: Ctrl-C in the terminal reaches Blender alone, which then cancels or stops the child.
         options: dict[str, Any] = {"start_new_session": True}
         if sys.platform == "win32":
@@ -230,8 +238,21 @@ class Engine:
         self._readers[1].join(1.0)
         self._print_log()
         last = next((line.strip() for line in reversed(self.log) if line.strip()), "")
-        how = f"was ended by signal {-code}" if code < 0 else f"ended with exit code {code}"
-        return f"The engine {how} before it was done{': ' + last if last else '.'}"
+        if self._terminated:
+            return f"The engine did not stop within {CANCEL_SECONDS:.0f} s and was ended. {GO_ON}"
+        # The worker handles the first signal itself and ends with the code that shells give to it.
+        number = -code if code < 0 else code - 128
+        if number == signal.SIGTERM:
+            return f"The engine was ended by the system or another program (signal {number}). {GO_ON}"
+        if number == KILL:
+            return (
+                f"The engine was ended by the system (signal {number}), usually because memory ran out. "
+                f"Close other programs or choose a lower Quality. {GO_ON}"
+            )
+        if missing := re.match(r"ModuleNotFoundError: No module named '(?!swag_engine)([^'.]+)", last):
+            return missing_package_sentence(self._python, missing[1])
+        how = f"crashed (signal {number})" if code < 0 else f"ended with exit code {code}"
+        return f"The engine {how} before it was done{': ' + last.rstrip('.') if last else ''}. {GO_ON}"
 
     def _print_log(self) -> None:
         for line in self.log:

@@ -27,10 +27,13 @@ last_log: list[str] = []
 class Job(bpy.types.Operator):
     """Operator that gives `job` (a name to show), `start`, `on_event` and `on_result`.
 
-    One job runs at a time. `window_manager.swag` shows it, and its `stopping` stops it; so does Escape.
+    One job runs at a time. `window_manager.swag` shows it, and its `stopping` stops it.
     """
 
+    # Without REGISTER: Adjust Last Operation and Repeat Last would call `execute`, which blocks the window to the end.
+    bl_options = {"UNDO"}
     job: str
+    _engine: Engine | None = None
 
     def start(self, context: bpy.types.Context) -> Engine:
         """Start the child process and send the request. Raises EngineError or InputError."""
@@ -67,6 +70,8 @@ class Job(bpy.types.Operator):
 
     def run_blocking(self, context: bpy.types.Context) -> OperatorResult:
         """Run to the end and print progress. For `execute`: a call from a script returns when all is done."""
+        if self._must_wait(context):
+            return {"CANCELLED"}
         status = status_of(context)
         status.begin(self.job)
         printed = -PRINT_SECONDS
@@ -98,6 +103,8 @@ class Job(bpy.types.Operator):
 
     def run_modal(self, context: bpy.types.Context) -> OperatorResult:
         """Start, and read events from a timer while the user continues to work. For `invoke`."""
+        if self._must_wait(context):
+            return {"CANCELLED"}
         window_manager = present(context.window_manager)
         status_of(context).begin(self.job)
         try:
@@ -110,19 +117,15 @@ class Job(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
-        """Handle Escape and the timer; Blender calls this for every event."""
-        status = status_of(context)
-        if event.type == "ESC" and event.value == "PRESS":
-            status.stopping = True
-            redraw(context)
-            return {"RUNNING_MODAL"}
+        """Handle the timer; Blender calls this for every event."""
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
+        status, engine = status_of(context), present(self._engine)
         if status.stopping:
-            self._engine.cancel()
+            engine.cancel()
         elif status.paused != self._paused:
             self._paused = status.paused
-            self._engine.send({"request": "pause" if self._paused else "go_on"})
+            engine.send({"request": "pause" if self._paused else "go_on"})
             redraw(context)
         try:
             outcome = self._follow(context)
@@ -137,13 +140,21 @@ class Job(bpy.types.Operator):
         return outcome or {"PASS_THROUGH"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """End the job; Blender calls this when another file is opened or the window closes."""
-        self._close(context)
-        status_of(context).job = ""
+        """End the job; Blender calls this when another file is opened or a window or a dialog before it is closed."""
+        if self._engine:
+            self._close(context)
+            status_of(context).job = ""
+
+    def _must_wait(self, context: bpy.types.Context) -> bool:
+        """Tell the user where another job was started while a dialog of this one was open; returns whether it was."""
+        running = status_of(context).job
+        if running:
+            self.report({"ERROR"}, f"{running} is running: wait for its end, or cancel it.")
+        return bool(running)
 
     def _follow(self, context: bpy.types.Context) -> OperatorResult | None:
         """Handle the events that arrived; returns how the operator ended, None while it runs."""
-        events = self._engine.poll()
+        events = present(self._engine).poll()
         # Several previews may have arrived while Blender was busy: only the last one is shown.
         previews = [event for event in events if event["event"] == "preview"]
         for event in events:
@@ -160,8 +171,9 @@ class Job(bpy.types.Operator):
         return None
 
     def _close(self, context: bpy.types.Context) -> None:
-        self._engine.stop()
-        keep_log(self._engine)
+        engine = present(self._engine)
+        engine.stop()
+        keep_log(engine)
         with contextlib.suppress(ReferenceError, RuntimeError):
             present(context.window_manager).event_timer_remove(self._timer)
 

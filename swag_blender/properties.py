@@ -19,6 +19,7 @@ from bpy.props import (
 from bpy.types import PropertyGroup
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.base.text import time_text
 from ..swag_engine.formats.run_folder import RunFolder
 from ..swag_engine.settings.field import Setting, settings_of
 from ..swag_engine.settings.jerlov import JERLOV, MOST
@@ -346,20 +347,6 @@ def progress_text(event: dict[str, Any]) -> str:
     """Text of a `progress` event."""
     what = "Iteration" if event["stage"] == "train" else "Photo"
     return f"{what} {event['iteration']} of {event['iterations']}"
-
-
-def time_text(seconds: float) -> str:
-    """A duration as m:ss, or h:mm:ss."""
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
-
-
-def sparkline(values: list[float]) -> str:
-    """Values as text bars between the lowest and the highest of them."""
-    bars = "▁▂▃▄▅▆▇█"
-    low, span = min(values), max(max(values) - min(values), 1e-9)
-    return "".join(bars[round((value - low) / span * (len(bars) - 1))] for value in values)
 
 
 def _absolute(folder: str) -> str:

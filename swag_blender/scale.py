@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import bpy
-import numpy as np
 from mathutils import Vector
 
 from ..swag_engine.base.errors import InputError
@@ -13,6 +12,7 @@ from .properties import swag_of
 
 METRES_KEY = "swag_metres_per_unit"
 """Property of a scene's root, or of splats without one: metres in a unit of its own space."""
+SELECT_TWO = "Select two objects at different places, such as two cameras, or pick two points."
 
 
 def scaled_object(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -31,35 +31,42 @@ def metres_per_unit(obj: bpy.types.Object) -> float:
     return float(root.get(METRES_KEY, 0.0))
 
 
-def scale_by_selection(context: bpy.types.Context, distance: float) -> float:
-    """Scale the scene so that the two selected objects are `distance` metres apart; as scale_to_distance."""
-    ends = [obj.matrix_world.translation for obj in context.selected_objects]
-    if len(ends) != 2:
-        raise InputError("Select two objects at different places, such as two cameras, or pick two points.")
-    return scale_to_distance(context, ends[0], ends[1], distance)
+def selected_ends(context: bpy.types.Context) -> list[Vector]:
+    """The places of the selected objects, whose distance is known where there are two of them."""
+    return [obj.matrix_world.translation.copy() for obj in context.selected_objects]
 
 
-def scale_to_distance(
-    context: bpy.types.Context, start: Vector | Sequence[float], end: Vector | Sequence[float], distance: float
-) -> float:
-    """Scale the scene about the world's origin so that two points of it are `distance` metres apart.
+def distance_between(ends: Sequence[Vector]) -> float:
+    """Distance of two points in Blender units; 0 where there are more or fewer, or where they coincide."""
+    length = (ends[1] - ends[0]).length if len(ends) == 2 else 0.0
+    return length if length > 1e-9 else 0.0
+
+
+def scale_to_distance(context: bpy.types.Context, ends: Sequence[Vector], distance: float) -> float:
+    """Scale the scene about the world's origin so that two points of it are `distance` apart.
+
+    Args:
+        context: its scene has the unit scale, the metres in a Blender unit; one without units gets metres.
+        ends: the two points, in Blender's world.
+        distance: their distance afterwards, in Blender units, as Blender's properties of lengths have it.
 
     Returns:
-        Metres in a unit of the scene's own space; a Blender unit is a metre afterwards.
+        Metres in a unit of the scene's own space.
 
     Raises:
-        InputError: the points coincide.
+        InputError: they are not two points at different places.
     """
-    length = float(np.linalg.norm(np.array(end) - np.array(start)))
-    if length < 1e-9:
-        raise InputError("Select two objects at different places, such as two cameras, or pick two points.")
-    obj = present(scaled_object(context))
-    metres = obj.matrix_world.median_scale * distance / length
-    _scale_about_origin(obj, metres / obj.matrix_world.median_scale)
+    length = distance_between(ends)
+    if not length:
+        raise InputError(SELECT_TWO)
+    factor = distance / length
+    obj, scene = present(scaled_object(context)), present(context.scene)
+    if scene.unit_settings.system == "NONE":
+        scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 1.0
+    metres = obj.matrix_world.median_scale * factor * scene.unit_settings.scale_length
+    _scale_about_origin(obj, factor)
     obj[METRES_KEY] = metres
-    scene = present(context.scene)
     swag_of(scene).metres_per_unit = metres
-    scene.unit_settings.system = "METRIC"
     return metres
 
 

@@ -5,8 +5,9 @@ from typing import Literal
 
 import bpy
 
+from ..swag_engine.base.text import sparkline
 from .blender_types import present
-from .properties import sparkline, status_of
+from .properties import status_of
 
 CHARACTER_WIDTH = 6.4
 """Mean width of a character in Blender's interface font, in pixels at a scale of 1."""

@@ -112,7 +112,12 @@ def new_splat_object(
 
 def replace_splats(obj: bpy.types.Object, splats: Splats) -> None:
     """Give the object other splats (any number of them); transform, parent, modifiers and object name stay."""
-    _replace_data(obj, _pointcloud(pointcloud_of(obj).name, splats))
+    old = pointcloud_of(obj)
+    if hasattr(old, "resize"):  # Blender 5.2 and later
+        _fill(old, splats)
+        old.update_tag()
+    else:
+        _replace_data(obj, _pointcloud(old.name, splats))
 
 
 def keep_splats(obj: bpy.types.Object, chosen: np.ndarray) -> None:
@@ -287,10 +292,19 @@ def _converted_from_mesh(name: str, count: int) -> bpy.types.PointCloud:
 
 def _pointcloud(name: str, splats: Splats) -> bpy.types.PointCloud:
     pointcloud = new_pointcloud(name, splats.positions)
+    _fill(pointcloud, splats)
+    return pointcloud
+
+
+def _fill(pointcloud: bpy.types.PointCloud, splats: Splats) -> None:
+    """Give a point cloud the splats and no other attributes; before Blender 5.2 it has their number of points."""
+    if hasattr(pointcloud, "resize"):
+        pointcloud.resize(len(splats.positions))
     base = np.concatenate([splats.sh[:, 0], splats.opacities[:, None]], axis=1)
     types = cast(Any, bpy.types.Attribute).bl_rna.properties["data_type"].enum_items
     attributes: Any = pointcloud.attributes
     values = [
+        ("position", "FLOAT_VECTOR", splats.positions),
         ("scale", "FLOAT_VECTOR", splats.scales),
         ("rotation", "QUATERNION", splats.rotations),
         (BASE, "FLOAT4" if "FLOAT4" in types else "FLOAT_COLOR", base),
@@ -299,6 +313,9 @@ def _pointcloud(name: str, splats: Splats) -> bpy.types.PointCloud:
     values += [(f"radiance:sh_{k - 1}", "FLOAT_VECTOR", splats.sh[:, k]) for k in range(1, splats.sh.shape[1])]
     for own, value in splats.extras.items():
         values.append((OWN_PREFIX + own, "INT" if np.issubdtype(value.dtype, np.integer) else "FLOAT", value))
+    kept = {attribute for attribute, _, _ in values}
+    for name in [a.name for a in attributes if a.name not in kept and not a.is_required]:
+        attributes.remove(attributes[name])
     # Adding an attribute can move the data of others: all are made before any is written.
     for attribute, kind, _ in values:
         if attribute not in attributes:
@@ -307,7 +324,6 @@ def _pointcloud(name: str, splats: Splats) -> bpy.types.PointCloud:
         _write(attributes[attribute], value)
     if hasattr(pointcloud, "type"):
         pointcloud.type = "GAUSSIAN_SPLAT"
-    return pointcloud
 
 
 def _value_property(attribute: Any) -> str:

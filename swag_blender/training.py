@@ -8,13 +8,14 @@ from typing import Any
 import bpy
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.base.text import time_text
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.formats.run_folder import RunFolder
 from ..swag_engine.splats.splats import Splats
-from . import splats, water
+from . import kept_through_undo, scene_import, splats, water
 from .blender_types import present
 from .job import chosen_scene
-from .properties import swag_of, time_text
+from .properties import swag_of
 from .runs import free_run_folder, remember_training, show_splats
 
 _reader = ThreadPoolExecutor(1)
@@ -38,7 +39,10 @@ class Training:
         if not resume:
             swag.run_folder = str(free_run_folder(Path(swag.run_path)))
         self._scene, self._run = scene.name, swag.run_path
+        kept_through_undo.keep(scene)
         self._preview: tuple[Future[Splats], dict[str, Any] | None] | None = None
+        self._shown = False
+        self._cloud = 0
         self.request: dict[str, Any] = {
             "request": "train",
             "scene": self._images,
@@ -56,7 +60,7 @@ class Training:
         if self._preview is None:
             self._preview = _reader.submit(read_ply, Path(event["path"])), event.get("water")
 
-    def show_preview(self) -> None:
+    def show_preview(self, context: bpy.types.Context) -> None:
         """Show the splats of the preview in the scene once they are read."""
         if self._preview is None or not self._preview[0].done():
             return
@@ -64,8 +68,9 @@ class Training:
         # A window that was busy reads late: the run has ended and its preview file is gone.
         with contextlib.suppress(InputError):
             if scene := bpy.data.scenes.get(self._scene):
-                obj = show_splats(scene, reading.result(), self._run, self._images)
+                obj = self._show(context, scene, reading.result())
                 water.remember_water(obj, values, 0.0)
+                self._remember_step(obj)
 
     def show_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Show the result of a `result` event in the scene and select it; returns what to tell the user.
@@ -77,7 +82,7 @@ class Training:
         if not scene:
             raise InputError(f"The scene {self._scene} was removed; the trained splats are in {event['ply']}.")
         metrics = event["metrics"]
-        obj = show_splats(scene, read_ply(Path(event["ply"])), self._run, self._images)
+        obj = self._show(context, scene, read_ply(Path(event["ply"])))
         remember_training(obj, RunFolder(Path(self._run)), metrics)
         if context.mode == "OBJECT" and present(context.view_layer).objects.get(obj.name):
             splats.select_only(context, [obj])
@@ -85,3 +90,18 @@ class Training:
         quality = f", {metrics['test_psnr']:.1f} dB on held-out photos" if metrics.get("test_psnr") else ""
         how = "Stopped; kept" if event["interrupted"] else "Trained"
         return f"{how} {metrics['gaussians']} Gaussians in {time_text(metrics['seconds'])}{quality}."
+
+    def _remember_step(self, obj: bpy.types.Object) -> None:
+        """Make a step of undo where the preview has made data: Blender crashes on undo of steps that do not have it."""
+        cloud = present(obj.data).session_uid
+        if cloud != self._cloud:
+            bpy.ops.ed.undo_push(message="Show Training")
+        self._cloud = cloud
+
+    def _show(self, context: bpy.types.Context, scene: bpy.types.Scene, loaded: Splats) -> bpy.types.Object:
+        """Show splats of the run; the first time, viewports change to a shading that has colours."""
+        obj = show_splats(scene, loaded, self._run, self._images)
+        if not self._shown and not bpy.app.background:
+            scene_import.show_colors(present(context.screen))
+        self._shown = True
+        return obj

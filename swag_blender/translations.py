@@ -70,8 +70,8 @@ GERMAN = {
     "COLMAP Scene (folder)": "COLMAP-Szene (Ordner)",
     "Cameras": "Kameras",
     "Choice": "Wahl",
-    "Click two points of the splats whose distance you know; the scene is then scaled to metres": (
-        "Zwei Punkte der Splats anklicken, deren Abstand bekannt ist; dann wird die Szene auf Meter gebracht"
+    "Click two points of the splats whose distance you know; the scene is then scaled by it": (
+        "Zwei Punkte der Splats anklicken, deren Abstand bekannt ist; danach wird die Szene skaliert"
     ),
     "Colour": "Farbe",
     "Cost": "Kosten",
@@ -132,8 +132,8 @@ GERMAN = {
     "Save splat objects as one PLY, GLB or SPZ file, their transforms and modifiers applied": (
         "Splat-Objekte als eine PLY-, GLB- oder SPZ-Datei speichern, Transformationen und Modifikatoren angewandt"
     ),
-    ("Scale the scene to metres by the distance between two selected objects, such as cameras, or two points"): (
-        "Die Szene auf Meter bringen, nach dem Abstand zweier gewählter Objekte, etwa Kameras, oder zweier Punkte"
+    "Scale the scene by the distance between two selected objects, such as cameras, or two points": (
+        "Die Szene nach dem Abstand zweier gewählter Objekte, etwa Kameras, oder zweier Punkte skalieren"
     ),
     "Search": "Suchen",
     "Search Splats": "Splats suchen",
@@ -249,7 +249,7 @@ GERMAN = {
     ),
     "Counts and warnings of the folder of photos": "Anzahlen und Warnungen zum Ordner der Fotos",
     "Decision of the plan: on, off or undetermined": "Entscheidung des Plans: ein, aus oder unbestimmt",
-    "Distance between the two, in metres": "Abstand zwischen den beiden, in Metern",
+    "Distance between the two after scaling": "Abstand zwischen den beiden nach dem Skalieren",
     "Do not model it, whatever the plan decided": "Nicht modellieren, wie auch der Plan entschieden hat",
     "Download Networks": "Netze herunterladen",
     "Download networks that are not on this machine from their authors": (
@@ -279,9 +279,8 @@ GERMAN = {
         "Anteil des angepassten Wassers, der gezeigt wird: 0 keins, 1 wie fotografiert; er lässt sich animieren"
     ),
     "From Selection": "Aus Auswahl",
-    ("Give every splat of the run a label: from your masks, from words or from salient regions; Escape stops"): (
-        "Jedem Splat des Laufs ein Etikett geben: aus eigenen Masken, aus Worten oder aus auffälligen "
-        "Bereichen; Escape bricht ab"
+    "Give every splat of the run a label: from your masks, from words or from salient regions": (
+        "Jedem Splat des Laufs ein Etikett geben: aus eigenen Masken, aus Worten oder aus auffälligen Bereichen"
     ),
     "Highest degree of spherical harmonics; 0 makes colors the same from every view, and the smallest file": (
         "Höchster Grad der Kugelflächenfunktionen; mit 0 sind Farben aus jedem Blick gleich und die Datei am kleinsten"
@@ -397,20 +396,20 @@ GERMAN = {
     "Splats with a higher similarity than this to the search are selected": (
         "Splats, die dem Gesuchten ähnlicher sind als dies, werden gewählt"
     ),
-    "Stop the running job and keep its result so far": (
-        "Den laufenden Auftrag anhalten und sein bisheriges Ergebnis behalten"
+    "No job is running": "Es läuft kein Auftrag",
+    "Stop the running job; a training keeps its result so far": (
+        "Den laufenden Auftrag abbrechen; ein Training behält sein bisheriges Ergebnis"
     ),
     "The job is stopping already": "Der Auftrag hält schon an",
     "The masks in the scene's folder labels, or salient regions where it has none": (
         "Die Masken im Ordner labels der Szene, oder auffällige Bereiche, wo sie keine hat"
     ),
     "This plan was made for other photos: plan again.": "Dieser Plan gilt für andere Fotos: neu planen.",
-    "Train 3D Gaussians on the photos; Escape stops and keeps the result so far": (
-        "3D-Gaußglocken mit den Fotos trainieren; Escape bricht ab und behält das bisherige Ergebnis"
+    "Train 3D Gaussians on the photos; Cancel stops and keeps the result so far": (
+        "3D-Gaußglocken mit den Fotos trainieren; Abbrechen hält an und behält das bisherige Ergebnis"
     ),
-    ("Train for some seconds and forecast the time, PSNR and memory of each quality on this machine; Escape stops"): (
-        "Einige Sekunden trainieren und Zeit, PSNR und Speicher jeder Güte auf diesem Rechner vorhersagen; "
-        "Escape bricht ab"
+    "Train for some seconds and forecast the time, PSNR and memory of each quality on this machine": (
+        "Einige Sekunden trainieren und Zeit, PSNR und Speicher jeder Güte auf diesem Rechner vorhersagen"
     ),
     "Uses the graphics card; draws one splat object completely in front of another": (
         "Nutzt die Grafikkarte; zeichnet ein Splat-Objekt ganz vor einem anderen"
@@ -718,7 +717,6 @@ GERMAN = {
     "Name of the splat object of the run": "Name des Splat-Objekts des Laufs",
     "Near to far": "Nah zu fern",
     "Needed": "Nötig",
-    "No job is running": "Es läuft kein Auftrag",
     "No splats in the scene have a fitted water": "Keine Splats in der Szene haben ein angepasstes Wasser",
     "No water is modelled: the colors are as photographed.": (
         "Kein Wasser wird modelliert: die Farben sind wie fotografiert."

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from ..base.errors import missing_package_sentence
 from ..base.strict_json import to_json
 
 UNUSABLE = 2
@@ -52,7 +53,15 @@ def refuse_missing(error: ModuleNotFoundError, arguments: Sequence[str]) -> int:
     Raises:
         ModuleNotFoundError: Where a module of the engine itself is missing, which is a bug.
     """
-    own = __package__.partition(".")[0]
-    if not error.name or error.name.partition(".")[0] == own:
+    sentence = missing_package(error)
+    if not sentence:
         raise error
-    return refuse(f"{sys.executable} lacks the package {error.name}; see requirements.txt.", arguments)
+    return refuse(sentence, arguments)
+
+
+def missing_package(error: Exception) -> str:
+    """Return a sentence about the package that this Python lacks, "" for other errors and modules of the engine."""
+    own = __package__.partition(".")[0]
+    if not isinstance(error, ModuleNotFoundError) or not error.name or error.name.partition(".")[0] == own:
+        return ""
+    return missing_package_sentence(sys.executable, error.name)

@@ -10,14 +10,15 @@ from types import FrameType
 class Interrupts:
     """The signals that this process has received since `install`.
 
-    A signal raises KeyboardInterrupt, so that the work ends where it is. Within `deferred` the first one only makes
-    `should_stop` true; Ctrl-C after that raises KeyboardInterrupt all the same. SIGTERM after another signal changes
-    nothing: a service sends it to all processes at once, and a parent passes it on to its children.
+    A signal raises KeyboardInterrupt, so that the work ends where it is. Within `deferred`, once the block has asked
+    `should_stop`, the first one only makes `should_stop` true; Ctrl-C after that raises KeyboardInterrupt all the same.
+    SIGTERM after another signal changes nothing: a service sends it to all processes at once, and a parent passes it on
+    to its children.
     """
 
     def __init__(self) -> None:
         self._first = 0
-        self._deferred = False
+        self._deferred = self._asked = False
         self._notice = ""
 
     def install(self) -> None:
@@ -30,10 +31,12 @@ class Interrupts:
     def deferred(self, notice: str = "") -> Iterator[None]:
         """Leave it to the block to ask `should_stop` and to end with what exists kept.
 
+        Until it asks for the first time, while it reads and plans, nothing would be lost: a signal ends it at once.
+
         Args:
             notice: Sentence for stderr when a signal comes.
         """
-        self._deferred, self._notice = True, notice
+        self._deferred, self._asked, self._notice = True, False, notice
         try:
             yield
         finally:
@@ -41,6 +44,7 @@ class Interrupts:
 
     def should_stop(self) -> bool:
         """Return whether a signal was received."""
+        self._asked = True
         return bool(self._first)
 
     @property
@@ -52,7 +56,7 @@ class Interrupts:
         again, self._first = bool(self._first), self._first or number
         if again and number == signal.SIGTERM:
             return
-        if again or not self._deferred:
+        if again or not (self._deferred and self._asked):
             raise KeyboardInterrupt
         if self._notice:
             os.write(2, f"{self._notice}\n".encode())  # the handler may run within a print to stderr

@@ -2,15 +2,19 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
+from ..base.text import BLOCKS, sparkline, time_text
+
 LOG_SECONDS = 10.0
 """Least seconds between two lines of one stage where stderr is no terminal."""
+BARS = BLOCKS if (sys.stderr.encoding or "").lower().startswith("utf") else "_.-=*#"
+"""Characters of a sparkline that stderr can show, from low to high."""
 
 Show = Callable[[str, str, float], None]
 """A function of the stage of the work, a line of text about it, and how far it is (fraction 0..1)."""
@@ -88,31 +92,13 @@ def progress_line(event: dict[str, Any]) -> str:
     """
     if event["stage"] == "load":
         return f"Photo {event['iteration']} of {event['iterations']}"
-    psnr = f"{event['psnr']:.2f} dB {sparkline(event['curve'])}" if event["psnr"] is not None else "not yet"
+    psnr = "not yet"
+    if event["psnr"] is not None:
+        psnr = f"{event['psnr']:.2f} dB {sparkline([psnr for *_, psnr in event['curve']], BARS)}"
     gain = event["next_minute_db"]
     if gain is not None:
         psnr += f", {gain:+.2f} dB expected from another minute"
-    minutes, seconds = divmod(round(event["seconds_left"]), 60)
     return (
         f"loss {event['loss']:.4f}  validation PSNR {psnr}  {event['gaussians']} Gaussians  "
-        f"{event['iterations_per_second']:.1f} iterations/s  {minutes}:{seconds:02d} left"
+        f"{event['iterations_per_second']:.1f} iterations/s  {time_text(event['seconds_left'])} left"
     )
-
-
-BARS = "▁▂▃▄▅▆▇█" if (sys.stderr.encoding or "").lower().startswith("utf") else "_.-=*#"
-"""Characters of a sparkline, from low to high."""
-
-
-def sparkline(curve: Sequence[tuple[float, float, float]]) -> str:
-    """Draw the PSNR of a run as a row of bars.
-
-    Args:
-        curve: Fraction of the run (0..1), seconds and PSNR in dB of each validation.
-
-    Returns:
-        One character for each validation.
-    """
-    values = [psnr for *_, psnr in curve]
-    least, most = min(values), max(values)
-    steps = len(BARS) - 1
-    return "".join(BARS[round(steps * (value - least) / max(most - least, 1e-9))] for value in values)

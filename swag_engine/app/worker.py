@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from ..base import threads  # noqa: F401
 from ..base.errors import InputError
 from ..base.strict_json import to_json
+from .answers import missing_package
 from .interrupts import interrupts
 from .protocol import (
     CancelRequest,
@@ -108,7 +109,7 @@ class Worker:
         while not self.going.wait(PAUSE_POLL_SECONDS):
             if interrupts.should_stop():
                 break
-        return self.stop.is_set() or interrupts.should_stop()
+        return interrupts.should_stop() or self.stop.is_set()
 
     def run(self) -> None:
         """Answer requests, one after the other, until the stream of requests ends or a signal comes.
@@ -141,10 +142,8 @@ class Worker:
         except InputError as error:
             return {"event": "error", "kind": "input", "message": str(error)}
         except Exception as error:  # the worker lives on after a bug
-            from ..training.pacing.memory import TOO_LITTLE, is_shortage
-
-            if is_shortage(error):
-                return {"event": "error", "kind": "input", "message": TOO_LITTLE}
+            if sentence := missing_package(error) or shortage(error):
+                return {"event": "error", "kind": "input", "message": sentence}
             traceback.print_exc(file=sys.stderr)
             return {"event": "error", "kind": "bug", "message": f"{type(error).__name__}: {error}"}
 
@@ -270,12 +269,19 @@ class Worker:
         """
 
         def progress(stage: str, fraction: float) -> None:
-            if self.stop.is_set() or interrupts.should_stop():
+            if interrupts.should_stop() or self.stop.is_set():
                 raise InputError(sentence)
             done = {"iteration": round(100 * fraction), "iterations": 100}
             self.send({"event": "progress", "stage": stage, "text": stage} | done)
 
         return progress
+
+
+def shortage(error: Exception) -> str:
+    """Return what to do where the memory did not suffice, "" for other errors."""
+    from ..training.pacing.memory import TOO_LITTLE, is_shortage
+
+    return TOO_LITTLE if is_shortage(error) else ""
 
 
 def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:

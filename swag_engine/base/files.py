@@ -1,5 +1,6 @@
 """Files that are written completely or not at all, and folders that one process at a time writes to."""
 
+import errno
 import os
 import sys
 from collections.abc import Iterator
@@ -37,10 +38,19 @@ def atomic_path(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
         _flush_names(path.parent)
     except OSError as error:
-        raise InputError(f"Cannot write {path}: {error.strerror or error}.") from error
+        raise not_writable(path, error) from error
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def not_writable(path: Path, error: OSError) -> InputError:
+    """Make the error that says why a file or folder cannot be written, and what to do."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        remedy = "free some space on the disk, or choose a folder on another one"
+    else:
+        remedy = "choose another folder, or check who may write to this one"
+    return InputError(f"Cannot write {path}: {error.strerror or error}; {remedy}.")
 
 
 def _flush_names(folder: Path) -> None:
@@ -75,7 +85,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
             held.close()  # the process that had it has removed the file in between
             held = _locked(lock, folder)
     except OSError as error:
-        raise InputError(f"Cannot write {folder}: {error.strerror or error}.") from error
+        raise not_writable(folder, error) from error
     try:
         for left in [path for pattern in TEMPORARY_NAMES for path in folder.glob(pattern)]:
             left.unlink(missing_ok=True)

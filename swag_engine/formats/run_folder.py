@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import InputError
-from ..base.files import atomic_path
+from ..base.files import atomic_path, not_writable
 from ..base.strict_json import from_json, to_json
 from ..settings.settings import TrainSettings
 from ..splats.splats import Splats
@@ -211,7 +211,7 @@ class RunFolder:
             with open(self.metrics_log, "a", encoding="utf-8") as log:
                 log.write(to_json(entry) + "\n")
         except OSError as error:
-            raise InputError(f"Cannot write {self.metrics_log}: {error.strerror or error}.") from error
+            raise not_writable(self.metrics_log, error) from error
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:

@@ -1,7 +1,9 @@
 """What each effect costs in an iteration on this machine."""
 
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -14,12 +16,15 @@ from ..scene.cameras import Camera
 
 TIMED_GAUSSIANS = 30_000
 """Gaussians on which costs are measured."""
-TIMINGS = 5
-"""Measurements of each cost; the least counts."""
+ROUNDS = 6
+"""Measurements of each cost, after one to warm up; the least counts."""
 
 
 def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, float]:
     """Measure what each effect adds to an iteration, forward and backward, at TIMED_GAUSSIANS Gaussians.
+
+    Other load on the machine must not count: processor time is measured and not the time that passes, and each round
+    measures every effect once, so that a disturbance does not hit all measurements of one effect.
 
     Args:
         width: Width of the images, pixels.
@@ -27,7 +32,8 @@ def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, 
         backend: What computes.
 
     Returns:
-        Milliseconds by effect; 0 for effects that change only which images there are.
+        Milliseconds by effect, of the processor, or of the graphics card where that computes; 0 for effects that change
+        only which images there are.
     """
     device = device_for(backend)
     generator = torch.Generator().manual_seed(0)
@@ -37,19 +43,32 @@ def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, 
 
     camera = Camera("", width, height, width, width, width / 2, height / 2, np.eye(4))
     probe = CostProbe(camera, backend, device, random, TIMED_GAUSSIANS)
+    works = {name: effect.cost(probe) for name, effect in REGISTRY.items() if effect.cost}
+    with _one_thread():
+        rounds = [{name: _seconds(work, device) for name, work in works.items()} for _ in range(ROUNDS + 1)][1:]
     return {
-        name: _milliseconds(effect.cost(probe), device) / effect.cost_every if effect.cost else 0.0
+        name: 1000 * min(seconds[name] for seconds in rounds) / effect.cost_every if name in works else 0.0
         for name, effect in REGISTRY.items()
     }
 
 
-def _milliseconds(once: Callable[[], Tensor], device: torch.device) -> float:
-    """Least time of a forward and backward pass, so that other load on the machine does not count."""
-    times = []
-    for _ in range(TIMINGS + 1):
-        started = time.perf_counter()
-        once().backward()
-        if device.type == "cuda":
-            torch.cuda.synchronize()
-        times.append(time.perf_counter() - started)
-    return 1000 * min(times[1:])
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Compute on one thread within the block: the processor time of threads that wait for others is no cost."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _seconds(once: Callable[[], Tensor], device: torch.device) -> float:
+    """Time of a forward and backward pass."""
+    # Windows counts processor time in steps of 16 ms.
+    clock = time.process_time if device.type == "cpu" and sys.platform != "win32" else time.perf_counter
+    started = clock()
+    once().backward()
+    if device.type == "cuda":
+        torch.cuda.synchronize()
+    return clock() - started

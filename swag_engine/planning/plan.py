@@ -35,7 +35,7 @@ class PlannedEffect:
         state: Whether the scene calls for the effect.
         evidence: Figures, each beside its threshold (NAME_least, NAME_most).
         reason: The decision in one sentence.
-        cost_ms: Cost of one iteration on this machine, ms.
+        cost_ms: Processor time of one iteration on this machine, ms.
         start: Fitted values that training starts from.
         overruled: Whether the user has decided, whatever the evidence says.
     """

@@ -38,7 +38,7 @@ def save_checkpoint(run: Path, iteration: int, tensors: dict[str, torch.Tensor],
                 {name: tensor.contiguous() for name, tensor in tensors.items()}, temporary, {"state": json.dumps(state)}
             )
         except SafetensorError as error:
-            raise InputError(f"Cannot write {path}: {error}.") from error
+            raise InputError(f"Cannot write {path}: {error}; free some space on the disk.") from error
     for old in checkpoints(run)[:-KEEP]:
         old.unlink(missing_ok=True)
     return path

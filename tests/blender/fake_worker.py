@@ -63,6 +63,12 @@ def train(request):
         if iteration == 6 and behaviour == "killed":
             print("the last line of the log", file=sys.stderr, flush=True)
             os.kill(os.getpid(), signal.SIGKILL)
+        if iteration == 6 and behaviour == "terminated":
+            os.kill(os.getpid(), signal.SIGTERM)
+        if iteration == 6 and behaviour == "interrupted":  # as the engine ends that has handled the signal
+            os._exit(143)
+        if iteration == 6 and behaviour == "incomplete":
+            raise ModuleNotFoundError("No module named 'numpy'", name="numpy")
         if iteration == 6 and behaviour == "crash":
             raise MemoryError("no memory left")
         if iteration == 6 and behaviour == "deaf":

@@ -5,14 +5,13 @@ Python.
 """
 
 import os
-import subprocess
 import sys
 import time
 
 import bpy
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import click, install, photograph, report, start, until, view3d
+from window import click, install, photograph, press, report, start, until, view3d
 
 # Commands of the buttons, and their columns in the sidebar.
 TRAIN, CONTINUE = ("bpy.ops.swag.train(resume=False)", 0.25), ("bpy.ops.swag.train(resume=True)", 0.62)
@@ -80,6 +79,10 @@ def steps():
     yield from until(lambda: not status.paused and status.iteration > paused_at, 90)
 
     yield from click(*CANCEL)
+    yield 1.0
+    report["asked first"] = not status.stopping
+    press("Return")
+    yield 0.5
     report["stopping"] = status.stopping or not status.job
     yield from until(lambda: not status.job, 90)
     yield 1.0
@@ -91,12 +94,6 @@ def steps():
 
     yield from click(*CONTINUE)
     yield from until(lambda: status.job == "Training" and status.iteration > report["training"]["iteration"], 90)
-    subprocess.run(["xdotool", "key", "Escape"], check=True)
-    yield from until(lambda: not status.job, 90)
-    report["escaped"] = {"failed": status.failed, "message": status.message, "points": len(clouds()[0].data.points)}
-
-    yield from click(*CONTINUE)
-    yield from until(lambda: status.job == "Training", 90)
     bpy.ops.wm.read_homefile(use_empty=True)
     yield 0.5
     status = bpy.context.window_manager.swag

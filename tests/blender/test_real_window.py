@@ -56,16 +56,17 @@ def folder(real_blender, extension_zip, tiny_scene):
     return folder
 
 
-def test_train_and_cancel_with_the_pointer(real_blender, folder, shared_python, tmp_path):
+def in_window(script, real_blender, folder, python, tmp_path):
+    """Run a script in the real Blender; returns its report and the folder of its pictures."""
     environment = {
-        "SWAG_ENGINE_PYTHON": shared_python,
+        "SWAG_ENGINE_PYTHON": python,
         "SWAG_ZIP": "/gui/test/extension.zip",
         "SWAG_SCENE": "/gui/test/scene",
         "SWAG_OUT": "/gui/test",
         "SWAG_CACHE_DIR": "/gui/test/cache",
         "BLENDER_USER_RESOURCES": "/gui/test/user",
     }
-    script = Path(__file__).with_name("real_window.py")
+    script = Path(__file__).with_name(script)
     done = subprocess.run(
         ["bash", str(TOOLS / "gui"), str(real_blender), str(script), str(tmp_path / "last.png")],
         env=os.environ | environment, capture_output=True, text=True, timeout=600,
@@ -78,6 +79,11 @@ def test_train_and_cancel_with_the_pointer(real_blender, folder, shared_python, 
     assert (folder / "report.json").exists(), printed
     report = json.loads((folder / "report.json").read_text())
     assert "traceback" not in report and "Traceback" not in printed, report.get("traceback", printed)
+    return report, pictures
+
+
+def test_train_and_cancel_with_the_pointer(real_blender, folder, shared_python, tmp_path):
+    report, pictures = in_window("real_window.py", real_blender, folder, shared_python, tmp_path)
     assert report["version"].startswith("5.2")
     assert not report["imported"]["failed"]
     assert report["imported"]["found"].startswith("10 of 10 photos have a camera, 300 points")
@@ -85,11 +91,10 @@ def test_train_and_cancel_with_the_pointer(real_blender, folder, shared_python, 
     seconds = sorted(report["blocked_seconds"][:-1])  # without the last, in which the result is imported
     assert len(seconds) > 5 and seconds[-1] < 0.1, f"Blender's window is blocked for {seconds[-1]:.2f} s"
     assert report["iterations_while_paused"] == 0
-    assert report["stopping"]
+    assert report["asked first"] and report["stopping"]
     end = report["end"]
     assert not end["failed"] and end["interrupted"] and end["continue"]
     assert end["message"].startswith("Stopped; kept") and end["points"] == end["gaussians"] > 0
-    assert not report["escaped"]["failed"] and report["escaped"]["message"].startswith("Stopped; kept")
     assert report["after_opening"]["job"] == "" and report["after_opening"]["engines"] == 0
     assert "another file was opened" in report["after_opening"]["message"]
     assert len(list(pictures.glob("*.png"))) == 4
@@ -126,6 +131,26 @@ def test_find_cameras_of_photos_that_are_chosen_in_the_file_browser(real_blender
     assert found["lines"][0].startswith("6 of 6 photos have a camera") and found["message"].startswith("6 of 6")
     assert found["cameras"] == 6 and found["points"] > 100 and found["shading"] == "MATERIAL"
     assert all(found["in view"]) and found["size of the scene in the view"] > 0.2
+
+
+def test_dialogs_undo_and_failures_in_the_window(real_blender, folder, shared_python, tmp_path):
+    report, _ = in_window("real_window_mended.py", real_blender, folder, shared_python, tmp_path)
+    assert report["dialog closed"] == ""
+    assert report["import failed"]["shading"] == "SOLID" and "no/such/folder" in report["import failed"]["message"]
+    assert report["imported"]["shading"] == "MATERIAL"
+    assert "Select two objects" in report["one selected"]
+    assert report["scaled"]["shown"] == "2 m" and abs(report["scaled"]["metres apart"] - 2) < 1e-4
+    kept = report["undone"]
+    assert kept["object is back"] and kept["job"] == "Training"
+    assert kept["run"] == report["run"] and kept["plan"] == report["plan"] > 0
+    assert report["after escape"] == "Training"
+    assert report["asked first"] and report["stopped"].startswith("Stopped; kept")
+    assert report["continues"] == report["run"]
+    assert report["repeated"]["seconds"] < 5 and report["repeated"]["job"] == "" and report["repeated"]["runs"] == 1
+    assert not {"train", "plan", "import_scene"} & set(report["repeatable"])
+    assert "choose another folder" in report["not writable"]
+    assert "(signal 15)" in report["terminated"] and "press Continue" in report["terminated"]
+    assert "lacks the package" in report["missing"] and "Install Engine" in report["missing"]
 
 
 def test_command_line_of_the_real_blender(real_blender, folder, shared_python):

@@ -6,6 +6,12 @@ import sys
 
 import pytest
 
+GO_ON = "What was saved is kept: start again, or press Continue."
+INSTALL = (
+    "install the packages of requirements.txt there, or press Install Engine in Blender's preferences of SWAG "
+    "Splatting."
+)
+
 
 def test_a_training_reports_progress_and_puts_its_result_into_the_scene(blender, fake_engine, tmp_path):
     scene = tmp_path / "Räuber höhle"
@@ -38,8 +44,14 @@ def test_a_preview_file_that_was_removed_before_it_was_read_is_skipped(blender, 
     ("scene", "sentence"),
     [
         ("unusable", "unusable holds no COLMAP model: look for the folder with sparse/0."),
-        ("killed", "The engine was ended by signal 9 before it was done: the last line of the log"),
-        ("crash", "The engine ended with exit code 1 before it was done: MemoryError: no memory left"),
+        (
+            "killed",
+            "ran out. Close other programs or choose a lower Quality. " + GO_ON,
+        ),
+        ("terminated", "The engine was ended by the system or another program (signal 15). " + GO_ON),
+        ("interrupted", "The engine was ended by the system or another program (signal 15). " + GO_ON),
+        ("crash", "The engine ended with exit code 1 before it was done: MemoryError: no memory left. " + GO_ON),
+        ("incomplete", "/python lacks the package numpy: " + INSTALL),
     ],
 )
 def test_a_failed_training_is_reported_in_one_sentence(blender, fake_engine, tmp_path, scene, sentence):
@@ -66,7 +78,7 @@ def test_a_worker_that_ignores_a_cancel_is_killed(blender, fake_engine, tmp_path
     scene = tmp_path / "deaf"
     scene.mkdir()
     message = blender.run("train.cancel", scene, SWAG_ENGINE_PYTHON=fake_engine)
-    assert message.startswith("The engine was ended by signal 9")
+    assert message == "The engine did not stop within 0 s and was ended. " + GO_ON
 
 
 def test_a_worker_ends_with_the_file_the_extension_and_blender(blender, fake_engine, tmp_path):

@@ -33,6 +33,11 @@ def photograph(name):
     subprocess.run(["import", "-window", "root", str(OUT / f"{name}.png")], check=True)
 
 
+def press(*keys):
+    """Press keys where the pointer is."""
+    subprocess.run(["xdotool", "key", *keys], check=True)
+
+
 def until(condition, seconds):
     """Wait for the condition, as steps; raise TimeoutError after `seconds`."""
     end = time.monotonic() + seconds

@@ -122,12 +122,25 @@ def test_an_interrupt_ends_other_commands_with_a_document(tiny_scene, number, co
 def test_ctrl_c_again_ends_at_once_and_sigterm_again_does_not(monkeypatch):
     interrupts = Interrupts()
     with interrupts.deferred():
+        assert not interrupts.should_stop()
         interrupts._handle(signal.SIGTERM, None)
         interrupts._handle(signal.SIGTERM, None)
         assert interrupts.should_stop() and interrupts.exit_code == 143
         with pytest.raises(KeyboardInterrupt):
             interrupts._handle(signal.SIGINT, None)
     assert interrupts.exit_code == 143
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_acts_at_once_until_the_work_asks_for_it(number):
+    interrupts = Interrupts()
+    for _ in range(2):  # the second block has not asked, whatever the first one did
+        interrupts.install()
+        with interrupts.deferred(), pytest.raises(KeyboardInterrupt):
+            interrupts._handle(number, None)
+        with interrupts.deferred():
+            interrupts.should_stop()
+    assert interrupts.exit_code == 128 + number
 
 
 def test_colmap_leaves_signals_alone():

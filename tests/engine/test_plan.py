@@ -2,16 +2,19 @@
 
 import json
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
-from swag_engine.planning.costs import measured_costs
+from swag_engine.effects.registry import REGISTRY
+from swag_engine.planning.costs import ROUNDS, measured_costs
 from swag_engine.planning.plan import Plan, describe, made_from, plan_scene, read_plan
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.split import split_views
@@ -52,6 +55,27 @@ def test_costs_are_measured_on_this_machine(planned):
     assert costs["interpolation"] == costs["separate_backscatter"] == 0
     small = measured_costs(80, 45)
     assert small["exposure"] < costs["exposure"] and small["caustics"] < costs["caustics"]
+
+
+def test_costs_do_not_depend_on_other_load(monkeypatch):
+    measured = []
+
+    def probe(name, wait):
+        def work():
+            measured.append((name, torch.get_num_threads()))
+            time.sleep(wait)  # as another program's turn on the processor
+            return torch.ones((), requires_grad=True) * 2
+
+        return replace(REGISTRY["exposure"], cost=lambda _: work)
+
+    monkeypatch.setattr(
+        "swag_engine.planning.costs.REGISTRY", {"waits": probe("waits", 0.02), "other": probe("other", 0.0)}
+    )
+    threads = torch.get_num_threads()
+    found = measured_costs(8, 8, "cpu")
+    assert found["waits"] < 5
+    assert measured == [("waits", 1), ("other", 1)] * (ROUNDS + 1), "in turns, on one thread"
+    assert torch.get_num_threads() == threads
 
 
 def test_plan_json_is_read_back(planned):

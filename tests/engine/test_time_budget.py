@@ -6,9 +6,9 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from swag_engine.app.progress import BARS, sparkline
 from swag_engine.base import timing
 from swag_engine.base.errors import InputError
+from swag_engine.base.text import BLOCKS, sparkline, time_text
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.settings.presets import LADDER, PRESETS, seconds_of, size_at
 from swag_engine.settings.settings import TrainSettings
@@ -120,8 +120,12 @@ def test_gain_of_another_minute():
     assert next_minute(curve) == pytest.approx(math.log2(180 / 120))
     assert next_minute([*curve, (0.5, 150, 21.9), (0.6, 180, 21.9)]) == 0
     assert next_minute(curve[:1]) is None
-    bars = sparkline(curve)
-    assert (bars[0], bars[-1], len(bars)) == (BARS[0], BARS[-1], 3)
+
+
+def test_figures_as_text():
+    assert sparkline([20.0, 21.0, 22.0]) == f"{BLOCKS[0]}{BLOCKS[4]}{BLOCKS[-1]}"
+    assert sparkline([3.0, 3.0], "_#") == "__"
+    assert [time_text(seconds) for seconds in (5, 65.4, 3725)] == ["0:05", "1:05", "1:02:05"]
 
 
 def test_a_run_ends_early_when_its_curve_is_flat(tiny_scene, tmp_path):

@@ -18,6 +18,7 @@ from swag_engine.app.protocol import FilmRequest, TrainRequest, parse_request
 from swag_engine.base.errors import InputError
 from swag_engine.base.strict_json import to_json
 from swag_engine.formats.camera_path import PathFrame, write_camera_path
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.scene.colmap import load_scene
 from tests.scenes.panels import write_photos
 
@@ -253,6 +254,18 @@ def test_sigterm_ends_a_training_with_its_result(worker, tiny_scene, tmp_path, p
     assert (tmp_path / "run" / "result.ply").exists()
 
 
+def test_sigterm_before_the_first_iteration_ends_the_worker_at_once(worker, tmp_path):
+    reef = ROOT / "tests" / "scenes" / "reef_wreck"  # planning it takes seconds
+    worker.send(request="train", scene=str(reef), out=str(tmp_path / "run"))
+    assert worker.until("progress")["stage"] == "load"
+    worker.process.terminate()
+    rest = worker.process.stdout.read()
+    assert worker.process.wait(30) == 143
+    assert '"train"' not in rest and '"result"' not in rest
+    run = RunFolder(tmp_path / "run")
+    assert run.config.exists() and not run.finished() and not run.ply.exists(), "it can be continued"
+
+
 def test_sigterm_ends_an_idle_worker(worker, tiny_scene, tmp_path):
     worker.send(request="inspect", scene=str(tiny_scene), arrays=str(tmp_path / "arrays"))
     worker.until("result")
@@ -312,3 +325,15 @@ def test_events_are_strict_json():
         "psnr": None,
         "views": [None, 1.5],
     }
+
+
+def test_a_missing_package_is_named_with_what_to_do(tiny_scene, tmp_path):
+    (tmp_path / "torch.py").write_text("raise ModuleNotFoundError(\"No module named 'torch'\", name='torch')")
+    done = subprocess.run(
+        [sys.executable, "-m", "swag_engine.app.worker"], cwd=ROOT, capture_output=True, text=True, timeout=60,
+        input=json.dumps({"request": "plan", "scene": str(tiny_scene)}), env=os.environ | {"PYTHONPATH": str(tmp_path)},
+    )  # fmt: skip
+    event = json.loads(done.stdout)
+    assert event["event"] == "error" and event["kind"] == "input"
+    assert event["message"].startswith(f"{sys.executable} lacks the package torch: install")
+    assert "Install Engine" in event["message"]

@@ -48,9 +48,9 @@ def train_and_terminate(scene, folder):
     """The exit code of a training during which this process gets a SIGTERM."""
 
     def terminate():
-        while not Path(folder, "run", "config.json").exists():
+        while not Path(folder, "run", "metrics.jsonl").exists():  # the first iterations are done
             time.sleep(0.1)
         os.kill(os.getpid(), signal.SIGTERM)
 
     threading.Thread(target=terminate).start()
-    return run("train", scene, "--out", folder + "/run", "--iterations", "100000", "--width", "64")
+    return run("train", scene, "--out", folder + "/run", "--iterations", "3000", "--width", "64")

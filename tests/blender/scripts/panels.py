@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 from bl_ext.user_default.swag_splatting import operators
 from bl_ext.user_default.swag_splatting.swag_blender import effect_pictures, effects, panels, properties, water
+from bl_ext.user_default.swag_splatting.swag_engine.base.text import sparkline
 
 swag, status = bpy.context.scene.swag, bpy.context.window_manager.swag
 
@@ -107,8 +108,8 @@ def curve_and_figures():
         )  # fmt: skip
     return {
         "curve": status.curve,
-        "drawn": properties.sparkline([float(value) for value in status.curve.split()]),
-        "flat": properties.sparkline([3.0, 3.0]),
+        "drawn": sparkline([float(value) for value in status.curve.split()]),
+        "flat": sparkline([3.0, 3.0]),
         "figures": status.figures(),
     }
 

@@ -134,14 +134,15 @@ def uploads():
     store.mark_stale(one.session_uid)
     assert update(one, two) == []
     splats.replace_splats(one, random_splats(250, 16, seed=5))
+    store.mark_stale(one.data.session_uid)
     assert update(one, two) == everything and store.part(two).first == 250 and store.splats_version > numbers
-    # Another modifier that moves the points counts, without anything being marked.
     assert update(two) == everything and store.part(one) is None
     # 128 x 128 texels hold 1365 splats of degree 3 and 5461 splats at all.
     many = splats.new_splat_object("many", random_splats(3000, 16), scene.collection)
     update(many)
     assert store.degree == 1 and "SH degree 1 of 3" in store.notice
     splats.replace_splats(many, random_splats(6000, 4))
+    store.mark_stale(many.data.session_uid)
     update(many)
     assert len(store.part(many).positions) == 5461 and "5461 of 6000 splats" in store.notice
 

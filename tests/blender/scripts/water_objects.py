@@ -112,6 +112,15 @@ def set_scale():
     # Two points instead of two objects, as picking them in the viewport gives.
     assert bpy.ops.swag.set_scale(distance=8, start=(0, 0, 0), end=(0, 0, 2)) == {"FINISHED"}
     assert abs(scene.swag.metres_per_unit - 4) < 1e-5
+    # In a scene in centimetres and inches, the distance is shown as typed, and the engine still gets metres.
+    scene.unit_settings.system, scene.unit_settings.scale_length = "IMPERIAL", 0.01
+    assert bpy.ops.swag.set_scale(distance=200) == {"FINISHED"}
+    bpy.context.view_layer.update()
+    apart = (ends[0].matrix_world.translation - ends[1].matrix_world.translation).length
+    assert abs(apart - 200) < 1e-3 and scene.unit_settings.system == "IMPERIAL"
+    assert abs(scene.swag.metres_per_unit - 2 / 1.5) < 1e-5 and abs(water.metres_per_unit(obj) - 2 / 1.5) < 1e-5
+    distance = bpy.ops.swag.set_scale.get_rna_type().properties["distance"]
+    assert distance.unit == "LENGTH" and distance.subtype == "DISTANCE"
 
 
 def nodes_of_an_earlier_version():
