@@ -9,7 +9,7 @@ from bpy.props import BoolProperty, StringProperty
 from ..swag_blender import find_cameras, scene_import
 from ..swag_blender.blender_types import OperatorResult, present, with_properties
 from ..swag_blender.engine_process import Engine
-from ..swag_blender.job import Job
+from ..swag_blender.job import Job, can_run_engine
 from ..swag_blender.properties import swag_of
 
 
@@ -42,6 +42,11 @@ class SWAG_OT_find_cameras(Job):
             options={"SKIP_SAVE"},
         ),
     ]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the engine is there and no job runs."""
+        return can_run_engine(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for photos or a video where none are given."""

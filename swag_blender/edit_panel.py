@@ -32,7 +32,7 @@ class SWAG_PT_edit(SwagPanel):
     """Panel that selects and edits splats."""
 
     bl_label = "Edit"
-    bl_order = 4
+    bl_order = 30
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod

@@ -13,7 +13,7 @@ class SWAG_PT_film(SwagPanel):
     """Panel that moves a camera and renders films."""
 
     bl_label = "Film"
-    bl_order = 8
+    bl_order = 35
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -1,4 +1,4 @@
-"""Cameras of photos or of a video: which files, the folder of the new scene, the panel."""
+"""Cameras of photos or of a video: which files, the folder of the new scene, the buttons of the panel Cameras."""
 
 from pathlib import Path
 from typing import Any, cast
@@ -7,9 +7,9 @@ import bpy
 
 from ..swag_engine.base.errors import InputError
 from . import scene_import
-from .blender_types import present, set_button
+from .blender_types import set_button
 from .properties import status_of, swag_of
-from .sidebar import SwagPanel, draw_job, draw_outcome, draw_wrapped
+from .sidebar import draw_job, draw_outcome
 
 JOB = "Find Cameras"
 
@@ -69,21 +69,3 @@ def draw_sparse_points(layout: bpy.types.UILayout, context: bpy.types.Context) -
     root = scene_import.active_root(context)
     if root and (points := scene_import.sparse_points(root)):
         layout.prop(points, "hide_viewport", text="Sparse Points", invert_checkbox=True)
-
-
-class SWAG_PT_find_cameras(SwagPanel):
-    """Panel that finds the cameras of photos or of a video."""
-
-    bl_label = "Find Cameras"
-    bl_parent_id = "SWAG_PT_scene"
-    bl_order = 0
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the panel; Blender calls this."""
-        layout = present(self.layout)
-        draw_wrapped(layout, "For photos without a COLMAP model, or a video.", present(context.region).width)
-        draw_find_cameras(layout, context)
-        draw_sparse_points(layout, context)
-
-
-register, unregister = bpy.utils.register_classes_factory((SWAG_PT_find_cameras,))

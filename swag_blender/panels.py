@@ -9,7 +9,7 @@ import bpy
 from ..swag_engine.formats.registry import FORMATS
 from ..swag_engine.settings.presets import SIZES
 from ..swag_engine.settings.recipes import RECIPES
-from . import EXTENSION, effect_pictures, engine_process, label_list, run_list, splats
+from . import EXTENSION, effect_pictures, engine_process, find_cameras, label_list, run_list, splats
 from .blender_types import present, set_button
 from .properties import IN_TIME, OWN_WATER, status_of, swag_of
 from .sidebar import SwagPanel, draw_job, draw_outcome, draw_wrapped
@@ -44,10 +44,14 @@ class SWAG_PT_scene(SwagPanel):
         elif status.failed and status.last_job in OF_CAMERAS:
             draw_outcome(layout, context)
         elif swag.scene_folder:
-            for line in swag.found.splitlines():
-                draw_wrapped(layout, line, width)
+            for number, line in enumerate(swag.found.splitlines()):
+                draw_wrapped(layout, line, width, icon="ERROR" if number else "NONE")
         elif not problem:
             draw_wrapped(layout, "Choose the folder with the photos, or open a run in Result.", width, icon="INFO")
+        layout.separator()
+        layout.label(text="Photos or Video without Cameras")
+        find_cameras.draw_find_cameras(layout, context)
+        find_cameras.draw_sparse_points(layout, context)
 
 
 class SWAG_PT_train_later(SwagPanel):

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import bpy
 
-from . import display, splats
+from . import splats
 from .blender_types import present, set_button
 from .nodes import splat_preview, water_shader
 from .properties import swag_of
@@ -140,31 +140,4 @@ class SWAG_PT_water(SwagPanel):
         row.operator("swag.set_scale", text="From Selection", icon="CON_DISTLIMIT")
 
 
-class SWAG_PT_preview(SwagPanel):
-    """Panel of the inputs of the active splat object's preview."""
-
-    bl_label = "Display"
-    bl_parent_id = "SWAG_PT_result"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object has splats with a preview."""
-        obj = context.active_object
-        return obj is not None and splats.is_splats(obj) and splat_preview.modifier_of(obj) is not None
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the panel; Blender calls this."""
-        column = present(self.layout).column()
-        column.use_property_split = True
-        column.use_property_decorate = False
-        obj = present(context.active_object)
-        for name in ("style", "density", "exposure", "sh_degree"):
-            column.prop(display.display_of(obj), name)
-        splat_preview.draw_input(column, obj, splat_preview.FACE_CAMERA)
-
-
-_CLASSES = (SWAG_PT_water, SWAG_PT_preview)
-
-
-register, unregister = bpy.utils.register_classes_factory(_CLASSES)
+register, unregister = bpy.utils.register_classes_factory((SWAG_PT_water,))

@@ -1,0 +1,39 @@
+"""The panel Display: how viewports and renders show the splats of the active object."""
+
+import bpy
+
+from . import splats, viewport
+from .blender_types import present
+from .display import display_of
+from .nodes import splat_preview
+from .sidebar import SwagPanel, draw_wrapped
+
+
+class SWAG_PT_display(SwagPanel):
+    """Panel of how the active splat object is shown."""
+
+    bl_label = "Display"
+    bl_parent_id = "SWAG_PT_result"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the active object has splats that Blender does not draw itself."""
+        obj = context.active_object
+        return obj is not None and splats.is_splats(obj) and splat_preview.modifier_of(obj) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel; Blender calls this."""
+        layout, obj = present(self.layout), present(context.active_object)
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        column = layout.column()
+        for name in ("style", "density", "exposure", "sh_degree"):
+            column.prop(display_of(obj), name)
+        splat_preview.draw_input(column, obj, splat_preview.FACE_CAMERA)
+        drawing = viewport.drawing()
+        if drawing is not None and drawing.store.notice:
+            draw_wrapped(layout, drawing.store.notice, present(context.region).width, icon="INFO")
+
+
+register, unregister = bpy.utils.register_classes_factory((SWAG_PT_display,))
