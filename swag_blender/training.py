@@ -12,7 +12,7 @@ from ..swag_engine.base.text import time_text
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.formats.run_folder import RunFolder
 from ..swag_engine.splats.splats import Splats
-from . import kept_through_undo, scene_import, splats, water
+from . import kept_through_undo, splats, water
 from .blender_types import present
 from .job import chosen_scene
 from .properties import swag_of
@@ -41,7 +41,6 @@ class Training:
         self._scene, self._run = scene.name, swag.run_path
         kept_through_undo.keep(scene)
         self._preview: tuple[Future[Splats], dict[str, Any] | None] | None = None
-        self._shown = False
         self._cloud = 0
         self.request: dict[str, Any] = {
             "request": "train",
@@ -68,7 +67,7 @@ class Training:
         # A window that was busy reads late: the run has ended and its preview file is gone.
         with contextlib.suppress(InputError):
             if scene := bpy.data.scenes.get(self._scene):
-                obj = self._show(context, scene, reading.result())
+                obj = show_splats(scene, reading.result(), self._run, self._images)
                 water.remember_water(obj, values, 0.0)
                 self._remember_step(obj)
 
@@ -82,7 +81,7 @@ class Training:
         if not scene:
             raise InputError(f"The scene {self._scene} was removed; the trained splats are in {event['ply']}.")
         metrics = event["metrics"]
-        obj = self._show(context, scene, read_ply(Path(event["ply"])))
+        obj = show_splats(scene, read_ply(Path(event["ply"])), self._run, self._images)
         remember_training(obj, RunFolder(Path(self._run)), metrics)
         if context.mode == "OBJECT" and present(context.view_layer).objects.get(obj.name):
             splats.select_only(context, [obj])
@@ -97,11 +96,3 @@ class Training:
         if cloud != self._cloud:
             bpy.ops.ed.undo_push(message="Show Training")
         self._cloud = cloud
-
-    def _show(self, context: bpy.types.Context, scene: bpy.types.Scene, loaded: Splats) -> bpy.types.Object:
-        """Show splats of the run; the first time, viewports change to a shading that has colours."""
-        obj = show_splats(scene, loaded, self._run, self._images)
-        if not self._shown and not bpy.app.background:
-            scene_import.show_colors(present(context.screen))
-        self._shown = True
-        return obj
