@@ -26,22 +26,35 @@ def keep(scene: bpy.types.Scene) -> None:
 
 
 def _values(swag: SwagScene) -> dict[str, Any]:
-    lines = [{name: getattr(line, name) for name in _names(line)} for line in swag.plan.lines]
-    return {name: getattr(swag, name) for name in FIELDS} | {"plan": lines, "stale": swag.plan.stale}
+    return {name: getattr(swag, name) for name in FIELDS} | {"plan": _read(swag.plan)}
 
 
-def _names(line: bpy.types.PropertyGroup) -> list[str]:
-    """The properties of a line of the plan that hold a value."""
-    return [
-        prop.identifier
-        for prop in line.bl_rna.properties
-        if not prop.is_readonly and prop.type not in ("COLLECTION", "POINTER")
-    ]
+def _read(group: bpy.types.PropertyGroup) -> dict[str, Any]:
+    """The values of a property group; those of its collections as lists of such."""
+    values = {}
+    for prop in group.bl_rna.properties:
+        if prop.type == "COLLECTION":
+            values[prop.identifier] = [_read(one) for one in getattr(group, prop.identifier)]
+        elif prop.type != "POINTER" and not prop.is_readonly:
+            values[prop.identifier] = getattr(group, prop.identifier)
+    return values
+
+
+def _write(group: bpy.types.PropertyGroup, values: dict[str, Any]) -> None:
+    """Write what `_read` gives."""
+    for name, value in values.items():
+        if isinstance(value, list):
+            collection = getattr(group, name)
+            collection.clear()
+            for one in value:
+                _write(collection.add(), one)
+        else:
+            setattr(group, name, value)
 
 
 def _decisions(values: dict[str, Any]) -> list[dict[str, Any]]:
     """The plan without the user's choices."""
-    return [{name: line[name] for name in line if name != USERS_CHOICE} for line in values["plan"]]
+    return [{name: line[name] for name in line if name != USERS_CHOICE} for line in values["plan"]["lines"]]
 
 
 @bpy.app.handlers.persistent
@@ -66,14 +79,7 @@ def _write_back(swag: SwagScene, before: dict[str, Any], trained: dict[str, Any]
         if before[name] == trained[name] != now[name]:
             setattr(swag, name, before[name])
     if _decisions(before) == _decisions(trained) != _decisions(now):
-        swag.plan.lines.clear()
-        for values in before["plan"]:
-            line = swag.plan.lines.add()
-            for name, value in values.items():
-                setattr(line, name, value)
-    # Last: the folder of the photos makes the plan out of date.
-    if before["stale"] == trained["stale"]:
-        swag.plan.stale = before["stale"]
+        _write(swag.plan, before["plan"])
 
 
 _HANDLERS = (

@@ -6,6 +6,7 @@ from typing import Any
 import bpy
 
 from .. import splats
+from ..blender_types import present
 from ..display import apply, display_of
 from ..nodes import splat_preview
 from .drawing import TICK_SECONDS, ViewportDrawing
@@ -27,8 +28,8 @@ def _draw() -> None:
     global _drawing, _failed
     context = bpy.context
     _follow_rendered_shading()
-    objects = [obj for obj in context.view_layer.objects if _draws(obj)]
-    if not objects or context.space_data.shading.type == "RENDERED" or _failed:
+    objects = [obj for obj in present(context.view_layer).objects if _draws(obj)]
+    if not objects or _is_rendered(present(context.area)) or _failed:
         if not objects:
             _drawing = None
         return
@@ -54,14 +55,17 @@ def _tick() -> float | None:
 
 def _follow_rendered_shading() -> None:
     """Have the preview's nodes give shapes while a viewport is in Rendered shading, and only then."""
-    rendered = any(
-        area.type == "VIEW_3D" and area.spaces.active.shading.type == "RENDERED"
-        for window in bpy.context.window_manager.windows
-        for area in window.screen.areas
-    )
+    windows = present(bpy.context.window_manager).windows
+    rendered = any(_is_rendered(area) for window in windows for area in window.screen.areas)
     if rendered != _shapes_shown and not bpy.app.timers.is_registered(_switch_shapes):
         # Nothing may be changed while Blender draws.
         bpy.app.timers.register(_switch_shapes, first_interval=0.0)
+
+
+def _is_rendered(area: bpy.types.Area) -> bool:
+    """Whether an area is a 3D viewport in Rendered shading."""
+    space = area.spaces.active
+    return isinstance(space, bpy.types.SpaceView3D) and space.shading.type == "RENDERED"
 
 
 def _switch_shapes() -> None:
@@ -82,7 +86,8 @@ def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Non
     if _drawing is not None:
         for update in depsgraph.updates:
             if update.is_updated_geometry:
-                _drawing.store.mark_stale(update.id.original.session_uid)
+                changed: Any = update.id
+                _drawing.store.mark_stale(changed.original.session_uid)
 
 
 @bpy.app.handlers.persistent

@@ -117,12 +117,12 @@ class Sorter:
         if key == self.taken or self._sorting is not None:
             return
         self._sorting_key = key
-        work = (back_to_front, parts, depth_rows, near, limit, limit is None)
+        exact = limit is None
         if sum(len(part.positions) for part in parts) > SYNCHRONOUS:
-            self._sorting = self._thread.submit(*work)
+            self._sorting = self._thread.submit(back_to_front, parts, depth_rows, near, limit, exact)
         else:
             self._sorting = Future()
-            self._sorting.set_result(back_to_front(*work[1:]))
+            self._sorting.set_result(back_to_front(parts, depth_rows, near, limit, exact))
 
     @property
     def is_sorting(self) -> bool:

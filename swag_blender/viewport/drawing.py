@@ -22,7 +22,7 @@ from ..properties import swag_of
 from .depth_order import Sorter
 from .packing import HARMONICS_TEXELS, OBJECT_TEXELS, ObjectTexels
 from .shaders import NEAR, VIEW_FLOATS, Shaders, frustum_limits
-from .splat_store import SplatStore, new_texture
+from .splat_store import SplatStore, float_buffer, new_texture
 
 REST_SECONDS = 0.25
 """Time without a change of the view after which it counts as resting and all splats are drawn."""
@@ -31,7 +31,7 @@ TICK_SECONDS = 0.02
 BUDGET, SOFTWARE_BUDGET = 1_000_000, 50_000
 """Most splats drawn while the view moves: with a graphics card, and where the processor draws."""
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swiftshader", "lavapipe")
-_CORNERS = {"corner": [(-1, -1), (1, -1), (-1, 1), (1, 1)]}
+_CORNERS: Any = {"corner": [(-1, -1), (1, -1), (-1, 1), (1, 1)]}
 
 
 class ViewportDrawing:
@@ -64,7 +64,7 @@ class ViewportDrawing:
         # Taken first: making a texture or a picture can bind another one.
         framebuffer = gpu.state.active_framebuffer_get()
         region = present(context.region)
-        depth = framebuffer.read_depth(0, 0, region.width, region.height)
+        depth: Any = framebuffer.read_depth(0, 0, region.width, region.height)
         self.store.update(objects, context.evaluated_depsgraph_get())
         view = self._view(context)
         texels = _object_texels(context, objects)
@@ -129,7 +129,7 @@ class ViewportDrawing:
             view.order, view.order_count = self.store.order_texture(order), len(order)
             view.orders += 1
 
-    def _draw_picture(self, view: "_View", table: np.ndarray, depth: gpu.types.Buffer) -> None:
+    def _draw_picture(self, view: "_View", table: np.ndarray, depth: Any) -> None:
         store, shaders = self.store, self._shaders
         objects = new_texture(table, (OBJECT_TEXELS, len(table)), "RGBA32F")
         scene_depth = gpu.types.GPUTexture(view.size, format="R32F", data=depth)
@@ -167,7 +167,7 @@ class ViewportDrawing:
                     ("order", view.order),
                     ("objects", objects),
                 ):
-                    shaders.splats.uniform_sampler(name, texture)
+                    shaders.splats.uniform_sampler(name, present(texture))
                 self._quads["splats"].draw_instanced(shaders.splats, instance_start=0, instance_count=view.order_count)
         self.frames += 1
 
@@ -260,7 +260,7 @@ class _View:
         layout = values[24:28].view(np.int32)
         layout[:] = width, harmonics_texels, len(self._clip), self.is_orthographic
         values[28 : 28 + self._clip.size] = self._clip.ravel()
-        return gpu.types.GPUUniformBuf(gpu.types.Buffer("FLOAT", VIEW_FLOATS, values))
+        return gpu.types.GPUUniformBuf(float_buffer(values))
 
 
 def _object_texels(context: bpy.types.Context, objects: Sequence[bpy.types.Object]) -> list[ObjectTexels]:
@@ -296,9 +296,9 @@ def _background_color(context: bpy.types.Context) -> tuple[float, float, float]:
     shading = cast(bpy.types.SpaceView3D, context.space_data).shading
     world = present(context.scene).world
     if shading.type in {"SOLID", "WIREFRAME"} and shading.background_type == "VIEWPORT":
-        color = Color(shading.background_color).from_scene_linear_to_srgb()
+        color = Color(shading.background_color[:]).from_scene_linear_to_srgb()
     elif shading.type in {"SOLID", "WIREFRAME"} and shading.background_type == "WORLD" and world is not None:
-        color = Color(world.color).from_scene_linear_to_srgb()
+        color = Color(world.color[:]).from_scene_linear_to_srgb()
     else:
         color = present(context.preferences).themes[0].view_3d.space.gradients.high_gradient
     red, green, blue = color[:]

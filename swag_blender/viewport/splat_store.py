@@ -3,7 +3,7 @@
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import bpy
 import gpu
@@ -60,7 +60,9 @@ class SplatStore:
 
     def __init__(self) -> None:
         self.width = min(LARGEST_SIDE, gpu.capabilities.max_texture_size_get())
-        self.geometry = self.harmonics = self.states = None
+        self.geometry: gpu.types.GPUTexture | None = None
+        self.harmonics: gpu.types.GPUTexture | None = None
+        self.states: gpu.types.GPUTexture | None = None
         self.degree, self.notice, self.version, self.uploaded = 0, "", 0, 0
         self.splats_version = 0
         self._held: dict[int, _Held] = {}
@@ -165,8 +167,13 @@ class SplatStore:
 
 def new_texture(values: np.ndarray, size: tuple[int, int], kind: str) -> gpu.types.GPUTexture:
     """A texture with these float32 values; its format `kind` may hold them in fewer bits."""
-    buffer = gpu.types.Buffer("FLOAT", values.size, np.ascontiguousarray(values, np.float32).ravel())
-    return gpu.types.GPUTexture(size, format=kind, data=buffer)
+    return gpu.types.GPUTexture(size, format=cast(Any, kind), data=float_buffer(values))
+
+
+def float_buffer(values: np.ndarray) -> gpu.types.Buffer:
+    """The values as float32 in Blender's own type of array."""
+    flat: Any = np.ascontiguousarray(values, np.float32).ravel()  # the stubs know no numpy arrays
+    return gpu.types.Buffer("FLOAT", flat.size, flat)
 
 
 @dataclass
@@ -194,8 +201,8 @@ def _read(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> _Read:
     )
     geometry = 0
     for array in (found.positions, found.rotations, found.scales, found.opacities):
-        geometry = zlib.crc32(np.ascontiguousarray(array), geometry)
-    checksums = (geometry, zlib.crc32(np.ascontiguousarray(found.sh)), zlib.crc32(states))
+        geometry = zlib.crc32(array.tobytes(), geometry)
+    checksums = (geometry, zlib.crc32(found.sh.tobytes()), zlib.crc32(states.tobytes()))
     data: Any = obj.data
     return _Read(data.session_uid, found, states, checksums)
 

@@ -105,9 +105,8 @@ def uploads():
     """Only what changed goes to the graphics card, which is not there: uploads are noted."""
     sent = []
     splat_store.new_texture = lambda values, size, kind: sent.append(kind)
-    splat_store.gpu = types.SimpleNamespace(
-        capabilities=types.SimpleNamespace(max_texture_size_get=lambda: 128), types=types.SimpleNamespace()
-    )
+    card = types.SimpleNamespace(max_texture_size_get=lambda: 128)
+    splat_store.gpu = types.SimpleNamespace(capabilities=card)  # type: ignore[assignment]
     store = splat_store.SplatStore()
     one = splats.new_splat_object("one", random_splats(300, 16), scene.collection)
     two = splats.new_splat_object("two", random_splats(200, 4), scene.collection)
