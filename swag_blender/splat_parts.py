@@ -17,17 +17,16 @@ def part_of(obj: bpy.types.Object, placement: np.ndarray, part: str) -> Splats:
     Args:
         obj: a splat object.
         placement: matrix (4, 4) from its own frame to Blender's world.
-        part: "ALL", "VISIBLE" (neither hidden nor outside the object's crop box) or "SELECTED".
+        part: "ALL", "VISIBLE" (neither hidden nor outside the object's crop box) or "SELECTED" (of those).
 
     Raises:
         InputError: the modifiers leave no splats.
     """
-    if part == "SELECTED":
-        own, selected = splats.read_modified_splats(obj, SELECTED)
-        return own.subset(selected)
-    own, hidden = splats.read_modified_splats(obj, HIDDEN)
+    own, (hidden, selected) = splats.read_modified_splats(obj, HIDDEN, SELECTED)
     if part == "ALL":
         return own
     to_box = world_to_box(obj)
-    shown = ~hidden if to_box is None else ~hidden & inside_box(own.positions, to_box @ placement)
-    return own if shown.all() else own.subset(shown)
+    wanted = ~hidden if to_box is None else ~hidden & inside_box(own.positions, to_box @ placement)
+    if part == "SELECTED":
+        wanted &= selected
+    return own if wanted.all() else own.subset(wanted)

@@ -170,18 +170,18 @@ def read_splats(obj: bpy.types.Object) -> Splats:
     return splats_of(pointcloud_of(obj))
 
 
-def read_modified_splats(obj: bpy.types.Object, mask: str = "") -> tuple[Splats, np.ndarray]:
-    """The splats of the object in its own frame with its modifiers applied, except the preview; and a mask of them.
+def read_modified_splats(obj: bpy.types.Object, *masks: str) -> tuple[Splats, list[np.ndarray]]:
+    """The splats of the object in its own frame with its modifiers applied, except the preview; and masks of them.
 
     Modifiers that are off in the viewport do not count. A modifier that moves points moves splats; sizes, rotations
     and colours are those of the attributes.
 
     Args:
         obj: a splat object.
-        mask: name of a BOOLEAN attribute.
+        *masks: names of BOOLEAN attributes.
 
     Returns:
-        The splats, and the values (N,) bool of that attribute: False where the object does not have it.
+        The splats, and the values (N,) bool of each of these attributes: False where the object does not have it.
 
     Raises:
         InputError: the modifiers leave no splats.
@@ -189,14 +189,14 @@ def read_modified_splats(obj: bpy.types.Object, mask: str = "") -> tuple[Splats,
     shown = [modifier for modifier in obj.modifiers if modifier.show_viewport]
     previews = [modifier for modifier in shown if _is_preview(modifier)]
     if len(previews) == len(shown):
-        return read_splats(obj), _read_mask(pointcloud_of(obj), mask)
+        return read_splats(obj), [_read_mask(pointcloud_of(obj), mask) for mask in masks]
     try:
         for modifier in previews:
             modifier.show_viewport = False
         data = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
         if not isinstance(data, bpy.types.PointCloud) or BASE not in data.attributes or not len(data.points):
             raise InputError(f"The modifiers of {obj.name} leave no splats; turn them off in the viewport.")
-        return splats_of(data), _read_mask(data, mask)
+        return splats_of(data), [_read_mask(data, mask) for mask in masks]
     finally:
         for modifier in previews:
             modifier.show_viewport = True

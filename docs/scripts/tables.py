@@ -767,20 +767,16 @@ def blender_load() -> str:
 
 
 @table
-def live_preview() -> str:
-    """Frame times of Blender's window during training."""
-    document = results("live_preview")
-    words = {
-        "empty": "empty viewport",
-        "still": "200 000 splats that do not change",
-        "arriving": "200 000 new splats every second",
-    }
+def viewport() -> str:
+    """Frames of Blender's viewport with splats, relative to one without."""
+    rows = []
+    for found in results("viewport")["counts"]:
+        empty = found["without_splats"]
+        ratios = [f"{found[name] / empty:.1f}" for name in ("resting", "moving", "all_drawn_anew")]
+        megabytes = [f"{found['megabytes_a_moving_frame']:.1f}", f"{found['megabytes_uploaded']:.0f}"]
+        rows.append([f"{found['splats']:,}".replace(",", " "), *ratios, *megabytes, found["sort"]])
     return markdown(
-        ["viewport", "median, ms", "95th percentile, ms"],
-        [
-            *([f"frame: {words[name]}", document[name]["median"], document[name]["95 %"]] for name in words),
-            ["work of the extension for 200 000 new splats", f"{document['attributes'] + document['nodes']:.1f}", "-"],
-        ],
+        ["splats", "resting", "moving", "all drawn anew", "MB a moving frame", "MB at first", "sort, ms"], rows
     )
 
 

@@ -148,7 +148,7 @@ def test_all_visible_or_selected_splats_are_exported(blender, tmp_path):
     np.testing.assert_allclose(read["visible"].positions, np.concatenate([shown, shown]), atol=1e-6)
     # What was exported later was moved by 7 as an object, and by 1 with a modifier.
     moved = made.positions + (8, 0, 0)
-    selected = (np.arange(len(made)) < 50) | (label == 1)
+    selected = (np.arange(len(made)) < 50) & (label == 2)  # of those that are shown
     np.testing.assert_allclose(read["selected"].positions, moved[selected], atol=2e-6)
     np.testing.assert_allclose(read["all"].positions, moved, atol=2e-6)
     assert set(read["all"].extras) == {"label"}, "what the viewport shows is no property of the file"
