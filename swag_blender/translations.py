@@ -12,7 +12,6 @@ GERMAN = {
     "Check": "Prüfen",
     "Find Cameras": "Kameras finden",
     "Find Cameras of These Photos": "Kameras dieser Fotos finden",
-    "For photos without a COLMAP model, or a video.": "Für Fotos ohne COLMAP-Modell oder ein Video.",
     "Find out from which place each photo was taken, with COLMAP, and import the cameras": (
         "Mit COLMAP bestimmen, von wo jedes Foto aufgenommen wurde, und die Kameras importieren"
     ),
@@ -434,6 +433,23 @@ GERMAN = {
     ),
     "Above": "Darüber",
     "Action": "Aktion",
+    "A coloured point for each splat, which any graphics card draws fast": (
+        "Ein farbiger Punkt für jeden Splat, den jede Grafikkarte schnell zeichnet"
+    ),
+    "Brightness of the splats in viewports, in stops": "Helligkeit der Splats in Viewports, in Blendenstufen",
+    "Density": "Dichte",
+    "Display As": "Anzeigen als",
+    "Highest degree of spherical harmonics in viewports and renders; 0 makes colours the same from every view": (
+        "Höchster Grad der Kugelflächenfunktionen in Viewports und Renderbildern; bei 0 sind die Farben von überall"
+        " gleich"
+    ),
+    "Percentage of the splats that viewports show; renders show all": (
+        "Anteil der Splats, den Viewports zeigen, in Prozent; Renderbilder zeigen alle"
+    ),
+    "Photos or Video without Cameras": "Fotos oder Video ohne Kameras",
+    "Points": "Punkte",
+    "The splats as trained, with view-dependent colours": "Die Splats wie trainiert, mit blickabhängigen Farben",
+    "What viewports show, except in Rendered shading": "Was Viewports zeigen, außer in der Schattierung Gerendert",
     "Add Crop Box": "Ausschnitt hinzufügen",
     "Add a box around the splats that limits what is shown, rendered and exported; move, rotate and scale it": (
         "Einen Kasten um die Splats legen, der begrenzt, was gezeigt, gerendert und exportiert wird; er lässt sich"

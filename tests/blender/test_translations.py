@@ -1,6 +1,7 @@
 """Translations: each table has every text that the interface shows, and no other."""
 
 import ast
+import json
 import re
 
 import pytest
@@ -38,5 +39,5 @@ def german(root):
 def test_a_table_has_every_shown_text_and_no_other(blender, root, german):
     shown = set(blender.run("translations.shown_words")) | drawn_words(root)
     missing, unknown = shown - set(german) - SAME, set(german) - shown
-    assert not missing and not unknown, (sorted(missing), sorted(unknown))
+    assert not missing and not unknown, json.dumps([sorted(missing), sorted(unknown)])
     assert all(german.values())

@@ -64,7 +64,7 @@ def state():
         "scene_folder": swag.scene_folder,
         "run_folder": swag.run_folder,
         "plan": [[line.name, line.state] for line in swag.plan.lines],
-        "stale": swag.plan.stale,
+        "stale": swag.plan_is_stale,
         "lamp": swag.plan.lines["lamp"].choice,
         "cube": "cube" in bpy.data.objects,
     }

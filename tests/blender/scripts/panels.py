@@ -8,7 +8,16 @@ from typing import Any
 
 import bpy
 from bl_ext.user_default.swag_splatting import operators
-from bl_ext.user_default.swag_splatting.swag_blender import effect_pictures, effects, panels, properties, water
+from bl_ext.user_default.swag_splatting.swag_blender import (
+    edit_panel,
+    effect_pictures,
+    effects,
+    film_panel,
+    panels,
+    properties,
+    water,
+)
+from bl_ext.user_default.swag_splatting.swag_blender.sidebar import SwagPanel
 from bl_ext.user_default.swag_splatting.swag_engine.base.text import sparkline
 
 swag, status = bpy.context.scene.swag, bpy.context.window_manager.swag
@@ -188,15 +197,21 @@ class RecordingPanel:
         return call
 
 
+def panel_classes():
+    """The panels of the sidebar's tab."""
+    modules = (panels, water, edit_panel, film_panel)
+    classes = [cls for module in modules for cls in vars(module).values() if isinstance(cls, type)]
+    return [cls for cls in dict.fromkeys(classes) if issubclass(cls, SwagPanel) and cls is not SwagPanel]
+
+
 def draw_all(context):
     """What each panel that is shown draws, by its name."""
     found = {}
-    for module in (panels, water):
-        for cls in module._CLASSES:
-            if not hasattr(cls, "poll") or cls.poll(context):
-                drawn: list[str] = []
-                cls.draw(type("Panel", (), {"layout": RecordingPanel(drawn)})(), context)
-                found[cls.__name__] = drawn
+    for cls in panel_classes():
+        if not hasattr(cls, "poll") or cls.poll(context):
+            drawn: list[str] = []
+            cls.draw(type("Panel", (), {"layout": RecordingPanel(drawn)})(), context)
+            found[cls.__name__] = drawn
     return found
 
 
@@ -212,7 +227,7 @@ def context_of_a_sidebar():
 
 def panels_by_stage(folder):
     """Order and closed panels of the tab, and what is drawn before photos are chosen, before and after training."""
-    tops = [cls for module in (panels, water) for cls in module._CLASSES if not getattr(cls, "bl_parent_id", "")]
+    tops = [cls for cls in panel_classes() if not getattr(cls, "bl_parent_id", "")]
     found = {
         "order": [cls.bl_label for cls in sorted(tops, key=lambda cls: cls.bl_order)],
         "open": [cls.__name__ for cls in tops if "DEFAULT_CLOSED" not in getattr(cls, "bl_options", ())],
