@@ -19,7 +19,6 @@ def test_cameras_are_found_and_imported(blender, fake_engine, tmp_path):
         "failed": False,
         "cameras": 4,
         "points": 50,
-        "stale": True,
     }
     assert "Find Cameras: Matching photos" in blender.printed and "Traceback" not in blender.printed
 

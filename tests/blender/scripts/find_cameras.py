@@ -31,7 +31,6 @@ def find_and_import(photos, scene_folder=""):
         "failed": status.failed,
         "cameras": sum(obj.type == "CAMERA" for obj in root.children_recursive),
         "points": len(scene_import.sparse_points(root).data.points),
-        "stale": swag.plan_is_stale,
     }
 
 

@@ -221,6 +221,7 @@ def context_of_a_sidebar():
     return types.SimpleNamespace(
         scene=own.scene, window_manager=own.window_manager, preferences=own.preferences, mode=own.mode,
         active_object=own.active_object, selected_objects=own.selected_objects, view_layer=own.view_layer,
+        visible_objects=own.visible_objects,
         region=types.SimpleNamespace(width=280),
     )  # fmt: skip
 
