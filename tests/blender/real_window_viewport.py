@@ -115,9 +115,34 @@ def steps():
     yield from picture("water", obj)
     bpy.context.scene.swag.water = 0.0
 
-    # Two objects of every other splat are blended as the one.
     labels = module("labels")
     count = len(obj.data.points)
+    labels.select(obj, np.arange(count) < 1000)
+    yield from picture("selected", obj)
+    labels.select(obj, np.zeros(count, bool))
+    shown = obj.swag_display
+    shown.exposure = 1.0
+    yield from picture("exposed", obj)
+    shown.exposure, shown.sh_degree = 0.0, 1
+    yield from picture("degree_1", obj)
+    shown.sh_degree, shown.density = 3, 30.0
+    yield from picture("thinned", obj)
+    shown.density = 100.0
+    box = bpy.data.objects.new("box", None)
+    bpy.context.scene.collection.objects.link(box)
+    box.matrix_world = obj.matrix_world @ Matrix.Diagonal((1.5, 2.0, 1.0, 1.0))
+    box.hide_set(True)
+    shown.crop = box
+    yield from picture("cropped", obj)
+    shown.crop = None
+    # As Alt B does: of the four sides of a box in the world, those of large x are clipped here.
+    view.use_clip_planes = True
+    view.clip_planes = [(-1, 0, 0, 1), (1, 0, 0, 100), (0, 1, 0, 100), (0, -1, 0, 100), (0, 0, 1, 100), (0, 0, -1, 100)]
+    yield from picture("clipped", obj)
+    report["world"] = np.array(obj.matrix_world).tolist()
+    view.use_clip_planes = False
+
+    # Two objects of every other splat are blended as the one.
     labels.select(obj, np.arange(count) % 2 == 0)
     with bpy.context.temp_override(window=window, area=area, region=region):
         bpy.ops.ed.undo_push(message="Selected")

@@ -242,8 +242,17 @@ def cloud():
     )
 
 
-def engine_picture(report, name, keep=None, water=False):
-    """The engine's picture (H, W, 3) of the cloud for the matrices of a viewport's picture."""
+def engine_picture(report, name, keep=None, water=False, degree=3, change=lambda colors: colors):
+    """The engine's picture (H, W, 3) of the cloud for the matrices of a viewport's picture.
+
+    Args:
+        report: of real_window_viewport.py.
+        name: of the picture.
+        keep: mask (4000,) of the splats to draw; None for all.
+        water: whether it is seen through WATER.
+        degree: of spherical harmonics.
+        change: applied to the display values (N, 3) of the splats.
+    """
     splats, shown = cloud(), report["pictures"][name]
     if keep is not None:
         splats = splats.subset(keep)
@@ -261,8 +270,8 @@ def engine_picture(report, name, keep=None, water=False):
     eye = np.linalg.inv(to_view)[:3, 3]
     rays = splats.positions - eye
     ranges = np.linalg.norm(rays, axis=1, keepdims=True)
-    basis = sh_basis(rays / ranges, 3)
-    colors = np.maximum(0.5 + np.einsum("nk,nkc->nc", basis, splats.sh), 0)
+    basis = sh_basis(rays / ranges, degree)
+    colors = change(np.maximum(0.5 + np.einsum("nk,nkc->nc", basis, splats.sh[:, : basis.shape[1]]), 0))
     background = linear_to_srgb(BACKGROUND)
     if water:
         lights = open_water(rays / ranges)
@@ -304,6 +313,36 @@ def test_viewport_shows_the_engines_picture(viewport_pictures, name):
     assert np.ptp(wanted[inside]) > 0.5
     found = psnr(shown[inside], wanted[inside])
     assert found > (35 if name == "orthographic" else 38), found
+
+
+def test_selection_exposure_and_degree_change_the_colors(viewport_pictures):
+    report, pictures = viewport_pictures
+    inside = (slice(30, -5), slice(5, -5))
+    tint, amount = linear_to_srgb(np.array([1.0, 0.45, 0.0])), 0.6  # the orange of Blender's own selection
+    selected = np.arange(4000)[:, None] < 1000
+    wanted = {
+        "selected": {"change": lambda colors: np.where(selected, colors + (tint - colors) * amount, colors)},
+        "exposed": {"change": lambda colors: linear_to_srgb(2 * srgb_to_linear(colors))},
+        "degree_1": {"degree": 1},
+    }
+    plain = engine_picture(report, "selected")[inside]
+    for name, how in wanted.items():
+        assert psnr(pictures[name][inside], engine_picture(report, name, **how)[inside]) > 38, name
+        assert psnr(pictures[name][inside], plain) < 36, name
+
+
+def test_crop_boxes_clipping_and_density_leave_splats_out(viewport_pictures):
+    report, pictures = viewport_pictures
+    inside = (slice(30, -5), slice(5, -5))
+    positions = cloud().positions
+    world = positions @ np.array(report["world"])[:3, :3].T + np.array(report["world"])[:3, 3]
+    kept = {"cropped": (np.abs(positions) <= (1.5, 2, 1)).all(axis=1), "clipped": world[:, 0] < 1}
+    for name, keep in kept.items():
+        assert 200 < keep.sum() < 3500
+        assert psnr(pictures[name][inside], engine_picture(report, name, keep=keep)[inside]) > 38, name
+    # Fewer splats cover less of the background.
+    covered = {n: (np.abs(pictures[n][inside] - pictures[n][40, 10]) > 0.02).mean() for n in ("solid", "thinned")}
+    assert 0.3 < covered["thinned"] / covered["solid"] < 0.95, covered
 
 
 def test_hidden_objects_and_local_view(viewport_pictures):

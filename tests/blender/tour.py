@@ -94,7 +94,7 @@ def steps():
     scroll(25)
     yield from job(bpy.ops.swag.forecast)
     yield from photograph("forecast")
-    swag.recipe, swag.iterations, swag.width, swag.max_gaussians = "swag", 1500, 240, 12_000
+    swag.recipe, swag.iterations, swag.width, swag.max_gaussians = "swag", 2000, 480, 40_000
     call(bpy.ops.swag.train)
     clouds = lambda: [o for o in bpy.data.objects if "swag_run" in o]  # noqa: E731
     yield from until(lambda: (clouds() and len(status.curve.split()) > 1) or not status.job)
@@ -109,7 +109,7 @@ def steps():
     report["iteration_after_pause"] = status.iteration
     call(bpy.ops.swag.pause)
     yield from until(lambda: status.iteration > report["paused_at"])
-    call(bpy.ops.swag.cancel)
+    bpy.ops.swag.cancel()  # the button asks first
     yield from until(lambda: not status.job)
     report["cancelled"] = [status.message, swag.can_continue, swag.stopped_at]
     yield from photograph("6-stopped")
@@ -134,7 +134,6 @@ def steps():
     report["exported"] = (OUT / "reef.glb").stat().st_size
 
     # An idle Blender uses no processor time once the viewport has drawn all its samples.
-    area.spaces.active.shading.type = "SOLID"
     yield 15.0
     before = time.process_time()
     yield 5.0

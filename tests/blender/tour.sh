@@ -11,9 +11,9 @@ env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LIBGL_ALWAYS_SOFTWARE=1 REA
     SWAG_ZIP=/gui/tour/extension.zip SWAG_SCENE=/gui/tour/scene SWAG_OUT=/gui/tour SWAG_CACHE_DIR=/gui/tour/cache \
     BLENDER_USER_RESOURCES=/gui/tour/user chroot "$root" bash -c '
     export DISPLAY=:$((80 + RANDOM % 400))
-    Xvfb $DISPLAY -screen 0 1280x800x24 +extension GLX +render -noreset >/dev/null 2>&1 & x=$!
+    Xvfb $DISPLAY -screen 0 1920x1080x24 +extension GLX +render -noreset >/dev/null 2>&1 & x=$!
     sleep 1.5; openbox >/dev/null 2>&1 & wm=$!; sleep 1
-    timeout 1200 blender --factory-startup --window-geometry 0 0 1280 800 --python /gui/tour/script.py >/gui/tour/log 2>&1 || true
+    timeout 1200 blender --factory-startup --window-geometry 0 0 1920 1080 --python /gui/tour/script.py >/gui/tour/log 2>&1 || true
     kill $wm $x'
 cp "$here"/*.png "$here/report.json" "$out"; cat "$here/report.json"
 grep -q '"done": true' "$here/report.json"
