@@ -1,10 +1,14 @@
 """The space that a scene takes, and 3D viewports that show all of it."""
 
 import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import bpy
 import numpy as np
+
+from . import splats
+from .blender_types import present
 
 INNER_PERCENTILES = 5.0, 95.0
 """Percentiles of points that the box of a scene holds: sparse points and splats far away are often wrong."""
@@ -43,10 +47,10 @@ def frame(
     return (float(x), float(y), float(z)), radius / math.sin(half_angle)
 
 
-def world_box(root: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """The `robust_box` of the cameras and the point clouds below a scene's root, in Blender's world."""
+def world_box(objects: Iterable[bpy.types.Object]) -> tuple[np.ndarray, np.ndarray]:
+    """The `robust_box` of the cameras and the point clouds among objects, in Blender's world."""
     points, cameras = [np.zeros((0, 3))], [np.zeros((0, 3))]
-    for obj in root.children_recursive:
+    for obj in objects:
         if isinstance(obj.data, bpy.types.Camera):
             cameras.append(np.array(obj.matrix_world.translation)[None])
         elif isinstance(obj.data, bpy.types.PointCloud):
@@ -58,13 +62,13 @@ def world_box(root: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     return robust_box(np.concatenate(points), np.concatenate(cameras))
 
 
-def frame_viewports(window: bpy.types.Window, root: bpy.types.Object) -> None:
-    """Move the 3D viewports of a window so that they show all of an imported scene; their directions stay.
+def frame_viewports(window: bpy.types.Window, objects: Iterable[bpy.types.Object]) -> None:
+    """Move the 3D viewports of a window so that they show all of these objects; their directions stay.
 
-    Clipping distances are widened where they would cut the scene.
+    Clipping distances are widened where they would cut the objects.
     """
     window.view_layer.update()  # world matrices of new objects
-    box = world_box(root)
+    box = world_box(objects)
     for area in window.screen.areas:
         space = area.spaces.active
         if not isinstance(space, bpy.types.SpaceView3D):
@@ -76,3 +80,10 @@ def frame_viewports(window: bpy.types.Window, root: bpy.types.Object) -> None:
                 space.clip_end = max(space.clip_end, 10 * view.view_distance)
                 space.clip_start = min(space.clip_start, view.view_distance / 1000)
         area.tag_redraw()
+
+
+def frame_first_splats(context: bpy.types.Context, opened: Sequence[bpy.types.Object]) -> None:
+    """Show all of the splats that were opened, unless the scene has others, which the user has arranged."""
+    others = any(splats.is_splats(obj) and obj not in opened for obj in present(context.scene).objects)
+    if context.window is not None and not bpy.app.background and not others:
+        frame_viewports(context.window, opened)

@@ -10,7 +10,7 @@ import numpy as np
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.formats.run_folder import RunFolder, read_json
-from . import labels, scene_import, splats
+from . import framing, labels, scene_import, splats
 from .blender_types import call_operator, present
 from .properties import swag_of
 from .runs import RUN_KEY, remember_training, show_splats
@@ -64,6 +64,7 @@ def open_run(context: bpy.types.Context, path: Path) -> tuple[bpy.types.Object, 
             swag.plan.take(read_json(run.plan, ""), swag.scene_path)
     if context.mode == "OBJECT" and present(context.view_layer).objects.get(obj.name):
         splats.select_only(context, [obj])
+    framing.frame_first_splats(context, [obj])
     return obj, f"{len(loaded):,} splats of the run {run.path.name}."
 
 

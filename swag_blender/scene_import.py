@@ -70,7 +70,7 @@ def add_to_scene(scene_name: str, result: dict[str, Any]) -> tuple[bpy.types.Obj
         for window in present(bpy.context.window_manager).windows:
             if window.scene == scene:
                 show_colors(window.screen)
-                framing.frame_viewports(window, root)
+                framing.frame_viewports(window, root.children_recursive)
     found, *doubts = choose(scene, result).splitlines()
     return root, " ".join((f"{found}.", *doubts))
 

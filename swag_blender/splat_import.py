@@ -8,7 +8,7 @@ import numpy as np
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.gltf import COLMAP_UP
 from ..swag_engine.formats.registry import find_format
-from . import scene_import, splats
+from . import framing, scene_import, splats
 from .blender_types import present
 from .open_run import know_run, run_of_file
 
@@ -35,6 +35,7 @@ def open_splats(
             failed.append(str(error))
     if opened:
         splats.select_only(context, opened)
+        framing.frame_first_splats(context, opened)
     return opened, failed
 
 

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -320,7 +321,7 @@ def test_selection_exposure_and_degree_change_the_colors(viewport_pictures):
     inside = (slice(30, -5), slice(5, -5))
     tint, amount = linear_to_srgb(np.array([1.0, 0.45, 0.0])), 0.6  # the orange of Blender's own selection
     selected = np.arange(4000)[:, None] < 1000
-    wanted = {
+    wanted: dict[str, dict[str, Any]] = {
         "selected": {"change": lambda colors: np.where(selected, colors + (tint - colors) * amount, colors)},
         "exposed": {"change": lambda colors: linear_to_srgb(2 * srgb_to_linear(colors))},
         "degree_1": {"degree": 1},

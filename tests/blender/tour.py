@@ -115,7 +115,7 @@ def steps():
     yield from photograph("6-stopped")
     yield from job(bpy.ops.swag.train, resume=True)
     report["finished"] = [swag.result_gaussians, swag.result_psnr, swag.can_continue]
-    scroll(34)
+    scroll(100)
     yield from photograph("7-result")
 
     obj = clouds()[0]

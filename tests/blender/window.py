@@ -96,10 +96,16 @@ def install():
 
 def open_panels(*names):
     """Let closed panels of the extension be open when the sidebar is drawn for the first time."""
-    for cls in [getattr(bpy.types, name) for name in names]:
-        bpy.utils.unregister_class(cls)
+    for name in names:
+        cls = getattr(bpy.types, name)
+        base = next(kind for kind in cls.__mro__ if kind.__name__ == "SwagPanel")
+        # A child that is registered before its parent would be drawn as a panel of its own.
+        family = [cls, *(child for child in base.__subclasses__() if getattr(child, "bl_parent_id", "") == name)]
+        for one in reversed(family):
+            bpy.utils.unregister_class(one)
         cls.bl_options = cls.bl_options - {"DEFAULT_CLOSED"}
-        bpy.utils.register_class(cls)
+        for one in family:
+            bpy.utils.register_class(one)
 
 
 def write_report():
