@@ -52,8 +52,10 @@ def job(operator, **options):
 
 
 def scroll(lines):
-    """Scroll the sidebar to `lines` below its top."""
+    """Scroll the sidebar to `lines` below its top, as steps."""
     window, area, region = view3d()
+    region.tag_redraw()
+    yield 1.0  # its height is known once it was drawn
     with bpy.context.temp_override(window=window, area=area, region=region):
         bpy.ops.view2d.pan(deltay=10_000)
         bpy.ops.view2d.pan(deltay=-22 * lines)
@@ -91,7 +93,7 @@ def steps():
     report["plan"] = {line.name: line.state for line in swag.plan.lines}
     yield from photograph("3-effects")
 
-    scroll(25)
+    yield from scroll(25)
     yield from job(bpy.ops.swag.forecast)
     yield from photograph("forecast")
     swag.recipe, swag.iterations, swag.width, swag.max_gaussians = "swag", 2000, 480, 40_000
@@ -115,7 +117,7 @@ def steps():
     yield from photograph("6-stopped")
     yield from job(bpy.ops.swag.train, resume=True)
     report["finished"] = [swag.result_gaussians, swag.result_psnr, swag.can_continue]
-    scroll(100)
+    yield from scroll(100)
     yield from photograph("7-result")
 
     obj = clouds()[0]
