@@ -7,9 +7,10 @@ import bpy
 
 from .. import splats
 from ..blender_types import present
-from ..display import apply, display_of
+from ..display import apply
 from ..nodes import splat_preview
 from .drawing import TICK_SECONDS, ViewportDrawing
+from .placements import drawn_objects, is_drawn
 
 _drawing: ViewportDrawing | None = None
 """The ViewportDrawing, made when splats are drawn for the first time; None before, and after all splats are gone."""
@@ -28,10 +29,10 @@ def _draw() -> None:
     global _drawing, _failed
     context = bpy.context
     _follow_rendered_shading()
-    objects = [obj for obj in present(context.view_layer).objects if _draws(obj)]
+    objects = drawn_objects(present(context.view_layer))
+    if not objects and not any(map(is_drawn, bpy.data.objects)):
+        _drawing = None
     if not objects or _is_rendered(present(context.area)) or _failed:
-        if not objects:
-            _drawing = None
         return
     try:
         if _drawing is None:
@@ -72,13 +73,8 @@ def _switch_shapes() -> None:
     global _shapes_shown
     _shapes_shown = not _shapes_shown
     for obj in bpy.data.objects:
-        if _draws(obj):
+        if is_drawn(obj):
             splat_preview.set_input(obj, splat_preview.SHAPES_IN_VIEWPORT, _shapes_shown)
-
-
-def _draws(obj: bpy.types.Object) -> bool:
-    """Whether the extension draws the object's splats. Blender 5.3 and later draw splats themselves."""
-    return splats.is_splats(obj) and not hasattr(obj.data, "type") and display_of(obj).style == "SPLATS"
 
 
 @bpy.app.handlers.persistent
@@ -108,7 +104,7 @@ def _after_load(*_: object) -> None:
     for obj in bpy.data.objects:
         if splats.is_splats(obj):
             apply(obj)
-        if _draws(obj):
+        if is_drawn(obj):
             splat_preview.set_input(obj, splat_preview.SHAPES_IN_VIEWPORT, False)
 
 

@@ -32,39 +32,44 @@ def back_to_front(
     limit: int | None = None,
     exact: bool = True,
 ) -> np.ndarray:
-    """Numbers of the splats before the eye, farthest first.
+    """Numbers of the splats before the eye and of the parts they are from, farthest first.
 
     Args:
-        parts: The objects to draw.
+        parts: The objects to draw; several may be of the same splats.
         depth_rows: For each part (4,): depth = row[:3] . position + row[3], larger when farther.
         near: Splats with a smaller depth are left out; None for none, as in orthographic views.
         limit: Most splats to keep, those of the largest contribution on the image; None for all.
         exact: Whether depths are compared to the last bit; otherwise to 16 bits of their logarithm, in half the time.
 
     Returns:
-        (M,) float32, exact up to 2^24: textures have no integers in Blender's Python.
+        (M, 2) float32, exact up to 2^24: textures have no integers in Blender's Python.
     """
     if not parts:
-        return np.empty(0, np.float32)
+        return np.empty((0, 2), np.float32)
     depths = [
         part.positions @ row[:3].astype(np.float32) + np.float32(row[3])
         for part, row in zip(parts, depth_rows, strict=True)
     ]
     depth = depths[0] if len(depths) == 1 else np.concatenate(depths)
-    firsts = [np.arange(part.first, part.first + len(part.positions), dtype=np.float32) for part in parts]
-    number = firsts[0] if len(firsts) == 1 else np.concatenate(firsts)
+    numbers = np.empty((len(depth), 2), np.float32)
+    at = 0
+    for index, part in enumerate(parts):
+        end = at + len(part.positions)
+        numbers[at:end, 0] = np.arange(part.first, part.first + len(part.positions))
+        numbers[at:end, 1] = index
+        at = end
     before = np.ones(len(depth), bool) if near is None else depth > near
     if not before.all():
-        depth, number = depth[before], number[before]
+        depth, numbers = depth[before], numbers[before]
     if limit is not None and len(depth) > limit:
         weight = np.concatenate([part.contributions for part in parts])[before]
         if near is not None:
             weight = weight / (depth * depth)
         kept = np.argpartition(weight, len(weight) - limit)[len(weight) - limit :]
-        depth, number = depth[kept], number[kept]
+        depth, numbers = depth[kept], numbers[kept]
     if near is None and len(depth):
         depth = depth - depth.min()
-    return number[_descending(depth, exact)]
+    return numbers[_descending(depth, exact)]
 
 
 def _descending(values: np.ndarray, exact: bool) -> np.ndarray:

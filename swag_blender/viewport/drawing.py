@@ -19,8 +19,9 @@ from .. import display, water
 from ..blender_types import present
 from ..crop_box import world_to_box
 from ..properties import swag_of
-from .depth_order import Sorter
+from .depth_order import Part, Sorter
 from .packing import HARMONICS_TEXELS, OBJECT_TEXELS, ObjectTexels
+from .placements import Placement, placements
 from .shaders import NEAR, VIEW_FLOATS, Shaders, frustum_limits
 from .splat_store import SplatStore, float_buffer, new_texture
 
@@ -59,7 +60,7 @@ class ViewportDrawing:
 
         Args:
             context: That of a draw handler of a 3D viewport.
-            objects: The objects to upload; those that the viewport does not show are not drawn.
+            objects: The objects to upload, also those that this viewport does not show.
         """
         # Taken first: making a texture or a picture can bind another one.
         framebuffer = gpu.state.active_framebuffer_get()
@@ -67,15 +68,16 @@ class ViewportDrawing:
         depth: Any = framebuffer.read_depth(0, 0, region.width, region.height)
         self.store.update(objects, context.evaluated_depsgraph_get())
         view = self._view(context)
-        texels = _object_texels(context, objects)
+        shown = [one for one in placements(context) if self.store.part(one.obj) is not None]
+        texels = _object_texels(context, shown)
         view.follow_movement()
-        self._update_order(view, objects, texels)
+        self._update_order(view, [present(self.store.part(one.obj)) for one in shown], texels)
         if view.order is None:
             return
         if not view.is_order_of(self.store.splats_version):
             self._lay_over(view, framebuffer)
             return
-        table = np.stack([one.texels() for one in texels])
+        table = np.stack([one.texels() for one in texels]) if texels else np.zeros((1, OBJECT_TEXELS, 4), np.float32)
         key = (view.matrices, view.size, table.tobytes(), self.store.version, view.orders, zlib.crc32(depth))
         if key != view.picture_key:
             self._draw_picture(view, table, depth)
@@ -112,18 +114,13 @@ class ViewportDrawing:
         view.background = _background_color(context)
         return view
 
-    def _update_order(self, view: "_View", objects: Sequence[bpy.types.Object], texels: Sequence[ObjectTexels]) -> None:
-        drawn = [
-            (part, -one.object_to_view[2])
-            for obj, one in zip(objects, texels, strict=True)
-            if one.is_drawn and (part := self.store.part(obj)) is not None
-        ]
-        count = sum(len(part.positions) for part, _ in drawn)
+    def _update_order(self, view: "_View", parts: Sequence[Part], texels: Sequence[ObjectTexels]) -> None:
+        count = sum(len(part.positions) for part in parts)
         limit = self._budget if view.is_moving and count > self._budget else None
         near = None if view.is_orthographic else NEAR
-        rows = [row for _, row in drawn]
-        key = (self.store.splats_version, np.array(rows).tobytes(), [part.first for part, _ in drawn], near, limit)
-        view.sorter.request(key, [part for part, _ in drawn], rows, near, limit)
+        rows = [-one.object_to_view[2] for one in texels]
+        key = (self.store.splats_version, np.array(rows).tobytes(), [part.first for part in parts], near, limit)
+        view.sorter.request(key, parts, rows, near, limit)
         view.wanted_order = key
         if (order := view.sorter.take()) is not None:
             view.order, view.order_count = self.store.order_texture(order), len(order)
@@ -149,7 +146,7 @@ class ViewportDrawing:
             gpu.state.color_mask_set(True, True, True, True)
             gpu.state.depth_mask_set(False)
             gpu.state.depth_test_set("LESS_EQUAL")
-            in_water = np.flatnonzero((table[:, 6, 3] > 0) & (table[:, 4, 0] > 0))
+            in_water = np.flatnonzero(table[:, 6, 3] > 0)
             if len(in_water):
                 shaders.background.bind()
                 shaders.background.uniform_block("view", block)
@@ -263,29 +260,25 @@ class _View:
         return gpu.types.GPUUniformBuf(float_buffer(values))
 
 
-def _object_texels(context: bpy.types.Context, objects: Sequence[bpy.types.Object]) -> list[ObjectTexels]:
-    """What the shaders need to know of each object in the viewport of the context."""
+def _object_texels(context: bpy.types.Context, shown: Sequence[Placement]) -> list[ObjectTexels]:
+    """What the shaders need to know of each placement in the viewport of the context."""
     to_view = np.array(present(context.region_data).view_matrix, np.float64)
-    depsgraph = context.evaluated_depsgraph_get()
-    space: Any = context.space_data
     amount = swag_of(context.scene).water
     made = []
-    for obj in objects:
-        settings = display.display_of(obj)
-        own_water = water.water_of(obj)
-        # The evaluated matrix has parents, constraints and animation in it.
-        to_world = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)
-        to_box = world_to_box(obj)
+    for one in shown:
+        settings = display.display_of(one.obj)
+        own_water = water.water_of(one.obj)
+        to_box = world_to_box(one.obj)
         made.append(
             ObjectTexels(
-                object_to_view=to_view @ to_world,
-                is_drawn=obj.visible_in_viewport_get(space) and space.show_object_viewport_pointcloud,
+                object_to_view=to_view @ one.to_world,
                 sh_degree=settings.sh_degree,
                 density=settings.density / 100,
                 gain=2.0**settings.exposure,
                 water=own_water,
                 water_amount=amount if own_water else 0.0,
-                crop=None if to_box is None else to_box @ to_world,
+                # An instance is cropped as its object is.
+                crop=None if to_box is None else to_box @ np.array(one.obj.matrix_world, np.float64),
             )
         )
     return made

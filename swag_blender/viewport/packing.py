@@ -13,7 +13,7 @@ from ...swag_engine.splats.splats import Splats
 from ..water_values import WaterValues
 
 GEOMETRY_TEXELS = 3
-"""Texels of a splat's position, opacity, covariance and object."""
+"""Texels of a splat's position, opacity and covariance."""
 HARMONICS_TEXELS = (1, 3, 9, 12)
 """Texels of a splat's colour by degree of spherical harmonics: four coefficients in three texels from degree 1."""
 OBJECT_TEXELS = 24
@@ -24,10 +24,7 @@ LARGEST_TINT_ALPHA = 0.99
 
 
 def geometry_texels(splats: Splats) -> np.ndarray:
-    """Position and opacity, and the covariance in the object's own space, as (N, 3, 4) float32.
-
-    The object's number, texel 2 component 2, is left at 0.
-    """
+    """Position and opacity, and the covariance in the object's own space, as (N, 3, 4) float32."""
     texels = np.zeros((len(splats), GEOMETRY_TEXELS, 4), np.float32)
     texels[:, 0, :3] = splats.positions
     texels[:, 0, 3] = splats.opacities
@@ -71,11 +68,10 @@ def contributions(splats: Splats) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ObjectTexels:
-    """What the shader needs to know of one splat object in one view.
+    """What the shader needs to know of one splat object, or one instance of it, in one view.
 
     Attributes:
         object_to_view: (4, 4) from the object's own space to the view's, z backwards as in OpenGL.
-        is_drawn: Whether the viewport shows the object.
         sh_degree: Highest degree of spherical harmonics to use.
         density: Fraction of the splats to draw.
         gain: Factor of linear light.
@@ -85,7 +81,6 @@ class ObjectTexels:
     """
 
     object_to_view: np.ndarray
-    is_drawn: bool = True
     sh_degree: int = 3
     density: float = 1.0
     gain: float = 1.0
@@ -99,7 +94,7 @@ class ObjectTexels:
         rows[0:3] = self.object_to_view[:3]
         eye = np.linalg.inv(self.object_to_view.astype(np.float64))
         rows[3, :3], rows[3, 3] = eye[:3, 3], self.gain
-        rows[4] = self.is_drawn, self.sh_degree, self.density, self.crop is not None
+        rows[4, :3] = self.sh_degree, self.density, self.crop is not None
         rows[5, :3] = eye[:3, 2] / np.linalg.norm(eye[:3, 2])
         if self.water is not None and self.water_amount > 0:
             rows[6, :3], rows[6, 3] = self.water.beta_D, self.water_amount

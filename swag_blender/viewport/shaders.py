@@ -102,17 +102,17 @@ float random(int number) {
 
 void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);  /* outside: not drawn */
-  int number = int(texelFetch(order, texel(gl_InstanceID), 0).r + 0.5);
+  vec2 numbers = texelFetch(order, texel(gl_InstanceID), 0).rg;
+  int number = int(numbers.x + 0.5), object = int(numbers.y + 0.5);
   vec4 state = texelFetch(states, texel(number), 0);
   if (state.a > HIDDEN - 0.002) { return; }
   ivec2 first = texel(number * GEOMETRY);
   vec4 centre = texelFetch(geometry, first, 0);
   vec4 upper = texelFetch(geometry, texel(number * GEOMETRY + 1), 0);
   vec4 lower = texelFetch(geometry, texel(number * GEOMETRY + 2), 0);
-  int object = int(lower.z + 0.5);
   vec4 display = object_texel(object, 4);
-  if (display.x < 0.5 || random(number) >= display.z || centre.w * 255.0 <= 1.0) { return; }
-  if (display.w > 0.5) {
+  if (random(number) >= display.y || centre.w * 255.0 <= 1.0) { return; }
+  if (display.z > 0.5) {
     vec4 p = vec4(centre.xyz, 1.0);
     vec3 inside = vec3(dot(object_texel(object, 17), p), dot(object_texel(object, 18), p),
                        dot(object_texel(object, 19), p));
@@ -148,7 +148,7 @@ void main() {
   vec4 eye = object_texel(object, 3);
   vec3 ray = centre.xyz - eye.xyz;
   vec3 direction = orthographic ? -object_texel(object, 5).xyz : normalize(ray);
-  vec3 rgb = colour(number, object, direction, min(int(display.y), view.layout_.y == 1 ? 0 : 3));
+  vec3 rgb = colour(number, object, direction, min(int(display.x), view.layout_.y == 1 ? 0 : 3));
   if (object_texel(object, 6).a > 0.0) {
     rgb = through_water(object, rgb, direction, orthographic ? max(0.0, -v.z) : length(ray));
   }

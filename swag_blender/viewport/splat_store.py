@@ -126,10 +126,8 @@ class SplatStore:
             self.notice = f"This graphics card shows these splats with SH degree {self.degree} of {wanted}."
         geometry, harmonics = [], []
         first, held = 0, {}
-        for index, (number, found) in enumerate(read.items()):
-            texels = geometry_texels(found.splats)
-            texels[:, 2, 2] = index
-            geometry.append(texels)
+        for number, found in read.items():
+            geometry.append(geometry_texels(found.splats))
             harmonics.append(harmonics_texels(found.splats.sh, self.degree))
             part = Part(found.splats.positions, contributions(found.splats), first)
             held[number] = _Held(found.data, found.checksums, part)
@@ -157,12 +155,12 @@ class SplatStore:
         return new_texture(values, (self.width, rows), kind)
 
     def order_texture(self, order: np.ndarray) -> gpu.types.GPUTexture:
-        """An order (M,) of splats as a texture."""
+        """An order (M, 2) of splats as a texture."""
         rows = texture_rows(len(order), 1, self.width)
-        values = np.zeros(rows * self.width, np.float32)
+        values = np.zeros((rows * self.width, 2), np.float32)
         values[: len(order)] = order
         self.uploaded += values.nbytes
-        return new_texture(values, (self.width, rows), "R32F")
+        return new_texture(values, (self.width, rows), "RG32F")
 
 
 def new_texture(values: np.ndarray, size: tuple[int, int], kind: str) -> gpu.types.GPUTexture:

@@ -142,6 +142,22 @@ def steps():
     report["world"] = np.array(obj.matrix_world).tolist()
     view.use_clip_planes = False
 
+    # The object as an instance of a collection that is not in the scene itself.
+    collection = bpy.data.collections.new("reef")
+    collection.objects.link(obj)
+    home = obj.users_collection[0]
+    home.objects.unlink(obj)
+    collection.instance_offset = (1, 0, 0)
+    instancer = bpy.data.objects.new("instance", None)
+    instancer.instance_type, instancer.instance_collection = "COLLECTION", collection
+    instancer.location, instancer.empty_display_size = (1, 0, 0), 0.001
+    bpy.context.scene.collection.objects.link(instancer)
+    yield from picture("instance", obj)
+    bpy.data.objects.remove(instancer)
+    home.objects.link(obj)
+    bpy.data.collections.remove(collection)
+    yield 0.2
+
     # Two objects of every other splat are blended as the one.
     labels.select(obj, np.arange(count) % 2 == 0)
     with bpy.context.temp_override(window=window, area=area, region=region):

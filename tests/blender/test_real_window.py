@@ -306,7 +306,9 @@ def psnr(a, b):
     return -10 * np.log10(np.mean((a - b) ** 2))
 
 
-@pytest.mark.parametrize("name", ["solid", "turned", "wireframe", "camera", "orthographic", "water", "separated"])
+@pytest.mark.parametrize(
+    "name", ["solid", "turned", "wireframe", "camera", "orthographic", "water", "instance", "separated"]
+)
 def test_viewport_shows_the_engines_picture(viewport_pictures, name):
     report, pictures = viewport_pictures
     shown, wanted = pictures[name], engine_picture(report, name, water=name == "water")

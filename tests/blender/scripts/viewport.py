@@ -67,13 +67,15 @@ def order():
         first += count
     rows = [np.array([0.2, -0.4, 0.9, 1.0]), np.array([0.7, 0.1, 0.7, 2.0])]
     depths = np.concatenate([p.positions.astype("f8") @ r[:3] + r[3] for p, r in zip(parts, rows, strict=True)])
-    found = depth_order.back_to_front(parts, rows).astype(int)
+    found = depth_order.back_to_front(parts, rows)
+    assert np.array_equal(found[:, 1] == 1, found[:, 0] >= 500), "each splat names its part"
+    found = found[:, 0].astype(int)
     assert len(found) == (depths > 0).sum() and (np.diff(depths[found]) <= 1e-5).all()
-    coarse = depth_order.back_to_front(parts, rows, exact=False).astype(int)
+    coarse = depth_order.back_to_front(parts, rows, exact=False)[:, 0].astype(int)
     assert set(coarse) == set(found) and (np.diff(depths[coarse]) <= depths[coarse][1:] * 1e-3).all()
-    everything = depth_order.back_to_front(parts, rows, near=None).astype(int)
+    everything = depth_order.back_to_front(parts, rows, near=None)[:, 0].astype(int)
     assert len(everything) == 800 and (np.diff(depths[everything]) <= 1e-5).all()
-    few = depth_order.back_to_front(parts, rows, near=1.0, limit=50).astype(int)
+    few = depth_order.back_to_front(parts, rows, near=1.0, limit=50)[:, 0].astype(int)
     weights = np.concatenate([p.contributions for p in parts]) / depths**2
     before = np.flatnonzero(depths > 1)
     assert set(few) == set(before[np.argsort(-weights[before])[:50]])
