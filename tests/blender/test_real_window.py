@@ -439,3 +439,46 @@ def test_photos_are_compared_with_splats_a_film_is_cancelled_and_nothing_of_it_s
     written = sum(path.suffix == ".png" for path in (folder / "film").iterdir())
     assert 0 < written < 2000 and f"after {written} of" in film["message"]
     assert "llvmpipe" in report["warning"] and "640 x 480 pixels with 32 samples take about 8 min" in report["warning"]
+
+
+def test_splats_are_selected_with_the_pointer_deleted_and_brought_back(real_blender, extension_zip, tmp_path):
+    folder = real_blender / "gui" / "editing"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    shutil.copy(extension_zip, folder / "extension.zip")
+    shutil.copy(Path(__file__).with_name("window.py"), folder)
+    write_ply(folder / "splats.ply", cloud())
+    environment = {
+        "SWAG_ZIP": "/gui/editing/extension.zip", "SWAG_OUT": "/gui/editing",
+        "BLENDER_USER_RESOURCES": "/gui/editing/user",
+    }  # fmt: skip
+    script = Path(__file__).with_name("editing_window.py")
+    done = subprocess.run(
+        ["bash", str(TOOLS / "gui"), str(real_blender), str(script), str(tmp_path / "last.png")],
+        env=os.environ | environment, capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    printed = done.stdout + done.stderr
+    assert (folder / "report.json").exists(), printed
+    report = json.loads((folder / "report.json").read_text())
+    assert "traceback" not in report and "Traceback" not in printed, report.get("traceback", printed)
+    pixels = np.array(report["pixels"])
+
+    def within(left, bottom, right, top, margin):
+        low, high = np.array([left, bottom]) - margin, np.array([right, top]) + margin
+        return set(np.flatnonzero((pixels > low).all(axis=1) & (pixels < high).all(axis=1)).tolist())
+
+    left, bottom, right, top = report["box"]
+    boxed = set(report["boxed"])
+    assert within(left, bottom, right, top, -3) <= boxed <= within(left, bottom, right, top, 3) and len(boxed) > 200
+    rest = set(report["without inner box"])
+    inner = left + 60, bottom + 40, right - 40, top - 60
+    assert rest < boxed and not rest & within(*inner, -3) and boxed - rest <= within(*inner, 3)
+    assert report["after escape"] == len(rest) and report["tools in use"] == 0
+    assert report["left"] == 4000 - len(rest) and report["after undo"] == 4000
+    # The viewport shows the splats that are left.
+    x, y, width, height = report["region"]
+    whole = cv2.imread(str(folder / "deleted.png"))[..., ::-1] / 255
+    shown = whole[len(whole) - y - height : len(whole) - y, x : x + width]
+    wanted = engine_picture(report, "deleted", keep=~np.isin(np.arange(4000), sorted(rest)))
+    inside = (slice(30, -5), slice(5, -5))
+    assert psnr(shown[inside], wanted[inside]) > 38
