@@ -6,12 +6,15 @@ from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Vector
 
 from . import splats
 from .blender_types import present
 
 INNER_PERCENTILES = 5.0, 95.0
 """Percentiles of points that the box of a scene holds: sparse points and splats far away are often wrong."""
+LEAST_COMMON_DIRECTION = 0.5
+"""Length of the mean of unit vectors above which they are about the same direction: within 60 degrees of it."""
 VIEWPORT_SENSOR = 72.0
 """Width in mm of the sensor that a 3D viewport's focal length is for: Blender's 36 mm, at its zoom of 2."""
 
@@ -62,13 +65,33 @@ def world_box(objects: Iterable[bpy.types.Object]) -> tuple[np.ndarray, np.ndarr
     return robust_box(np.concatenate(points), np.concatenate(cameras))
 
 
-def frame_viewports(window: bpy.types.Window, objects: Iterable[bpy.types.Object]) -> None:
-    """Move the 3D viewports of a window so that they show all of these objects; their directions stay.
+def viewing_direction(directions: np.ndarray) -> np.ndarray | None:
+    """The direction (3,) that cameras look in, as a unit vector; None without cameras.
 
-    Clipping distances are widened where they would cut the objects.
+    Splats look right from where photos were taken. It is the mean where the cameras look in about the same direction,
+    and that of the first where they look inwards from around a place.
+
+    Args:
+        directions: (C, 3) unit vectors.
+    """
+    if not len(directions):
+        return None
+    mean = directions.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    return mean / length if length > LEAST_COMMON_DIRECTION else directions[0]
+
+
+def frame_viewports(window: bpy.types.Window, objects: Iterable[bpy.types.Object]) -> None:
+    """Move the 3D viewports of a window so that they show all of these objects, from the side of their cameras.
+
+    Orthographic views, and all views where there are no cameras, keep their direction. Clipping distances are widened
+    where they would cut the objects.
     """
     window.view_layer.update()  # world matrices of new objects
+    objects = list(objects)
     box = world_box(objects)
+    backwards = [np.array(obj.matrix_world)[:3, 2] for obj in objects if isinstance(obj.data, bpy.types.Camera)]
+    direction = viewing_direction(-np.array(backwards).reshape(-1, 3))
     for area in window.screen.areas:
         space = area.spaces.active
         if not isinstance(space, bpy.types.SpaceView3D):
@@ -76,6 +99,9 @@ def frame_viewports(window: bpy.types.Window, objects: Iterable[bpy.types.Object
         for region in area.regions:
             view: Any = region.data
             if isinstance(view, bpy.types.RegionView3D):
+                if direction is not None and view.view_perspective != "ORTHO":
+                    view.view_perspective = "PERSP"
+                    view.view_rotation = Vector((-direction).tolist()).to_track_quat("Z", "Y")
                 view.view_location, view.view_distance = frame(box, space.lens, region.width, region.height)
                 space.clip_end = max(space.clip_end, 10 * view.view_distance)
                 space.clip_start = min(space.clip_start, view.view_distance / 1000)

@@ -140,6 +140,15 @@ def test_a_framed_viewport_shows_the_whole_scene_from_any_direction(blender):
         assert 0.5 < max(fills) <= 1.0, fills
 
 
+@pytest.mark.main_version
+def test_a_framed_viewport_looks_as_the_cameras_do(blender):
+    assert blender.run("scene_objects.direction", []) is None
+    along = np.array([[0.6, 0.8, 0], [0.8, 0.6, 0]])
+    assert np.allclose(blender.run("scene_objects.direction", along.tolist()), np.sqrt([0.5, 0.5, 0]))
+    inwards = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]
+    assert blender.run("scene_objects.direction", inwards) == [1, 0, 0]
+
+
 def test_points_far_away_do_not_count_for_the_frame(blender):
     points = np.random.default_rng(0).uniform(-1, 1, (1000, 3))
     points[::100] *= 1e4

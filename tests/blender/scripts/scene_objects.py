@@ -139,6 +139,11 @@ def box(points, cameras):
     return [low.tolist(), high.tolist()]
 
 
+def direction(directions):
+    found = framing.viewing_direction(np.array(directions, float).reshape(-1, 3))
+    return None if found is None else found.tolist()
+
+
 def up_direction(path):
     return list(scene_import.up_of(import_result(path)[0]))
 
