@@ -28,7 +28,7 @@ class Part:
 def back_to_front(
     parts: Sequence[Part],
     depth_rows: Sequence[np.ndarray],
-    near: float | None = 0.0,
+    near: float | None,
     limit: int | None = None,
     exact: bool = True,
 ) -> np.ndarray:
@@ -37,7 +37,7 @@ def back_to_front(
     Args:
         parts: The objects to draw; several may be of the same splats.
         depth_rows: For each part (4,): depth = row[:3] . position + row[3], larger when farther.
-        near: Splats with a smaller depth are left out; None for none, as in orthographic views.
+        near: Splats with a smaller depth are left out, more than 0; None for none, as in orthographic views.
         limit: Most splats to keep, those of the largest contribution on the image; None for all.
         exact: Whether depths are compared to the last bit; otherwise to 16 bits of their logarithm, in half the time.
 
@@ -51,25 +51,33 @@ def back_to_front(
         for part, row in zip(parts, depth_rows, strict=True)
     ]
     depth = depths[0] if len(depths) == 1 else np.concatenate(depths)
-    numbers = np.empty((len(depth), 2), np.float32)
-    at = 0
-    for index, part in enumerate(parts):
-        end = at + len(part.positions)
-        numbers[at:end, 0] = np.arange(part.first, part.first + len(part.positions))
-        numbers[at:end, 1] = index
-        at = end
-    before = np.ones(len(depth), bool) if near is None else depth > near
-    if not before.all():
-        depth, numbers = depth[before], numbers[before]
-    if limit is not None and len(depth) > limit:
-        weight = np.concatenate([part.contributions for part in parts])[before]
-        if near is not None:
-            weight = weight / (depth * depth)
-        kept = np.argpartition(weight, len(weight) - limit)[len(weight) - limit :]
-        depth, numbers = depth[kept], numbers[kept]
-    if near is None and len(depth):
-        depth = depth - depth.min()
-    return numbers[_descending(depth, exact)]
+    visible, largest = len(depth), None
+    weight = np.concatenate([part.contributions for part in parts]) if limit is not None else None
+    if near is None:
+        depth = depth - depth.min() if len(depth) else depth
+    else:
+        before = depth > near
+        visible = int(np.count_nonzero(before))
+        # What is nearer comes last in the order, where it is cut off: quicker than to leave it out before.
+        depth = np.maximum(depth, np.float32(near))
+        weight = None if weight is None else np.where(before, weight / (depth * depth), -1)
+    if limit is not None and weight is not None and visible > limit:
+        largest = np.argpartition(weight, len(weight) - limit)[len(weight) - limit :]
+        depth, visible = depth[largest], limit
+    order = _descending(depth, exact)[:visible]
+    if largest is not None:
+        order = largest[order]
+    numbers = np.empty((len(order), 2), np.float32)
+    if len(parts) == 1:
+        np.add(order, parts[0].first, out=numbers[:, 0], casting="unsafe")
+        numbers[:, 1] = 0
+        return numbers
+    starts = np.cumsum([0, *(len(part.positions) for part in parts)])[:-1]
+    own = np.searchsorted(starts, order, side="right") - 1
+    # Parts without splats start where the next one does, and are passed over.
+    numbers[:, 0] = order + (np.array([part.first for part in parts]) - starts)[own]
+    numbers[:, 1] = own
+    return numbers
 
 
 def _descending(values: np.ndarray, exact: bool) -> np.ndarray:

@@ -67,11 +67,11 @@ def order():
         first += count
     rows = [np.array([0.2, -0.4, 0.9, 1.0]), np.array([0.7, 0.1, 0.7, 2.0])]
     depths = np.concatenate([p.positions.astype("f8") @ r[:3] + r[3] for p, r in zip(parts, rows, strict=True)])
-    found = depth_order.back_to_front(parts, rows)
+    found = depth_order.back_to_front(parts, rows, near=0.01)
     assert np.array_equal(found[:, 1] == 1, found[:, 0] >= 500), "each splat names its part"
     found = found[:, 0].astype(int)
-    assert len(found) == (depths > 0).sum() and (np.diff(depths[found]) <= 1e-5).all()
-    coarse = depth_order.back_to_front(parts, rows, exact=False)[:, 0].astype(int)
+    assert len(found) == (depths > 0.01).sum() and (np.diff(depths[found]) <= 1e-5).all()
+    coarse = depth_order.back_to_front(parts, rows, near=0.01, exact=False)[:, 0].astype(int)
     assert set(coarse) == set(found) and (np.diff(depths[coarse]) <= depths[coarse][1:] * 1e-3).all()
     everything = depth_order.back_to_front(parts, rows, near=None)[:, 0].astype(int)
     assert len(everything) == 800 and (np.diff(depths[everything]) <= 1e-5).all()
@@ -79,9 +79,9 @@ def order():
     weights = np.concatenate([p.contributions for p in parts]) / depths**2
     before = np.flatnonzero(depths > 1)
     assert set(few) == set(before[np.argsort(-weights[before])[:50]])
-    assert len(depth_order.back_to_front([], [])) == 0
+    assert len(depth_order.back_to_front([], [], near=0.01)) == 0
     behind = [np.array([0, 0, 0, -1.0])] * 2
-    assert len(depth_order.back_to_front(parts, behind)) == 0
+    assert len(depth_order.back_to_front(parts, behind, near=0.01)) == 0
 
 
 def sorter():
@@ -89,15 +89,15 @@ def sorter():
     count = depth_order.SYNCHRONOUS + 1
     part = depth_order.Part(np.random.default_rng(0).normal(size=(count, 3)).astype("f4"), np.ones(count, "f4"), 0)
     row, made = np.array([0, 0, 1, 10.0]), depth_order.Sorter()
-    made.request("a", [part], [row], 0.0, None)
+    made.request("a", [part], [row], 0.01, None)
     assert made.is_sorting
-    made.request("b", [part], [row], 0.0, None)  # waits for the end of the first
+    made.request("b", [part], [row], 0.01, None)  # waits for the end of the first
     while not made.is_done:
         pass
     assert len(made.take()) == count and made.taken == "a" and made.take() is None
-    made.request("a", [part], [row], 0.0, None)
+    made.request("a", [part], [row], 0.01, None)
     assert not made.is_sorting
-    made.request("b", [part], [row], 0.0, 10)
+    made.request("b", [part], [row], 0.01, 10)
     while not made.is_done:
         pass
     assert len(made.take()) == 10 and made.taken == "b"
