@@ -28,6 +28,9 @@ from .packing import (
 LARGEST_SIDE = 16384
 """Largest side of a texture that is used, texels; a device may allow less."""
 
+SAMPLED = 32
+"""Points that are looked at in each frame, to notice a change."""
+
 
 @dataclass
 class _Held:
@@ -36,11 +39,13 @@ class _Held:
     Attributes:
         data: Session number of its point cloud.
         checksums: Of geometry, colours and state.
+        sample: Positions of some points.
         part: Its splats for the order; None where nothing of it is on the card.
     """
 
     data: int
     checksums: tuple[int, int, int]
+    sample: tuple[object, ...]
     part: Part | None = None
 
 
@@ -95,7 +100,7 @@ class SplatStore:
         ):
             if any(self._held[number].checksums != found.checksums for number, found in read.items()):
                 for number, found in read.items():
-                    self._held[number].checksums = found.checksums
+                    self._held[number].checksums, self._held[number].sample = found.checksums, found.sample
                 self._upload_states([read.get(obj.session_uid) or _read(obj, depsgraph) for obj in objects])
             return
         self._upload_all({obj.session_uid: read.get(obj.session_uid) or _read(obj, depsgraph) for obj in objects})
@@ -106,6 +111,8 @@ class SplatStore:
         return (
             self._all_stale
             or held.data != data.session_uid
+            # Blender does not tell of every change that a script makes between two frames.
+            or held.sample != _sample(data)
             or data.session_uid in self._stale
             or (obj.session_uid in self._stale and has_other_modifiers(obj))
         )
@@ -130,7 +137,7 @@ class SplatStore:
             geometry.append(geometry_texels(found.splats))
             harmonics.append(harmonics_texels(found.splats.sh, self.degree))
             part = Part(found.splats.positions, contributions(found.splats), first)
-            held[number] = _Held(found.data, found.checksums, part)
+            held[number] = _Held(found.data, found.checksums, found.sample, part)
             first += len(found.splats)
         self._held = held
         self.geometry = self._texture(geometry, GEOMETRY_TEXELS, "RGBA32F")
@@ -182,6 +189,7 @@ class _Read:
     splats: Splats
     states: np.ndarray
     checksums: tuple[int, int, int]
+    sample: tuple[object, ...]
 
     def keep_largest(self, count: int) -> None:
         kept = np.sort(np.argsort(-contributions(self.splats))[:count])
@@ -202,7 +210,14 @@ def _read(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> _Read:
         geometry = zlib.crc32(array.tobytes(), geometry)
     checksums = (geometry, zlib.crc32(found.sh.tobytes()), zlib.crc32(states.tobytes()))
     data: Any = obj.data
-    return _Read(data.session_uid, found, states, checksums)
+    return _Read(data.session_uid, found, states, checksums, _sample(data))
+
+
+def _sample(pointcloud: bpy.types.PointCloud) -> tuple[object, ...]:
+    """Number of the points and positions of some of them, which is quick to read."""
+    count = len(pointcloud.points)
+    step = max(1, count // SAMPLED)
+    return count, *(tuple(pointcloud.points[index].co[:]) for index in range(0, count, step))
 
 
 def _attribute(pointcloud: bpy.types.PointCloud, name: str, width: int) -> np.ndarray | None:
