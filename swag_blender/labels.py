@@ -428,7 +428,7 @@ def set_attribute(obj: bpy.types.Object, name: str, kind: str, values: np.ndarra
     field = "color" if kind == "FLOAT_COLOR" else "value"
     dtype = {"BOOLEAN": bool, "INT": np.int32}.get(kind, np.float32)
     found.data.foreach_set(field, np.ascontiguousarray(values, dtype).ravel())
-    pointcloud.update_tag()
+    splats.mark_changed(pointcloud)
 
 
 def _tensors(path: Path) -> dict[str, np.ndarray] | None:

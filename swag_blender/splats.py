@@ -27,6 +27,9 @@ FILE_FRAME = Matrix.Rotation(math.radians(-90), 4, "X")
 _VALUE_PROPERTIES = ("color", "vector", "value")
 """Properties that hold the value of an attribute's element; a type of attribute has one of them."""
 
+_changes: dict[int, int] = {}
+"""Number of changes of each point cloud, by its session number."""
+
 
 def is_splats(obj: bpy.types.Object | None) -> bool:
     """Whether the object is a point cloud that carries splats."""
@@ -115,7 +118,7 @@ def replace_splats(obj: bpy.types.Object, splats: Splats) -> None:
     old = pointcloud_of(obj)
     if hasattr(old, "resize"):  # Blender 5.2 and later
         _fill(old, splats)
-        old.update_tag()
+        mark_changed(old)
     else:
         _replace_data(obj, _pointcloud(old.name, splats))
 
@@ -163,6 +166,17 @@ def _replace_data(obj: bpy.types.Object, made: bpy.types.PointCloud) -> None:
     if old.users == 0:
         bpy.data.pointclouds.remove(old)
         made.name = name
+
+
+def mark_changed(pointcloud: bpy.types.PointCloud) -> None:
+    """Note that attributes of a point cloud were written, so that Blender and the viewport's drawing show it."""
+    _changes[cast(Any, pointcloud).session_uid] = changes_of(pointcloud) + 1
+    pointcloud.update_tag()
+
+
+def changes_of(pointcloud: bpy.types.PointCloud) -> int:
+    """Number of times that `mark_changed` was called for a point cloud in this session."""
+    return _changes.get(cast(Any, pointcloud).session_uid, 0)
 
 
 def read_splats(obj: bpy.types.Object) -> Splats:

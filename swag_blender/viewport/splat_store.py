@@ -11,7 +11,7 @@ import numpy as np
 
 from ...swag_engine.splats.splats import Splats
 from ..nodes.splat_preview import HIDDEN, TINT
-from ..splats import has_other_modifiers, shown_pointcloud, splats_of
+from ..splats import changes_of, has_other_modifiers, pointcloud_of, shown_pointcloud, splats_of
 from .depth_order import Part
 from .packing import (
     GEOMETRY_TEXELS,
@@ -28,24 +28,19 @@ from .packing import (
 LARGEST_SIDE = 16384
 """Largest side of a texture that is used, texels; a device may allow less."""
 
-SAMPLED = 32
-"""Points that are looked at in each frame, to notice a change."""
-
 
 @dataclass
 class _Held:
     """What is known of an object's splats that are on the card.
 
     Attributes:
-        data: Session number of its point cloud.
+        data: Session number of its point cloud, and of how many changes of it by the extension are known.
         checksums: Of geometry, colours and state.
-        sample: Positions of some points.
         part: Its splats for the order; None where nothing of it is on the card.
     """
 
-    data: int
+    data: tuple[int, int]
     checksums: tuple[int, int, int]
-    sample: tuple[object, ...]
     part: Part | None = None
 
 
@@ -94,13 +89,15 @@ class SplatStore:
         self._all_stale = False
         if same_objects and not changed:
             return
+        for obj in changed if same_objects else ():
+            self._held[obj.session_uid].data = _identity(pointcloud_of(obj))
         read = {obj.session_uid: _read(obj, depsgraph) for obj in changed}
         if same_objects and all(
             self._held[number].checksums[:2] == found.checksums[:2] for number, found in read.items()
         ):
             if any(self._held[number].checksums != found.checksums for number, found in read.items()):
                 for number, found in read.items():
-                    self._held[number].checksums, self._held[number].sample = found.checksums, found.sample
+                    self._held[number].checksums = found.checksums
                 self._upload_states([read.get(obj.session_uid) or _read(obj, depsgraph) for obj in objects])
             return
         self._upload_all({obj.session_uid: read.get(obj.session_uid) or _read(obj, depsgraph) for obj in objects})
@@ -110,9 +107,8 @@ class SplatStore:
         held = self._held[obj.session_uid]
         return (
             self._all_stale
-            or held.data != data.session_uid
             # Blender does not tell of every change that a script makes between two frames.
-            or held.sample != _sample(data)
+            or held.data != _identity(data)
             or data.session_uid in self._stale
             or (obj.session_uid in self._stale and has_other_modifiers(obj))
         )
@@ -137,7 +133,7 @@ class SplatStore:
             geometry.append(geometry_texels(found.splats))
             harmonics.append(harmonics_texels(found.splats.sh, self.degree))
             part = Part(found.splats.positions, contributions(found.splats), first)
-            held[number] = _Held(found.data, found.checksums, found.sample, part)
+            held[number] = _Held(found.data, found.checksums, part)
             first += len(found.splats)
         self._held = held
         self.geometry = self._texture(geometry, GEOMETRY_TEXELS, "RGBA32F")
@@ -185,11 +181,10 @@ def float_buffer(values: np.ndarray) -> gpu.types.Buffer:
 class _Read:
     """The splats of an object as they are now."""
 
-    data: int
+    data: tuple[int, int]
     splats: Splats
     states: np.ndarray
     checksums: tuple[int, int, int]
-    sample: tuple[object, ...]
 
     def keep_largest(self, count: int) -> None:
         kept = np.sort(np.argsort(-contributions(self.splats))[:count])
@@ -209,15 +204,12 @@ def _read(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> _Read:
     for array in (found.positions, found.rotations, found.scales, found.opacities):
         geometry = zlib.crc32(array.tobytes(), geometry)
     checksums = (geometry, zlib.crc32(found.sh.tobytes()), zlib.crc32(states.tobytes()))
-    data: Any = obj.data
-    return _Read(data.session_uid, found, states, checksums, _sample(data))
+    return _Read(_identity(pointcloud_of(obj)), found, states, checksums)
 
 
-def _sample(pointcloud: bpy.types.PointCloud) -> tuple[object, ...]:
-    """Number of the points and positions of some of them, which is quick to read."""
-    count = len(pointcloud.points)
-    step = max(1, count // SAMPLED)
-    return count, *(tuple(pointcloud.points[index].co[:]) for index in range(0, count, step))
+def _identity(pointcloud: bpy.types.PointCloud) -> tuple[int, int]:
+    """Session number of a point cloud, and the number of changes of it by the extension."""
+    return cast(Any, pointcloud).session_uid, changes_of(pointcloud)
 
 
 def _attribute(pointcloud: bpy.types.PointCloud, name: str, width: int) -> np.ndarray | None:
