@@ -6,7 +6,7 @@ Results: benchmarks/results/backends_agree.json
 Each scene has 1 to 60 Gaussians and 1 to 40 pixels a side. It is rendered by torch in float64 (the truth), by torch in
 float32, by the CPU kernels and by the CUDA kernels (on simulated threads, or with SWAG_TEST_CUDA=1 on the card).
 "blended" compares any channels, the gradients of every optimised tensor, and the sums of contributions; "trained" a
-cloud in water with its range, its restored colours, and SSIM, as training does. An error is the largest difference
+cloud in water with its range, its restored colors, and SSIM, as training does. An error is the largest difference
 divided by the largest value of that tensor of the truth. A scene may exceed the tolerance only where rounding decides
 a comparison (alpha at 1/255 or .99, transmittance at 1e-4, the order of depths); the truth tells how close it was.
 """
@@ -83,7 +83,7 @@ def blended(scene: Scene, backend: str, dtype: torch.dtype, device: torch.device
 
 
 def trained(scene: Scene, backend: str, dtype: torch.dtype, device: torch.device) -> Results:
-    """Render a cloud in water, with range and restored colours; return them and the gradients through SSIM."""
+    """Render a cloud in water, with range and restored colors; return them and the gradients through SSIM."""
     generator = torch.Generator().manual_seed(3)
     n, width, height = len(scene["means"]), scene["width"], scene["height"]
 

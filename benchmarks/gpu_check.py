@@ -230,8 +230,8 @@ def stages(n: int, width: int, height: int) -> dict[str, Step]:
     return {
         "project": lambda: cuda.project(*geometry, opacities, colors.detach(), *camera, width, height),
         "project, backward": gradient([means2d, conics], geometry),
-        "colours": lambda: cuda.sh_colors(*sh, directions, 3),
-        "colours, backward": gradient([colors], sh),
+        "colors": lambda: cuda.sh_colors(*sh, directions, 3),
+        "colors, backward": gradient([colors], sh),
         "pairs, sorted": lambda: cuda.tile_pairs(*flat),
         "blend": lambda: cuda.blend_pairs(pairs, leaves[3].detach(), background, width, height),
         "blend, backward": gradient([picture], leaves),

@@ -6,20 +6,28 @@ Results: benchmarks/results/raster.json, docs/images/raster.webp
 Compared are the CPU kernels, the torch backend, and, where gsplat is installed, the torch reference inside gsplat. The
 reference has no CPU code for the lists of pixel-Gaussian pairs and for the scan along rays: it gets the lists for free,
 and a scan in torch. gsplat's own kernels need a GPU and are not part of this comparison.
+
+The kernels are also compared with the prototypes in ../shared/prototypes, where that folder and g++ are. Processor time
+is taken there, since it does not count waiting for other processes.
 """
 
 import json
+import shutil
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 import types
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
+
+import swag_engine.base.threads  # noqa: F401, I001  before torch, which reads what it sets
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -29,6 +37,9 @@ from benchmarks.common import processor, save_figure, write_results
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels.build import host_targets
+from swag_engine.kernels.cpu import CpuKernels
+from swag_engine.kernels.cpu_library import CpuLibrary, supported_level
 from swag_engine.kernels.protocol import Projection
 from swag_engine.kernels.reference.blending import Samples, tiles_of
 from swag_engine.kernels.reference.kernels import REFERENCE
@@ -40,6 +51,13 @@ from swag_engine.training.schedule import LearningRates
 
 MAIN = (50_000, 640, 360)
 ROUNDS = 7
+PROTOTYPES = ROOT.parent / "shared" / "prototypes"
+"""C++ files of which each rasterises the scene of scene.py through driver.py; not part of the repository."""
+TILE_HEIGHTS = {"raster2": 32, "raster3": 64}
+"""Prototypes, and the height of tiles for which each was tuned, in pixels."""
+PROTOTYPE_FLAGS = "-O3 -std=c++17 -march=x86-64-v3 -DVW=8 -DTS=32 -ffp-contract=fast -fno-math-errno -fno-trapping-math"
+PROTOTYPE_ROUNDS = 25
+PROTOTYPE_RESULTS = "processor ms on 1 thread, kernels and prototypes, 50 000 at 640x360"
 
 
 def make_cloud(n: int, width: int, height: int) -> tuple[GaussianCloud, Camera]:
@@ -149,15 +167,75 @@ def sums_along_rays(
     return torch.zeros(n_rays, terms.shape[1]).index_add(0, ray_indices, terms)
 
 
-def milliseconds(steps: dict[str, Callable[[], None]], rounds: int = ROUNDS) -> dict[str, float]:
+def prototype_milliseconds() -> dict[str, float]:
+    """Return the median processor time of the kernels' builds and of the prototypes, on one thread.
+
+    Each round runs each once: binning, blending forward and backward, and summing gradients of 50 000 Gaussians.
+    """
+    sys.path.insert(0, str(PROTOTYPES))
+    import driver
+    import scene
+
+    splats = scene.make()
+    gradient = scene.gout(splats)
+    torch.set_num_threads(1)  # waiting threads of torch would count as processor time
+    steps = {}
+    for target in host_targets():
+        if target.level <= supported_level():
+            steps[f"kernels, x86-64-v{target.level}"] = prototype_scene(CpuLibrary(target.path), splats, gradient)
+    with tempfile.TemporaryDirectory() as folder:
+        for name in TILE_HEIGHTS:
+            library = compile_prototype(name, Path(folder))
+            steps[name] = prototype_step(driver.Cpp(str(library), 1), splats, gradient)
+        return milliseconds(steps, PROTOTYPE_ROUNDS, time.process_time)
+
+
+def compile_prototype(name: str, folder: Path) -> Path:
+    """Compile a prototype with the flags for which it was measured."""
+    library = folder / f"{name}.so"
+    flags = [*PROTOTYPE_FLAGS.split(), f"-DTH={TILE_HEIGHTS[name]}", "-shared", "-fPIC", "-fvisibility=hidden"]
+    subprocess.run(["g++", *flags, str(PROTOTYPES / f"{name}.cpp"), "-o", str(library)], check=True)
+    return library
+
+
+def prototype_step(rasteriser: Any, splats: dict[str, Any], gradient: np.ndarray) -> Callable[[], None]:
+    """Return a prototype's binning and blending, forward and backward."""
+
+    def step() -> None:
+        rasteriser.forward(splats)
+        rasteriser.backward(gradient)
+
+    return step
+
+
+def prototype_scene(library: CpuLibrary, splats: dict[str, Any], gradient: np.ndarray) -> Callable[[], None]:
+    """Return the same work of a build of the kernels."""
+    names = "xy", "conic", "op", "col"
+    leaves = [torch.from_numpy(splats[name]).requires_grad_() for name in names]
+    depths, background, by_image = (torch.from_numpy(array) for array in (splats["z"], splats["bg"], gradient))
+    radii = torch.ones_like(depths)
+    kernels = CpuKernels(lambda: library)
+
+    def step() -> None:
+        means2d, conics, opacities, channels = leaves
+        seen = Projection(means2d, conics, depths, radii)
+        image, _ = kernels.blend(seen, opacities, channels, background, splats["W"], splats["H"])
+        torch.autograd.grad(image, leaves, by_image)
+
+    return step
+
+
+def milliseconds(
+    steps: dict[str, Callable[[], None]], rounds: int = ROUNDS, clock: Callable[[], float] = time.perf_counter
+) -> dict[str, float]:
     """Return medians over rounds in which each step runs once, after one round of warming up."""
     times: dict[str, list[float]] = {name: [] for name in steps}
     for number in range(rounds + 1):
         for name, step in steps.items():
-            start = time.perf_counter()
+            start = clock()
             step()
             if number:
-                times[name].append(1000 * (time.perf_counter() - start))
+                times[name].append(1000 * (clock() - start))
     return {name: round(statistics.median(values), 1) for name, values in times.items()}
 
 
@@ -211,6 +289,11 @@ def main() -> None:
     results["iteration 50 000 at 640x360, ms"] = milliseconds(
         {"kernels": iteration(*MAIN, "cpu"), "torch": iteration(*MAIN, "torch")}, 3
     )
+    if PROTOTYPES.is_dir() and shutil.which("g++"):
+        results[PROTOTYPE_RESULTS] = prototype_milliseconds()
+        torch.set_num_threads(threads)
+    else:
+        print(f"{PROTOTYPES} or g++ is missing: the comparison with the prototypes is left out.")
     large = 500_000, 1280, 720
     results["500 000 at 1280x720, ms"] = milliseconds(
         {"rasterise": raster(*large, "cpu"), "iteration": iteration(*large, "cpu")}, 3

@@ -26,7 +26,8 @@ FOLDER = Path(__file__).parent
 """Folder of the sources."""
 LIBRARIES = FOLDER / "lib"
 """Folder of what is compiled."""
-SOURCES = ("adam.cpp", "project.cpp", "raster.cpp", "sh.cpp", "ssim.cpp", "water.cpp")
+SOURCES = ("adam.cpp", "gaussians.cpp", "photo.cpp", "project.cpp", "raster.cpp", "sh.cpp", "ssim.cpp", "water.cpp")
+HEADERS = ("light.h", "raster.h", "sh.h", "simd.h")
 FLAGS = (
     *("-std=c++17", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
     *("-fno-exceptions", "-fno-rtti", "-nostdlib++", "-fvisibility=hidden", "-shared", "-s"),
@@ -84,7 +85,7 @@ TARGETS = (
 def source_hash() -> str:
     """Return 12 hexadecimal digits that change with the C++ sources and the flags."""
     digest = hashlib.sha256(" ".join(FLAGS).encode())
-    for name in ("sh.h", "simd.h", *SOURCES):
+    for name in (*HEADERS, *SOURCES):
         digest.update((FOLDER / name).read_bytes())
     return digest.hexdigest()[:12]
 

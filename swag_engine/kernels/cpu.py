@@ -4,7 +4,7 @@ Every result is the same to the bit for any number of threads (torch.get_num_thr
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,6 +20,8 @@ from .reference.kernels import REFERENCE
 
 RANK_CHUNKS = 8
 """Parts of the depth order that are binned in parallel; at most as many threads share that work."""
+FEW = 4096
+"""Numbers that are updated sooner than other threads could start."""
 WATER_PARTS = 32
 """Ranges whose sums are added in their order: the result does not depend on the number of threads."""
 
@@ -39,7 +41,8 @@ class CpuKernels:
         return self._load()
 
     @property
-    def _library(self) -> CpuLibrary:
+    def library(self) -> CpuLibrary:
+        """The compiled kernels, where they can run."""
         library = self._library_if_any
         assert library is not None
         return library
@@ -76,7 +79,7 @@ class CpuKernels:
     ) -> Projection:
         """See `Kernels.project`."""
         gaussians = means, quats, scales, opacities, channels
-        return elementwise.project(self._library.run, torch.float32, *gaussians, viewmat, K, width, height)
+        return elementwise.project(self.library.run, torch.float32, *gaussians, viewmat, K, width, height)
 
     def blend(
         self, projected: Projection, opacities: Tensor, channels: Tensor, background: Tensor, width: int, height: int
@@ -84,7 +87,7 @@ class CpuKernels:
         """See `Kernels.blend`."""
         p = projected
         geometry = p.means2d, p.conics, opacities, channels, background, p.depths, p.radii
-        return _Blend.apply(*geometry, width, height, self._library)
+        return _Blend.apply(*geometry, width, height, self.library)
 
     def contributions(
         self,
@@ -98,9 +101,9 @@ class CpuKernels:
         image_gradient: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """See `Kernels.contributions`."""
-        library = self._library
+        library = self.library
         channels, background = channels.contiguous(), background.contiguous()
-        b = _blend(library, projected, opacities, channels, background, width, height)
+        b = blend(library, projected, opacities, channels, background, width, height)
         n, channel_count = channels.shape
         size = 2 + weights.shape[2]
         results = channels.new_empty(len(b.ids), size)
@@ -115,11 +118,11 @@ class CpuKernels:
 
     def sh_colors(self, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
         """See `Kernels.sh_colors`."""
-        return elementwise.sh_colors(self._library.run, sh0, shN, directions, degree)
+        return elementwise.sh_colors(self.library.run, sh0, shN, directions, degree)
 
     def apply_gain(self, display: Tensor, log_gain: Tensor) -> Tensor:
         """See `Kernels.apply_gain`."""
-        return elementwise.apply_gain(self._library.run, display, log_gain)
+        return elementwise.apply_gain(self.library.run, display, log_gain)
 
     def through_water(
         self, colors: Tensor, offsets: Tensor, coefficients: Tensor, degree: int, linear: bool, amount: float
@@ -127,7 +130,7 @@ class CpuKernels:
         """See `Kernels.through_water`."""
         if amount != 1:
             return REFERENCE.through_water(colors, offsets, coefficients, degree, linear, amount)
-        return _Water.apply(colors, offsets, coefficients, degree, linear, self._library)
+        return _Water.apply(colors, offsets, coefficients, degree, linear, self.library)
 
     def open_water(
         self,
@@ -143,11 +146,11 @@ class CpuKernels:
         """See `Kernels.open_water`."""
         if amount != 1:
             return REFERENCE.open_water(coefficients, viewmat, K, width, height, degree, linear, amount)
-        return _OpenWater.apply(coefficients, viewmat, K, width, height, degree, linear, self._library)
+        return _OpenWater.apply(coefficients, viewmat, K, width, height, degree, linear, self.library)
 
     def l1_ssim(self, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """See `Kernels.l1_ssim`."""
-        return _L1Ssim.apply(image, target, self._library)
+        return _L1Ssim.apply(image, target, self.library)
 
     def adam_step(
         self,
@@ -165,11 +168,15 @@ class CpuKernels:
         corrected = rate / (1 - beta1**step), 1 / math.sqrt(1 - beta2**step)
         weights = beta1, 1 - beta1, beta2, 1 - beta2
         tensors = parameter, gradient.contiguous(), exp_avg, exp_avg_sq
-        self._library.run("adam_step", parameter.numel(), *tensors, *corrected, *weights, eps)
+        count, arguments = parameter.numel(), (*tensors, *corrected, *weights, eps)
+        if count < FEW:
+            self.library.call("adam_step", 0, count, *arguments)
+        else:
+            self.library.run("adam_step", count, *arguments)
 
 
 @dataclass
-class _Blended:
+class Blended:
     """A blended image, and what another pass over its tiles needs."""
 
     out: Tensor
@@ -182,8 +189,15 @@ class _Blended:
     slots: Tensor
     tile_starts: Tensor
 
+    def saved(self, channels: Tensor, background: Tensor) -> tuple[Tensor, ...]:
+        """Return what `blend_backward` needs, for channels and background as they were blended."""
+        return (
+            self.splats, channels, self.order, self.rank_starts, self.ids, self.slots, self.tile_starts, background,
+            self.transmittance, self.endings,
+        )  # fmt: skip
 
-def _blend(
+
+def blend(
     library: CpuLibrary,
     projected: Projection,
     opacities: Tensor,
@@ -191,8 +205,8 @@ def _blend(
     background: Tensor,
     width: int,
     height: int,
-) -> _Blended:
-    """Blend; channels (N, C) and background (C,) are contiguous."""
+) -> Blended:
+    """Blend as `Kernels.blend` does; channels (N, C) and background (C,) are contiguous."""
     n, channel_count = channels.shape
     splats = torch.empty(n, library.call("splat_bytes"), dtype=torch.uint8)
     keys = torch.empty(n, dtype=torch.int32)
@@ -205,7 +219,37 @@ def _blend(
     endings = torch.empty(height, width, dtype=torch.int32)
     inputs = width, height, channel_count, splats, channels, ids, tile_starts, background
     library.run("blend_forward", len(tile_starts) - 1, *inputs, out, transmittance, endings)
-    return _Blended(out, transmittance, endings, splats, order, rank_starts, ids, slots, tile_starts)
+    return Blended(out, transmittance, endings, splats, order, rank_starts, ids, slots, tile_starts)
+
+
+def blend_backward(
+    library: CpuLibrary, saved: Sequence[Tensor], out_gradient: Tensor, alpha_gradient: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Go back through `blend`.
+
+    Args:
+        library: The compiled kernels.
+        saved: What `Blended.saved` returned.
+        out_gradient: (H, W, C) gradient by the image.
+        alpha_gradient: (H, W) gradient by alpha.
+
+    Returns:
+        Gradients by means2d (N, 2), conics (N, 3), opacities (N,), channels (N, C) and background (C,).
+    """
+    splats, channels, order, rank_starts, ids, slots, tile_starts, background, transmittance, endings = saved
+    n, channel_count = channels.shape
+    height, width = transmittance.shape
+    tiles = len(tile_starts) - 1
+    gradients = channels.new_empty(len(ids), library.call("moment_count") + channel_count)
+    per_tile = channels.new_empty(tiles, channel_count)
+    inputs = splats, channels, ids, slots, tile_starts, background, transmittance, endings
+    incoming = out_gradient.contiguous(), alpha_gradient.contiguous()
+    library.run("blend_backward", tiles, width, height, channel_count, *inputs, *incoming, gradients, per_tile)
+    means2d, conics, opacities, by_channel = (channels.new_zeros(n, size) for size in (2, 3, 1, channel_count))
+    outputs = means2d, conics, opacities, by_channel
+    library.run("gather", len(rank_starts) - 1, channel_count, splats, order, rank_starts, gradients, *outputs)
+    by_background = per_tile.double().sum(0).float()
+    return means2d, conics, opacities[:, 0], by_channel, by_background
 
 
 class _Blend(torch.autograd.Function):
@@ -226,11 +270,8 @@ class _Blend(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         channels, background = channels.contiguous(), background.contiguous()
         projected = Projection(means2d, conics, depths, radii)
-        b = _blend(library, projected, opacities, channels, background, width, height)
-        ctx.save_for_backward(
-            b.splats, channels, b.order, b.rank_starts, b.ids, b.slots, b.tile_starts, background, b.transmittance,
-            b.endings,
-        )  # fmt: skip
+        b = blend(library, projected, opacities, channels, background, width, height)
+        ctx.save_for_backward(*b.saved(channels, background))
         ctx.library = library
         return b.out, 1 - b.transmittance
 
@@ -238,21 +279,8 @@ class _Blend(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     @part("rasterise backward")
     def backward(ctx: Any, out_gradient: Tensor, alpha_gradient: Tensor) -> tuple[Tensor | None, ...]:
-        library, saved = ctx.library, ctx.saved_tensors
-        splats, channels, order, rank_starts, ids, slots, tile_starts, background, transmittance, endings = saved
-        n, channel_count = channels.shape
-        height, width = transmittance.shape
-        tiles = len(tile_starts) - 1
-        gradients = channels.new_empty(len(ids), library.call("moment_count") + channel_count)
-        per_tile = channels.new_empty(tiles, channel_count)
-        inputs = splats, channels, ids, slots, tile_starts, background, transmittance, endings
-        incoming = out_gradient.contiguous(), alpha_gradient.contiguous()
-        library.run("blend_backward", tiles, width, height, channel_count, *inputs, *incoming, gradients, per_tile)
-        means2d, conics, opacities, by_channel = (channels.new_zeros(n, size) for size in (2, 3, 1, channel_count))
-        outputs = means2d, conics, opacities, by_channel
-        library.run("gather", len(rank_starts) - 1, channel_count, splats, order, rank_starts, gradients, *outputs)
-        by_background = per_tile.double().sum(0).float()
-        return means2d, conics, opacities[:, 0], by_channel, by_background, None, None, None, None, None
+        gradients = blend_backward(ctx.library, ctx.saved_tensors, out_gradient, alpha_gradient)
+        return *gradients, None, None, None, None, None
 
 
 def _bin(
@@ -271,8 +299,7 @@ def _bin(
     spare_keys = torch.empty(2 * n, dtype=torch.int32)
     drawable = library.call("sort_by_depth", n, keys, order, spare, spare_keys)
 
-    size = library.call("tile_size")
-    tiles = -(-width // size) * -(-height // size)
+    tiles = -(-width // library.call("tile_width")) * -(-height // library.call("tile_height"))
     rank_starts = torch.zeros(drawable + 1, dtype=torch.int64)
     counts = torch.zeros(RANK_CHUNKS, tiles, dtype=torch.int64)
     library.run_parts("count_tiles", drawable, [splats, order, width, height, rank_starts[1:]], counts)

@@ -78,10 +78,9 @@ class CpuLibrary:
 
 def load_library() -> CpuLibrary | None:
     """Load the build of the kernels that fits this processor best; without one warn once why there is none."""
-    level = {"AVX512": 4, "AVX2": 3}.get(torch.backends.cpu.get_cpu_capability(), 2)
     reason = "none are built for this platform"
     for target in host_targets():
-        if target.level > level:
+        if target.level > supported_level():
             continue
         try:
             return CpuLibrary(target.path)
@@ -93,6 +92,11 @@ def load_library() -> CpuLibrary | None:
         stacklevel=2,
     )
     return None
+
+
+def supported_level() -> int:
+    """Return the highest x86-64 level that this processor runs, 2 to 4."""
+    return {"AVX512": 4, "AVX2": 3}.get(torch.backends.cpu.get_cpu_capability(), 2)
 
 
 @cache

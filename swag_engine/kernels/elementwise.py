@@ -93,7 +93,7 @@ def project(
 
 class _Colors(torch.autograd.Function):
     @staticmethod
-    @part("colours")
+    @part("colors")
     def forward(ctx: Any, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int, run: Run) -> Tensor:
         sh0, shN, directions = sh0.contiguous(), shN.contiguous(), directions.contiguous()
         colors = torch.empty_like(directions)
@@ -104,7 +104,7 @@ class _Colors(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    @part("colours backward")
+    @part("colors backward")
     def backward(ctx: Any, by_colors: Tensor) -> tuple[Tensor | None, ...]:
         directions, colors = ctx.saved_tensors
         n, (higher, degree) = len(directions), ctx.sizes

@@ -9,7 +9,7 @@ from typing import Any
 
 PACKAGES = (
     "torch", "numpy", "scipy", "pycolmap", "opencv-contrib-python-headless", "onnxruntime", "safetensors", "tyro",
-    "rich", "platformdirs", "matplotlib", "zstandard",
+    "rich", "platformdirs", "matplotlib", "zstandard", "pillow",
 )  # fmt: skip
 """Packages that the engine needs; those of requirements.txt."""
 

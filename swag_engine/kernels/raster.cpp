@@ -1,5 +1,4 @@
-// Tile rasteriser for projected Gaussians, forward and backward (Kernels.blend in protocol.py). The caller owns all
-// buffers and threads.
+// Tile rasteriser for projected Gaussians; raster.h says what each function takes and gives.
 //
 // A Gaussian weighs a pixel by alpha = min(.99, o exp(-s)), with (A, B, C) its conic and (dx, dy) = centre - pixel:
 //     s = (A dx^2 + 2 B dx dy + C dy^2) / 2 = h dx^2 + c u^2,   u = dy + k dx,   k = B/C,  c = C/2,  h = (A - B^2/C)/2.
@@ -9,48 +8,58 @@
 // and a pixel ends before the Gaussian that would take T to 1e-4 or less.
 //
 // A tile's pixels lie in vertical strips, STRIP columns wide; a vector holds ROWS rows of a strip. A Gaussian visits only
-// the rows of a strip that its ellipse meets.
-#include "simd.h"
+// the rows of a strip that its ellipse meets: first all its alphas there are computed, then its pixels are blended.
+#include "raster.h"
 
 #include <math.h>
 
+struct alignas(64) Splat {
+    float x, y, k, c, h, opacity;
+    float half_width, half_height;  // of the ellipse s = limit, the largest s that is not skipped
+    float top;                      // x offset of the point at +half_height
+    float h_by_c, limit_by_c;       // h / c, limit / c
+    float log_opacity;              // log2(opacity)
+    float ratio, block_ratio;       // by which the ratio of neighbouring vectors' alphas changes from vector to vector, by block
+    uint16_t left, right, top_row, bottom_row;  // tiles that its bounding box meets
+};
+
 namespace {
 
-constexpr int TILE = 32;                    // width and height, pixels: its state in one pass, 36 kB, is about the first-level cache
+constexpr int TILE_WIDTH = 32;              // pixels; with these sizes the state of a tile, 40 kB, stays in the nearest caches
+constexpr int TILE_HEIGHT = 64;             // pixels; 32 cost 6 % more: Gaussians meet more tiles
 constexpr int STRIP = VW < 8 ? VW : 8;      // columns of a strip
 constexpr int ROWS = VW / STRIP;            // rows of a strip in one vector
-constexpr int STRIPS = TILE / STRIP;        // strips of a tile
-constexpr int STRIP_VECTORS = TILE / ROWS;  // vectors of a strip
+constexpr int STRIPS = TILE_WIDTH / STRIP;  // strips of a tile
+constexpr int STRIP_VECTORS = TILE_HEIGHT / ROWS;  // vectors of a strip
+constexpr int TILE_VECTORS = STRIPS * STRIP_VECTORS;
+constexpr int BLOCK = 4;                    // vectors of alphas for which one exponential is computed
+constexpr int AHEAD = 6;                    // entries of a tile's list between fetching a Gaussian from memory and its use
 constexpr int GROUP = 8;                    // channels blended in one pass: their sums stay in registers
 constexpr int MOMENTS = 6;                  // sums of v times 1, dx, u, dx^2, dx u, u^2
 constexpr float MAX_ALPHA = .99f;           // the backward pass divides by 1 - alpha; as in reference/blending.py
-constexpr float MIN_TRANSMITTANCE = 1e-4f;  // at which a pixel ends; as in reference/blending.py
-constexpr float LOG2E = 1.44269504f;        // log2(e): from e^x to 2^x
-constexpr float LOG255 = 5.54126355f;       // ln(255): alpha falls below 1/255 where s > ln(255 opacity)
-constexpr float ROW_MARGIN = .01f;          // pixels; for rounding, since each pixel is tested again
+constexpr float MIN_ALPHA = 1 / 255.f;      // less is skipped; as in reference/blending.py
+constexpr uint32_t MIN_TRANSMITTANCE = 0x38d1b717;  // 1e-4 as bits: at which a pixel ends; as in reference/blending.py
+constexpr float MIN_RATIO = 6.2e-5f;        // 2^-14: below it alpha may rise from under 2^-120 to 1/255 within a block
+constexpr float MAX_EXPONENT = 16.f;        // of the first ratio: its rounding is multiplied by this
+constexpr double LOG2E = 1.4426950408889634;  // log2(e): from e^x to 2^x
+constexpr double LOG255 = 5.541263545158426;  // ln(255): alpha falls below 1/255 where s > ln(255 opacity)
+constexpr float MARGIN = .01f;          // pixels; for rounding, since each pixel is tested again
 constexpr uint32_t NOT_DRAWN = 0xffffffffu; // depth key of Gaussians that cannot be drawn
 
 typedef float StripF __attribute__((vector_size(STRIPS * 4)));
 typedef int32_t StripI __attribute__((vector_size(STRIPS * 4)));
-
-struct Splat {
-    float x, y, k, c, h, opacity;
-    float limit;                        // largest s that is not skipped; 0 or less: nothing to draw
-    float half_width, half_height;      // of the ellipse s = limit
-    float top;                          // x offset of the point at +half_height
-};
 
 struct Tile {
     int x, y, width, height, strips;  // corner and size in pixels, clipped to the image
 };
 
 Tile tile_at(int index, int width, int height) {
-    int across = (width + TILE - 1) / TILE;
+    int across = (width + TILE_WIDTH - 1) / TILE_WIDTH;
     Tile t;
-    t.x = index % across * TILE;
-    t.y = index / across * TILE;
-    t.width = smaller(TILE, width - t.x);
-    t.height = smaller(TILE, height - t.y);
+    t.x = index % across * TILE_WIDTH;
+    t.y = index / across * TILE_HEIGHT;
+    t.width = smaller(TILE_WIDTH, width - t.x);
+    t.height = smaller(TILE_HEIGHT, height - t.y);
     t.strips = (t.width + STRIP - 1) / STRIP;
     return t;
 }
@@ -61,60 +70,103 @@ inline void rows_over_columns(const Splat &g, F left, F right, F &low, F &high) 
     F zero = left - left;
     left = larger(left, zero - g.half_width);
     right = smaller(right, zero + g.half_width);
-    float inverse_c = 1.f / g.c;
-    F reach_left = square_root(larger((g.limit - g.h * left * left) * inverse_c, zero));
-    F reach_right = square_root(larger((g.limit - g.h * right * right) * inverse_c, zero));
-    low = smaller(-g.k * left - reach_left, -g.k * right - reach_right);
-    high = larger(-g.k * left + reach_left, -g.k * right + reach_right);
+    F reach_left = square_root(larger(g.limit_by_c - g.h_by_c * left * left, zero));
+    F reach_right = square_root(larger(g.limit_by_c - g.h_by_c * right * right, zero));
+    F middle_left = left * -g.k, middle_right = right * -g.k;
+    low = smaller(middle_left - reach_left, middle_right - reach_right);
+    high = larger(middle_left + reach_left, middle_right + reach_right);
     F top = zero + g.top;
     high = ((left <= top) & (top <= right)) ? zero + g.half_height : high;
     low = ((left <= -top) & (-top <= right)) ? zero - g.half_height : low;
-    low = left <= right ? low - ROW_MARGIN : zero + 1.f;
-    high = left <= right ? high + ROW_MARGIN : zero - 1.f;
+    low = left <= right ? low - MARGIN : zero + 1.f;
+    high = left <= right ? high + MARGIN : zero - 1.f;
 }
 
-// Calls visit(tile index) for each tile whose pixel centres the ellipse may meet.
+// Calls visit(tile index) for each tile whose pixel centres the ellipse may meet. Where its bounding box lies in one row or
+// one column of tiles, it meets all of them.
 template <class Visit>
-inline void for_tiles(const Splat &g, int width, int height, Visit visit) {
-    int across = (width + TILE - 1) / TILE;
-    int first = (int)larger(0.f, g.x - g.half_width - .51f) / TILE;
-    int last = (int)smaller(width - 1.f, g.x + g.half_width - .49f) / TILE;
-    for (int tx = first; tx <= last; tx++) {
-        float left = tx * TILE + .5f - g.x, low, high;
-        rows_over_columns(g, left, left + (smaller(TILE, width - tx * TILE) - 1), low, high);
-        low = larger(0.f, ceilf(g.y + low - .5f));
-        high = smaller(height - 1.f, floorf(g.y + high - .5f));
-        if (!(low <= high)) continue;
-        for (int ty = (int)low / TILE; ty <= (int)high / TILE; ty++) visit(ty * across + tx);
+inline void for_tiles(const Splat &g, int width, Visit visit) {
+    int across = (width + TILE_WIDTH - 1) / TILE_WIDTH;
+    bool whole_box = g.left == g.right || g.top_row == g.bottom_row;
+    for (int tx = g.left; tx <= g.right; tx++) {
+        int first = g.top_row, last = g.bottom_row;
+        if (!whole_box) {
+            float x = tx * TILE_WIDTH + .5f - g.x, low, high;
+            rows_over_columns(g, x, x + (smaller(TILE_WIDTH, width - tx * TILE_WIDTH) - 1), low, high);
+            if (low > high) continue;
+            first = larger(first, (int)larger(0.f, g.y + low - .5f) / TILE_HEIGHT);
+            last = smaller(last, (int)larger(0.f, g.y + high - .5f) / TILE_HEIGHT);
+        }
+        for (int ty = first; ty <= last; ty++) visit(ty * across + tx);
     }
 }
 
-// First and last vector of each strip that a Gaussian visits.
-inline void strip_spans(const Splat &g, const Tile &tile, StripI &first, StripI &last) {
+// First vector of each strip that a Gaussian visits, and their number, 0 or less for none.
+inline void strip_spans(const Splat &g, const Tile &tile, StripI &first, StripI &count) {
     StripF left;
     for (int s = 0; s < STRIPS; s++) left[s] = s * STRIP;
     left += tile.x + .5f - g.x;
     StripF low, high, zero = {};
     rows_over_columns(g, left, left + (STRIP - 1.f), low, high);
     float to_row = g.y - .5f - tile.y;
-    low = smaller(larger(low + to_row, zero), zero + (float)TILE);
-    high = smaller(high + to_row, zero + (tile.height - 1.f));
+    low = smaller(larger(low + to_row, zero), zero + (float)TILE_HEIGHT);
+    high = smaller(larger(high + to_row, zero - 1.f), zero + (tile.height - 1.f));
     StripI begin = __builtin_convertvector(low, StripI);
-    begin -= (__builtin_convertvector(begin, StripF) < low);  // rounds up: true is -1
-    StripI end = __builtin_convertvector(larger(high, zero), StripI);
-    StripI empty = (begin > end) | (high < zero);
+    begin -= (__builtin_convertvector(begin, StripF) < low);               // rounds up: true is -1
+    StripI end = __builtin_convertvector(high + 1.f, StripI);  // of rows [begin, end)
     first = begin / ROWS;
-    last = (end / ROWS) | empty;
+    count = end > begin ? (end + (ROWS - 1)) / ROWS - first : StripI{};
 }
 
-// Calls visit(vector, lane, pixel of the image) for each pixel of a tile.
+// The pixels of a vector that lie in the image.
+struct Place {
+    int64_t pixel, image_width;  // the first lane's pixel
+    int columns, rows;
+
+    // Calls visit(lane, pixel) for each; with constant loops where all lanes have a pixel.
+    template <class Visit>
+    inline __attribute__((always_inline)) void for_lanes(Visit visit) const {
+        if (columns == STRIP && rows == ROWS) {
+            for (int y = 0; y < ROWS; y++)
+                for (int x = 0; x < STRIP; x++) visit(y * STRIP + x, pixel + y * image_width + x);
+        } else {
+            for (int y = 0; y < rows; y++)
+                for (int x = 0; x < columns; x++) visit(y * STRIP + x, pixel + y * image_width + x);
+        }
+    }
+
+    // One channel of an image, 0 outside.
+    Vec read(const float *image, int64_t stride) const {
+        Vec values = {};
+        for_lanes([&](int lane, int64_t at) { values[lane] = image[at * stride]; });
+        return values;
+    }
+    Mask read(const int32_t *image) const {
+        Mask values = {};
+        for_lanes([&](int lane, int64_t at) { values[lane] = image[at]; });
+        return values;
+    }
+    void write(Vec values, float *image, int64_t stride) const {
+        for_lanes([&](int lane, int64_t at) { image[at * stride] = values[lane]; });
+    }
+    void write(Mask values, int32_t *image) const {
+        for_lanes([&](int lane, int64_t at) { image[at] = values[lane]; });
+    }
+    Mask inside() const {
+        Mask values = {};
+        for_lanes([&](int lane, int64_t) { values[lane] = -1; });
+        return values;
+    }
+};
+
+// Calls visit(vector, its pixels) for each vector of a tile with pixels in the image.
 template <class Visit>
-inline void for_pixels(const Tile &tile, int image_width, Visit visit) {
-    for (int y = 0; y < tile.height; y++)
+inline void for_vectors(const Tile &tile, int image_width, Visit visit) {
+    for (int y = 0; y < tile.height; y += ROWS)
         for (int s = 0; s < tile.strips; s++) {
-            int columns = smaller(STRIP, tile.width - s * STRIP), vector = s * STRIP_VECTORS + y / ROWS;
             int64_t pixel = (int64_t)(tile.y + y) * image_width + tile.x + s * STRIP;
-            for (int x = 0; x < columns; x++) visit(vector, y % ROWS * STRIP + x, pixel + x);
+            Place place = {pixel, image_width, smaller(STRIP, tile.width - s * STRIP), smaller(ROWS, tile.height - y)};
+            visit(s * STRIP_VECTORS + y / ROWS, place);
         }
 }
 
@@ -132,75 +184,111 @@ inline Vec load(const float *p) {
     return v;
 }
 
-// A Gaussian over one strip: what the exponent needs, in base 2.
-struct Exponent {
-    Vec dx, kdx, hdx2, c, limit;
-    float y;  // centre to the centre of the tile's first row
-    Exponent(const Splat &g, const Tile &tile, int strip) {
+// 0 < x <= limit for x that is not negative, given the limit's bits: they order as the floats, so one comparison does.
+inline Mask positive_up_to(Vec x, uint32_t limit) { return (Bits)x - 1 < limit; }
+
+// A Gaussian over one strip.
+struct OverStrip {
+    Vec dx, u;                         // u: at the first vector visited; it falls by ROWS from vector to vector
+    Vec alpha[STRIP_VECTORS + BLOCK];  // by vector visited, 0 where it is skipped; whole blocks are written
+
+    inline __attribute__((always_inline)) OverStrip(const Splat &g, const Tile &tile, int strip, int first, int count) {
         dx = splat(g.x - tile.x - strip * STRIP) - load(LANES.column);
-        kdx = dx * g.k - load(LANES.row);
-        hdx2 = dx * dx * (-g.h * LOG2E);
-        c = splat(-g.c * LOG2E);
-        limit = splat(-g.limit * LOG2E);
-        y = g.y - tile.y;
+        u = dx * g.k + (g.y - tile.y - first * ROWS) - load(LANES.row);
+        Vec c = splat(-g.c * (float)LOG2E), at_middle = dx * dx * (-g.h * (float)LOG2E) + g.log_opacity;
+        Vec ratio_exponent = c * ((float)(ROWS * ROWS) - (2.f * ROWS) * u);  // of the second vector by the first
+        if (__builtin_expect(g.ratio < MIN_RATIO || any(ratio_exponent > MAX_EXPONENT), 0))
+            by_exponentials(c, at_middle, count);
+        else
+            by_ratios(c, at_middle, exp2(larger(ratio_exponent, splat(-126.f))), g.ratio, g.block_ratio, count);
+        if (__builtin_expect(g.opacity >= MAX_ALPHA, 0))
+            for (int v = 0; v < count; v++) alpha[v] = smaller(alpha[v], splat(MAX_ALPHA));
     }
-    Vec u(int vector) const { return kdx + (y - vector * ROWS); }
-    Vec operator()(Vec u) const { return c * u * u + hdx2; }
-};
 
-// 2^e needs e >= -126; below the limit the result is masked out anyway.
-inline Vec opacity_at(Vec exponent, Vec opacity) { return opacity * exp2(larger(exponent, splat(-20.f))); }
+   private:
+    void by_exponentials(Vec c, Vec at_middle, int count) {
+        Vec u = this->u;
+        for (int v = 0; v < count; v++, u -= (float)ROWS)
+            alpha[v] = shown(exp2(larger(c * u * u + at_middle, splat(-126.f))));
+    }
 
-template <int C>
-void forward_tile(const Tile &tile, int image_width, const Splat *splats, const float *channels, int stride, const int32_t *ids,
-                  int64_t begin, int64_t end, const float *background, float *out, float *transmittance,
-                  int32_t *endings) {
-    Mask ended[STRIPS * STRIP_VECTORS];  // rank in the tile's list of the Gaussian before which a pixel ended
-    struct Pixels {
-        Vec T, channel[C];  // T < 0: the pixel has ended with transmittance -T
-    } pixels[STRIPS * STRIP_VECTORS];
-    memset(pixels, 0, sizeof pixels);  // T = 0: outside of the image
-    for_pixels(tile, image_width, [&](int vector, int lane, int64_t) { pixels[vector].T[lane] = 1; });
-    for (Mask &e : ended) e = Mask{} + (int32_t)(end - begin);
-    int alive[STRIPS], strips_alive = tile.strips;  // vectors with a pixel that goes on
-    for (int &n : alive) n = (tile.height + ROWS - 1) / ROWS;
-
-    int64_t i = begin;
-    for (; i < end && strips_alive; i++) {
-        const Splat &g = splats[ids[i]];
-        const float *channel = channels + (int64_t)ids[i] * stride;
-        Vec value[C], opacity = splat(g.opacity);
-        for (int c = 0; c < C; c++) value[c] = splat(channel[c]);
-        StripI first, last;
-        strip_spans(g, tile, first, last);
-        for (int s = 0; s < tile.strips; s++) {
-            if (first[s] > last[s] || !alive[s]) continue;
-            Exponent exponent(g, tile, s);
-            Pixels *strip = pixels + s * STRIP_VECTORS;
-            for (int v = first[s]; v <= last[s]; v++) {
-                Vec e = exponent(exponent.u(v)), T = strip[v].T;
-                Mask drawn = (e >= exponent.limit) & (T > 0.f);
-                Vec alpha = smaller(opacity_at(e, opacity), splat(MAX_ALPHA));
-                Vec weight = masked(drawn, alpha * T), after = T - weight;
-                Mask ends = drawn & (after <= MIN_TRANSMITTANCE);
-                if (__builtin_expect(any(ends), 0)) {
-                    after = select(ends, -T, after);
-                    weight = masked(~ends, weight);
-                    Mask &e = ended[s * STRIP_VECTORS + v];
-                    e = (ends & (int32_t)(i - begin)) | (~ends & e);
-                    if (!any(after > 0.f) && --alive[s] == 0) strips_alive--;
-                }
-                for (int c = 0; c < C; c++) strip[v].channel[c] += weight * value[c];
-                strip[v].T = after;
-            }
+    // log2(alpha) is quadratic in u: the ratio of neighbouring vectors' alphas changes by a constant factor. An exponential
+    // at the beginning of each block keeps rounding from adding up.
+    void by_ratios(Vec c, Vec at_middle, Vec block_first, float ratio, float block_ratio, int count) {
+        Vec u = this->u;
+        for (int v = 0; v < count; v += BLOCK, u -= (float)(ROWS * BLOCK), block_first *= block_ratio) {
+            Vec exponent = c * u * u + at_middle, a = masked(exponent > -120.f, exp2(exponent)), by = block_first;
+            for (int i = 0; i < BLOCK; i++, a *= by, by *= ratio) alpha[v + i] = shown(a);
         }
     }
-    for_pixels(tile, image_width, [&](int vector, int lane, int64_t pixel) {
-        const Pixels &p = pixels[vector];
-        float T = fabsf(p.T[lane]);
-        transmittance[pixel] = T;
-        endings[pixel] = ended[vector][lane];
-        for (int c = 0; c < C; c++) out[pixel * stride + c] = p.channel[c][lane] + T * background[c];
+
+    static Vec shown(Vec alpha) { return masked(alpha >= MIN_ALPHA, alpha); }
+};
+
+// Calls visit(strip, first vector, number of vectors) for the strips that a Gaussian meets, of those whose bit is set.
+template <class Visit>
+inline void for_strips(const Splat &g, const Tile &tile, uint32_t strips, Visit visit) {
+    StripI first, count;
+    strip_spans(g, tile, first, count);
+    for (uint32_t left = strips & bits(count > 0); left; left &= left - 1) {
+        int s = __builtin_ctz(left);
+        visit(s, first[s], count[s]);
+    }
+}
+
+// Fetches from memory what is needed a few entries later.
+inline void prefetch(const Splat *splats, const float *channels, int64_t stride, int32_t id) {
+    __builtin_prefetch(splats + id);
+    __builtin_prefetch(channels + id * stride);
+}
+
+template <int C>
+void forward_tile(const Tile &tile, int image_width, const Splat *splats, const float *channels, int64_t stride,
+                  const int32_t *ids, int64_t begin, int64_t end, const float *background, float *out,
+                  float *transmittance, int32_t *endings) {
+    struct Pixels {
+        Vec T, channel[C];  // T is 0 outside of the image and where the pixel has ended
+    } pixels[TILE_VECTORS];
+    Vec end_T[TILE_VECTORS];     // transmittance with which a pixel ended
+    Mask ended[TILE_VECTORS];    // place in the tile's list of the Gaussian before which a pixel ended
+    memset(pixels, 0, sizeof pixels);
+    for_vectors(tile, image_width, [&](int v, const Place &place) { pixels[v].T = masked(place.inside(), splat(1.f)); });
+    for (int v = 0; v < TILE_VECTORS; v++) end_T[v] = Vec{}, ended[v] = Mask{} + (int32_t)(end - begin);
+    int alive[STRIPS];  // vectors with a pixel that goes on
+    for (int &n : alive) n = (tile.height + ROWS - 1) / ROWS;
+    uint32_t going_on = (1u << tile.strips) - 1;  // strips with such a vector
+
+    for (int64_t i = begin; i < end && going_on; i++) {
+        if (i + AHEAD < end) prefetch(splats, channels, stride, ids[i + AHEAD]);
+        const Splat &g = splats[ids[i]];
+        const float *channel = channels + ids[i] * stride;
+        Vec value[C];
+        for (int c = 0; c < C; c++) value[c] = splat(channel[c]);
+        for_strips(g, tile, going_on, [&](int s, int first, int count) {
+            OverStrip over(g, tile, s, first, count);
+            int at = s * STRIP_VECTORS + first;
+            for (int v = 0; v < count; v++, at++) {
+                Pixels &p = pixels[at];
+                Vec T = p.T, weight = over.alpha[v] * T, after = T - weight;
+                Mask ends = positive_up_to(after, MIN_TRANSMITTANCE);
+                if (__builtin_expect(any(ends), 0)) {
+                    end_T[at] = select(ends, T, end_T[at]);
+                    ended[at] = (ends & (int32_t)(i - begin)) | (~ends & ended[at]);
+                    after = masked(~ends, after);
+                    weight = masked(~ends, weight);
+                    if (!any(after > 0.f) && --alive[s] == 0) going_on &= ~(1u << s);
+                }
+                for (int c = 0; c < C; c++) p.channel[c] += weight * value[c];
+                p.T = after;
+            }
+        });
+    }
+    for_vectors(tile, image_width, [&](int v, const Place &place) {
+        const Pixels &p = pixels[v];
+        Vec T = select(p.T > 0.f, p.T, end_T[v]);
+        place.write(T, transmittance, 1);
+        place.write(ended[v], endings);
+        for (int c = 0; c < C; c++) place.write(p.channel[c] + T * background[c], out + c, stride);
     });
 }
 
@@ -214,54 +302,62 @@ struct Replay {
     const int32_t *endings;
 };
 
-// Back to front. Job says what is kept per pixel (Job::Pixels, with T, the transmittance behind the current Gaussian, and
-// the rank at which the pixel ended) and what is done with a Gaussian over each strip that it meets.
-// `fill(pixels, lane, pixel)` sets a pixel's lane; `finish(job, slot)` takes the result.
+// Back to front. Job says what is kept per pixel (Job::Pixels, with T, the transmittance behind the current Gaussian) and
+// what is done with a Gaussian over each strip that it meets. `fill(pixels, place)` sets the rest of a vector; the result
+// of each Gaussian goes to `results`, `size` floats a slot, by `finish(job, slot)`; Gaussians behind every pixel's end get 0.
 template <class Job, class Fill, class Finish>
-void replay_tile(const Tile &tile, int image_width, const Replay &replay, const float *channels, int stride, Fill fill,
-                 Finish finish) {
-    typename Job::Pixels pixels[STRIPS * STRIP_VECTORS];
-    memset(pixels, 0, sizeof pixels);  // ended = 0: outside of the image
-    int32_t strip_ended[STRIPS] = {}, tile_ended = 0;
-    for_pixels(tile, image_width, [&](int vector, int lane, int64_t pixel) {
-        pixels[vector].T[lane] = replay.transmittance[pixel];
-        pixels[vector].ended[lane] = replay.endings[pixel];
-        fill(pixels[vector], lane, pixel);
-        int32_t &last = strip_ended[vector / STRIP_VECTORS];
-        last = larger(last, replay.endings[pixel]);
-        tile_ended = larger(tile_ended, replay.endings[pixel]);
+void replay_tile(const Tile &tile, int image_width, const Replay &replay, const float *channels, int64_t stride,
+                 float *results, int64_t size, Fill fill, Finish finish) {
+    typename Job::Pixels pixels[TILE_VECTORS];
+    Mask ended[TILE_VECTORS];
+    memset(pixels, 0, sizeof pixels);  // T = 0: outside of the image
+    memset(ended, 0, sizeof ended);
+    Mask first_of[STRIPS], last_of[STRIPS];  // pixel's end in a strip, by lane
+    for (int s = 0; s < STRIPS; s++) first_of[s] = Mask{} + INT32_MAX, last_of[s] = Mask{};
+    for_vectors(tile, image_width, [&](int v, const Place &place) {
+        int s = v / STRIP_VECTORS;
+        pixels[v].T = place.read(replay.transmittance, 1);
+        ended[v] = place.read(replay.endings);
+        fill(pixels[v], place);
+        last_of[s] = larger(last_of[s], ended[v]);
+        first_of[s] = smaller(first_of[s], (Mask)(ended[v] | (~place.inside() & INT32_MAX)));
     });
-    for (int32_t rank = tile_ended - 1; rank >= 0; rank--) {
-        int32_t id = replay.ids[replay.begin + rank];
-        const Splat &g = replay.splats[id];
-        Job job(g, channels + (int64_t)id * stride);
-        StripI first, last;
-        strip_spans(g, tile, first, last);
-        for (int s = 0; s < tile.strips; s++)
-            if (first[s] <= last[s] && rank < strip_ended[s])
-                job.strip(Exponent(g, tile, s), pixels + s * STRIP_VECTORS, first[s], last[s], rank);
-        finish(job, replay.slots[replay.begin + rank]);
+    int32_t tile_last = 0, strip_last[STRIPS], strip_first[STRIPS];
+    for (int s = 0; s < STRIPS; s++) {
+        strip_first[s] = INT32_MAX, strip_last[s] = 0;
+        for (int lane = 0; lane < VW; lane++) {
+            strip_first[s] = smaller(strip_first[s], first_of[s][lane]);
+            strip_last[s] = larger(strip_last[s], last_of[s][lane]);
+        }
+        tile_last = larger(tile_last, strip_last[s]);
+    }
+    const int32_t *ids = replay.ids + replay.begin, *slots = replay.slots + replay.begin;
+    for (int64_t rank = tile_last; rank < replay.end - replay.begin; rank++)
+        memset(results + slots[rank] * size, 0, size * sizeof(float));
+    for (int32_t rank = tile_last - 1; rank >= 0; rank--) {
+        if (rank >= AHEAD) {
+            prefetch(replay.splats, channels, stride, ids[rank - AHEAD]);
+            const float *to = results + slots[rank - AHEAD] * size;
+            __builtin_prefetch(to, 1);
+            __builtin_prefetch(to + size - 1, 1);
+        }
+        const Splat &g = replay.splats[ids[rank]];
+        Job job(g, channels + ids[rank] * stride);
+        for_strips(g, tile, (1u << tile.strips) - 1, [&](int s, int first, int count) {
+            if (rank >= strip_last[s]) return;
+            OverStrip over(g, tile, s, first, count);
+            int at = s * STRIP_VECTORS + first;
+            const Vec *alpha = over.alpha;
+            Vec shown[STRIP_VECTORS];
+            if (rank >= strip_first[s]) {
+                for (int v = 0; v < count; v++) shown[v] = masked(ended[at + v] > rank, alpha[v]);
+                alpha = shown;
+            }
+            job.strip(over.dx, over.u, alpha, pixels + at, count);
+        });
+        finish(job, results + slots[rank] * size);
     }
 }
-
-// A Gaussian at the pixels of one vector. Takes their T to before it: T_i = T_(i+1) / (1 - alpha_i).
-struct Sample {
-    Vec u, unclamped, inverse, T, weight;  // inverse: 1 / (1 - alpha); weight: T alpha
-    Mask drawn;
-
-    template <class Pixels>
-    Sample(const Exponent &exponent, Vec opacity, int vector, int32_t rank, Pixels &pixels) {
-        u = exponent.u(vector);
-        Vec e = exponent(u);
-        drawn = (e >= exponent.limit) & (pixels.ended > rank);
-        unclamped = opacity_at(e, opacity);
-        Vec alpha = smaller(unclamped, splat(MAX_ALPHA));
-        inverse = 1.f / (1.f - alpha);
-        pixels.T = T = select(drawn, pixels.T * inverse, pixels.T);
-        weight = masked(drawn, alpha * T);
-    }
-    Mask varies() const { return drawn & (unclamped < MAX_ALPHA); }  // not where alpha is clamped
-};
 
 // `behind` sums what the image's gradient meets behind the current Gaussian: (gradient . channel) T alpha of later ones and
 // the background's part. Nothing cancels. Then dL/dalpha = T (gradient . channel) - behind / (1 - alpha), and
@@ -269,63 +365,75 @@ struct Sample {
 template <int C>
 struct Gradients {
     struct Pixels {
-        Vec T, behind;
-        Mask ended;
-        Vec gradient[C];
+        Vec T, behind, gradient[C];
     };
-    Vec value[C], by_value[C], opacity, moment[MOMENTS] = {};
+    Vec value[C], sums[MOMENTS + C] = {};
+    bool clamps;  // some alphas may be clamped
 
-    Gradients(const Splat &g, const float *channel) : opacity(splat(g.opacity)) {
-        for (int c = 0; c < C; c++) value[c] = splat(channel[c]), by_value[c] = Vec{};
+    Gradients(const Splat &g, const float *channel) : clamps(g.opacity >= MAX_ALPHA) {
+        for (int c = 0; c < C; c++) value[c] = splat(channel[c]);
     }
 
-    void strip(const Exponent &exponent, Pixels *pixels, int first, int last, int32_t rank) {
-        Vec sum_v = {}, sum_vu = {}, sum_vuu = {};
-        for (int v = first; v <= last; v++) {
-            Sample at(exponent, opacity, v, rank, pixels[v]);
-            Vec along = {}, behind = pixels[v].behind;  // along: gradient . channel
-            for (int c = 0; c < C; c++) {
-                Vec gradient = pixels[v].gradient[c];
-                along += gradient * value[c];
-                by_value[c] += at.weight * gradient;
+    void strip(Vec dx, Vec u, const Vec *alphas, Pixels *pixels, int count) {
+        if (__builtin_expect(clamps, 0))
+            add_strip<true>(dx, u, alphas, pixels, count);
+        else
+            add_strip<false>(dx, u, alphas, pixels, count);
+    }
+
+    template <bool CLAMPS>
+    void add_strip(Vec dx, Vec u, const Vec *alphas, Pixels *pixels, int count) {
+        Vec sum_v = {}, sum_vu = {}, sum_vuu = {}, by_value[C] = {};
+        for (int i = 0; i < count; i++, u -= (float)ROWS) {
+            Pixels &p = pixels[i];
+            Vec alpha = alphas[i], inverse = 1.f / (1.f - alpha), T = p.T * inverse, weight = alpha * T;
+            Vec along = p.gradient[0] * value[0], behind = p.behind;  // along: gradient . channel
+            by_value[0] += weight * p.gradient[0];
+            for (int c = 1; c < C; c++) {
+                along += p.gradient[c] * value[c];
+                by_value[c] += weight * p.gradient[c];
             }
-            pixels[v].behind = behind + at.weight * along;
-            Vec gradient = masked(at.varies(), (at.T * along - behind * at.inverse) * at.unclamped);
-            Vec gradient_u = gradient * at.u;
-            sum_v += gradient;
-            sum_vu += gradient_u;
-            sum_vuu += gradient_u * at.u;
+            Vec shown = weight * along, v = shown - behind * (alpha * inverse);
+            p.T = T;
+            p.behind = behind + shown;
+            if (CLAMPS) v = masked(alpha < MAX_ALPHA, v);  // where alpha is clamped it does not vary
+            Vec vu = v * u;
+            sum_v += v;
+            sum_vu += vu;
+            sum_vuu += vu * u;
         }
-        Vec sum_vx = sum_v * exponent.dx;
-        moment[0] += sum_v;
-        moment[1] += sum_vx;
-        moment[2] += sum_vu;
-        moment[3] += sum_vx * exponent.dx;
-        moment[4] += sum_vu * exponent.dx;
-        moment[5] += sum_vuu;
+        Vec sum_vx = sum_v * dx;
+        sums[0] += sum_v;
+        sums[1] += sum_vx;
+        sums[2] += sum_vu;
+        sums[3] += sum_vx * dx;
+        sums[4] += sum_vu * dx;
+        sums[5] += sum_vuu;
+        for (int c = 0; c < C; c++) sums[MOMENTS + c] += by_value[c];
     }
 };
 
 template <int C>
-void backward_tile(const Tile &tile, int image_width, const Replay &replay, const float *channels, int stride,
+void backward_tile(const Tile &tile, int image_width, const Replay &replay, const float *channels, int64_t stride,
                    const float *background, const float *out_gradient, const float *alpha_gradient, int first_channel,
                    float *gradients, float *background_gradient) {
     double background_sum[C] = {};
-    auto fill = [&](typename Gradients<C>::Pixels &p, int lane, int64_t pixel) {
-        float T = replay.transmittance[pixel], behind = first_channel == 0 ? -alpha_gradient[pixel] * T : 0.f;
+    auto fill = [&](typename Gradients<C>::Pixels &p, const Place &place) {
+        p.behind = first_channel == 0 ? -place.read(alpha_gradient, 1) * p.T : Vec{};
         for (int c = 0; c < C; c++) {
-            float g = out_gradient[pixel * stride + c];
-            p.gradient[c][lane] = g;
-            behind += T * g * background[c];
-            background_sum[c] += T * g;
+            p.gradient[c] = place.read(out_gradient + c, stride);
+            Vec seen = p.T * p.gradient[c];
+            p.behind += seen * background[c];
+            background_sum[c] += sum(seen);
         }
-        p.behind[lane] = behind;
     };
-    replay_tile<Gradients<C>>(tile, image_width, replay, channels, stride, fill, [&](Gradients<C> &job, int64_t slot) {
-        float *to = gradients + slot * (MOMENTS + stride);
-        for (int m = 0; m < MOMENTS; m++) to[m] += sum(job.moment[m]);
-        for (int c = 0; c < C; c++) to[MOMENTS + first_channel + c] = sum(job.by_value[c]);
-    });
+    auto finish = [&](Gradients<C> &job, float *to) {
+        float sums[MOMENTS + C];
+        lane_sums(job.sums, sums);
+        for (int m = 0; m < MOMENTS; m++) to[m] = first_channel == 0 ? sums[m] : to[m] + sums[m];
+        for (int c = 0; c < C; c++) to[MOMENTS + first_channel + c] = sums[MOMENTS + c];
+    };
+    replay_tile<Gradients<C>>(tile, image_width, replay, channels, stride, gradients, MOMENTS + stride, fill, finish);
     for (int c = 0; c < C; c++) background_gradient[c] = (float)background_sum[c];
 }
 
@@ -335,28 +443,28 @@ void backward_tile(const Tile &tile, int image_width, const Replay &replay, cons
 template <int C>
 struct Contribution {
     struct Pixels {
-        Vec T;
-        Mask ended;
-        Vec behind[C], gradient[C], weight[GROUP];  // behind: sum of T alpha channel of later ones, and the background
+        Vec T, behind[C], gradient[C], weight[GROUP];  // behind: sum of T alpha channel of later ones, and the background
     };
-    Vec value[C], opacity, importance = {}, error = {}, weighted[GROUP] = {};
+    Vec value[C], opacity, sums[2 + GROUP] = {};  // importance, error, weighted
 
     Contribution(const Splat &g, const float *channel) : opacity(splat(g.opacity)) {
         for (int c = 0; c < C; c++) value[c] = splat(channel[c]);
     }
 
-    void strip(const Exponent &exponent, Pixels *pixels, int first, int last, int32_t rank) {
-        for (int v = first; v <= last; v++) {
-            Sample at(exponent, opacity, v, rank, pixels[v]);
-            Vec along = {};
+    void strip(Vec, Vec, const Vec *alphas, Pixels *pixels, int count) {
+        for (int v = 0; v < count; v++) {
+            Pixels &p = pixels[v];
+            Vec alpha = alphas[v], inverse = 1.f / (1.f - alpha), T = p.T * inverse, weight = alpha * T, along = {};
+            Mask varies = (alpha > 0.f) & (alpha < MAX_ALPHA);  // not where alpha is clamped
             for (int c = 0; c < C; c++) {
-                Vec change = masked(at.varies(), opacity * (at.T * value[c] - pixels[v].behind[c] * at.inverse));
-                importance += change * change;
-                along += change * pixels[v].gradient[c];
-                pixels[v].behind[c] += at.weight * value[c];
+                Vec change = masked(varies, opacity * (T * value[c] - p.behind[c] * inverse));
+                sums[0] += change * change;
+                along += change * p.gradient[c];
+                p.behind[c] += weight * value[c];
             }
-            error += along * along;
-            for (int r = 0; r < GROUP; r++) weighted[r] += at.weight * pixels[v].weight[r];
+            sums[1] += along * along;
+            for (int r = 0; r < GROUP; r++) sums[2 + r] += weight * p.weight[r];
+            p.T = T;
         }
     }
 };
@@ -367,31 +475,28 @@ template <int C>
 void contributions_tile(const Tile &tile, int image_width, const Replay &replay, const float *channels,
                         const float *background, const float *weights, int weight_count, int first_weight,
                         const float *out_gradient, float *results) {
-    auto fill = [&](typename Contribution<C>::Pixels &p, int lane, int64_t pixel) {
+    auto fill = [&](typename Contribution<C>::Pixels &p, const Place &place) {
         for (int c = 0; c < C; c++) {
-            p.behind[c][lane] = replay.transmittance[pixel] * background[c];
-            p.gradient[c][lane] = out_gradient[pixel * C + c];
+            p.behind[c] = p.T * background[c];
+            p.gradient[c] = place.read(out_gradient + c, C);
         }
         for (int r = 0; r < GROUP && first_weight + r < weight_count; r++)
-            p.weight[r][lane] = weights[pixel * weight_count + first_weight + r];
+            p.weight[r] = place.read(weights + first_weight + r, weight_count);
     };
-    replay_tile<Contribution<C>>(tile, image_width, replay, channels, C, fill, [&](Contribution<C> &job, int64_t slot) {
-        float *to = results + slot * (2 + weight_count);
-        to[0] = sum(job.importance);
-        to[1] = sum(job.error);
-        for (int r = 0; r < GROUP && first_weight + r < weight_count; r++) to[2 + first_weight + r] = sum(job.weighted[r]);
-    });
+    auto finish = [&](Contribution<C> &job, float *to) {
+        float sums[2 + GROUP];
+        lane_sums(job.sums, sums);
+        to[0] = sums[0];
+        to[1] = sums[1];
+        for (int r = 0; r < GROUP && first_weight + r < weight_count; r++) to[2 + first_weight + r] = sums[2 + r];
+    };
+    replay_tile<Contribution<C>>(tile, image_width, replay, channels, C, results, 2 + weight_count, fill, finish);
 }
 
 template <int C>
 struct Constant {
     static constexpr int value = C;
 };
-
-// Gaussians behind every pixel's end get no result.
-void clear_slots(const Replay &replay, float *results, int64_t size) {
-    for (int64_t i = replay.begin; i < replay.end; i++) memset(results + replay.slots[i] * size, 0, size * sizeof(float));
-}
 
 // Calls a kernel template with the group's number of channels as a constant.
 template <int C, class Call>
@@ -407,7 +512,8 @@ inline void with_channels(int channels, Call call) {
 
 }  // namespace
 
-API int64_t tile_size() { return TILE; }
+API int64_t tile_width() { return TILE_WIDTH; }
+API int64_t tile_height() { return TILE_HEIGHT; }
 API int64_t splat_bytes() { return sizeof(Splat); }
 API int64_t moment_count() { return MOMENTS; }
 
@@ -421,19 +527,32 @@ API void pack(int64_t begin, int64_t end, const float *means2d, const float *con
         g.x = means2d[2 * i];
         g.y = means2d[2 * i + 1];
         g.opacity = opacities[i];
-        g.limit = g.opacity > 0 ? logf(g.opacity) + LOG255 : 0.f;
+        double log_opacity = g.opacity > 0 ? log(g.opacity) : -LOG255;
+        double limit = log_opacity + LOG255;
         keys[i] = NOT_DRAWN;
-        if (!(radii[i] > 0 && depths[i] > 0 && g.limit > 0 && g.limit < 64 && a > 0 && c > 0 && det > 0)) continue;
+        if (!(radii[i] > 0 && depths[i] > 0 && limit > 0 && limit < 64 && a > 0 && c > 0 && det > 0)) continue;
         g.k = (float)(b / c);
         g.c = (float)(.5 * c);
         g.h = (float)(.5 * det / c);
-        g.half_width = (float)sqrt(2 * g.limit * c / det);
-        g.half_height = (float)sqrt(2 * g.limit * a / det);
+        g.half_width = (float)sqrt(2 * limit * c / det);
+        g.half_height = (float)sqrt(2 * limit * a / det);
         g.top = (float)(-b / a * g.half_height);
+        g.h_by_c = (float)(det / (c * c));
+        g.limit_by_c = (float)(2 * limit / c);
+        g.log_opacity = (float)(log_opacity * LOG2E);
+        double ratio = ::exp(-c * (ROWS * ROWS));  // e^(second difference of -s in steps of ROWS)
+        g.ratio = (float)ratio;
+        g.block_ratio = (float)(ratio * ratio * ratio * ratio);
         bool finite = g.half_width < 1e9f && g.half_height < 1e9f && g.h > 0 && g.c < 1e9f;
         bool on_screen = g.x + g.half_width > 0 && g.x - g.half_width < width && g.y + g.half_height > 0 &&
                          g.y - g.half_height < height;
-        if (finite && on_screen) memcpy(&keys[i], &depths[i], sizeof(float));
+        if (!(finite && on_screen)) continue;
+        float half_x = g.half_width + MARGIN, half_y = g.half_height + MARGIN, x = g.x - .5f, y = g.y - .5f;
+        g.left = (uint16_t)((int)larger(0.f, x - half_x) / TILE_WIDTH);
+        g.right = (uint16_t)((int)smaller(width - 1.f, larger(0.f, x + half_x)) / TILE_WIDTH);
+        g.top_row = (uint16_t)((int)larger(0.f, y - half_y) / TILE_HEIGHT);
+        g.bottom_row = (uint16_t)((int)smaller(height - 1.f, larger(0.f, y + half_y)) / TILE_HEIGHT);
+        memcpy(&keys[i], &depths[i], sizeof(float));
     }
 }
 
@@ -468,22 +587,24 @@ API int64_t sort_by_depth(int64_t n, const uint32_t *keys, int32_t *order, int32
 }
 
 // For ranks [begin, end) of the depth order: how many tiles each Gaussian meets, and how many of them fall in each tile.
-API void count_tiles(int64_t begin, int64_t end, const Splat *splats, const int32_t *order, int64_t width, int64_t height,
+API void count_tiles(int64_t begin, int64_t end, const Splat *splats, const int32_t *order, int64_t width, int64_t,
                      int64_t *per_rank, int64_t *per_tile) {
     for (int64_t rank = begin; rank < end; rank++) {
+        if (rank + AHEAD < end) __builtin_prefetch(splats + order[rank + AHEAD]);
         int64_t n = 0;
-        for_tiles(splats[order[rank]], (int)width, (int)height, [&](int tile) { n++, per_tile[tile]++; });
+        for_tiles(splats[order[rank]], (int)width, [&](int tile) { n++, per_tile[tile]++; });
         per_rank[rank] = n;
     }
 }
 
 // Writes those ranks into the tile lists: the Gaussian, and the slot its gradient in this tile goes to. `next` is where
 // this range's entries of each tile begin; it is advanced.
-API void fill_tiles(int64_t begin, int64_t end, const Splat *splats, const int32_t *order, int64_t width, int64_t height,
+API void fill_tiles(int64_t begin, int64_t end, const Splat *splats, const int32_t *order, int64_t width, int64_t,
                     const int64_t *rank_starts, int32_t *ids, int32_t *slots, int64_t *next) {
     for (int64_t rank = begin; rank < end; rank++) {
+        if (rank + AHEAD < end) __builtin_prefetch(splats + order[rank + AHEAD]);
         int64_t slot = rank_starts[rank];
-        for_tiles(splats[order[rank]], (int)width, (int)height, [&](int tile) {
+        for_tiles(splats[order[rank]], (int)width, [&](int tile) {
             int64_t place = next[tile]++;
             ids[place] = order[rank];
             slots[place] = (int32_t)slot++;
@@ -516,7 +637,6 @@ API void blend_backward(int64_t begin, int64_t end, int64_t width, int64_t heigh
     for (int64_t t = begin; t < end; t++) {
         Tile tile = tile_at((int)t, (int)width, (int)height);
         Replay replay = {splats, ids, slots, tile_starts[t], tile_starts[t + 1], transmittance, endings};
-        clear_slots(replay, gradients, MOMENTS + channel_count);
         for (int c = 0; c < channel_count; c += GROUP)
             with_channels<GROUP>(smaller(GROUP, (int)channel_count - c), [&](auto count) {
                 backward_tile<decltype(count)::value>(tile, width, replay, channels + c, channel_count, background + c,
@@ -534,7 +654,6 @@ API void contributions(int64_t begin, int64_t end, int64_t width, int64_t height
     for (int64_t t = begin; t < end; t++) {
         Tile tile = tile_at((int)t, (int)width, (int)height);
         Replay replay = {splats, ids, slots, tile_starts[t], tile_starts[t + 1], transmittance, endings};
-        clear_slots(replay, results, 2 + weight_count);
         for (int r = 0; r == 0 || r < weight_count; r += GROUP)
             with_channels<GROUP>((int)channel_count, [&](auto count) {
                 contributions_tile<decltype(count)::value>(tile, width, replay, channels, background, weights, weight_count,
@@ -558,6 +677,7 @@ API void gather(int64_t begin, int64_t end, int64_t channel_count, const Splat *
                 float *channels) {
     int64_t size = MOMENTS + channel_count;
     for (int64_t rank = begin; rank < end; rank++) {
+        if (rank + AHEAD < end) __builtin_prefetch(splats + order[rank + AHEAD]);
         int64_t i = order[rank];
         const Splat &g = splats[i];
         float moment[MOMENTS] = {};

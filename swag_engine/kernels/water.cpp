@@ -1,13 +1,12 @@
 // Colors through water (Kernels.through_water in protocol.py): shown = J exp(-beta_D r) + B(d) (1 - exp(-beta_B r)).
 // VW Gaussians, or VW pixels of a row, at a time.
+#include "light.h"
 #include "sh.h"
 #include "simd.h"
 
 namespace {
 
 constexpr int SUMS = 33;                 // gradients by beta_D (3), beta_B (3) and the raw SH coefficients of B (9, 3)
-constexpr float DISPLAY_TOE = .04045f;   // display value below which the sRGB curve is a straight line
-constexpr float LINEAR_TOE = .0031308f;  // linear light at the same place
 constexpr float LEAST_LENGTH = 1e-37f;   // scene units; keeps the division by the largest component finite
 
 struct Water {
@@ -31,31 +30,6 @@ struct Water {
     }
 };
 
-// The sRGB curve (IEC 61966-2-1) and its slope.
-inline Vec to_light(Vec display, Vec &slope) {
-    Mask low = display <= DISPLAY_TOE;
-    Vec base = (larger(display, splat(DISPLAY_TOE)) + .055f) * (1 / 1.055f), power = exp2(log2(base) * 1.4f);
-    slope = select(low, splat(1 / 12.92f), power * (2.4f / 1.055f));
-    return select(low, display * (1 / 12.92f), power * base);
-}
-inline Vec to_display(Vec light, Vec &slope) {
-    Mask low = light <= LINEAR_TOE;
-    Vec base = larger(light, splat(LINEAR_TOE)), power = exp2(log2(base) * (1 / 2.4f));
-    slope = select(low, splat(12.92f), power / base * (1.055f / 2.4f));
-    return select(low, light * 12.92f, power * 1.055f - .055f);
-}
-
-// Lane l of three vectors from row l of (count, 3), zeros beyond, and back.
-inline void load_rows(const float *from, int count, Vec *to) {
-    for (int c = 0; c < 3; c++) to[c] = Vec{};
-    for (int l = 0; l < count; l++)
-        for (int c = 0; c < 3; c++) to[c][l] = from[3 * l + c];
-}
-inline void store_rows(const Vec *from, int count, float *to) {
-    for (int l = 0; l < count; l++)
-        for (int c = 0; c < 3; c++) to[3 * l + c] = from[c][l];
-}
-
 inline void direction_and_range(const Vec *offset, Vec *direction, Vec &range) {
     // Divided by the largest component first, so that squares of far and near offsets neither overflow nor vanish.
     Vec largest = larger(larger(larger(offset[0], -offset[0]), larger(offset[1], -offset[1])), larger(offset[2], -offset[2]));
@@ -71,7 +45,8 @@ inline void direction_and_range(const Vec *offset, Vec *direction, Vec &range) {
 // Directions in the world of the centres of pixels (x + lane, y); K (3, 3), viewmat (4, 4) world to camera.
 inline void pixel_directions(int64_t x, int64_t y, const float *viewmat, const float *K, Vec *direction) {
     Vec u;
-    for (int l = 0; l < VW; l++) u[l] = (x + l + .5f - K[2]) / K[0];
+    for (int l = 0; l < VW; l++) u[l] = (float)l;
+    u = (u + ((float)x + .5f - K[2])) / K[0];
     float v = (y + .5f - K[5]) / K[4];
     Vec inverse = 1.f / square_root(u * u + (v * v + 1.f));
     for (int i = 0; i < 3; i++) direction[i] = (u * viewmat[i] + (v * viewmat[4 + i] + viewmat[8 + i])) * inverse;
@@ -111,8 +86,8 @@ API void water_forward(int64_t begin, int64_t end, int64_t degree, int64_t linea
     }
 }
 
-// Gradients by colors (N, 3), by the range as gradients by offsets (N, 3), and the sums over [begin, end) of those by
-// the coefficients, in `sums` (33,).
+// Gradients by colors (N, 3), by the range as gradients by offsets (N, 3) unless `by_offsets` is null, and the sums over
+// [begin, end) of those by the coefficients, in `sums` (33,).
 API void water_backward(int64_t begin, int64_t end, int64_t degree, int64_t linear, const float *coefficients,
                         const float *colors, const float *offsets, const float *by_shown, float *by_colors,
                         float *by_offsets, double *sums) {
@@ -142,6 +117,7 @@ API void water_backward(int64_t begin, int64_t end, int64_t degree, int64_t line
             for (int k = 0; k < water.basis_count; k++) total[6 + 3 * k + c] += by_raw * basis[k];
         }
         store_rows(gradient, count, by_colors + 3 * i);
+        if (!by_offsets) continue;
         for (int j = 0; j < 3; j++) direction[j] *= by_range;
         store_rows(direction, count, by_offsets + 3 * i);
     }

@@ -9,6 +9,10 @@ RELATIVE_FLOOR = 1e-3
 """Display value added to the brightness that relative residuals are divided by."""
 COVERED = 0.5
 """Alpha from which a pixel shows a surface."""
+LIKE_WATER = 0.05
+"""Display value: open water differs from its model by less, because of noise, exposure and haze."""
+UNLIKE_WATER = 0.15
+"""Display value by which only surfaces differ from open water."""
 
 
 def photometric(
@@ -74,6 +78,27 @@ def grey_world(restored: Tensor, alpha: Tensor, target: str = "mean") -> Tensor:
     if target == "middle":
         return (means - 0.5).square().sum() * covered.any()
     return (means / means.mean().clamp(min=1e-3) - 1).square().mean() * covered.any()
+
+
+def uncovered_surface(alpha: Tensor, target: Tensor, behind: Tensor, valid: Tensor) -> Tensor:
+    """Measure how much of the surfaces in a training image Gaussians leave open.
+
+    Open water behind a surface that is not finished looks like its backscatter, so that the comparison of images alone
+    leaves far surfaces half transparent. They are too dark then once the water is removed.
+
+    Args:
+        alpha: (H, W) of the rendered image.
+        target: (H, W, 3) the training image, display values.
+        behind: (H, W, 3) display color of open water.
+        valid: (H, W) bool, pixels that count.
+
+    Returns:
+        Mean of 1 - alpha, weighted by how sure it is that a pixel does not show open water: 0 where it differs from
+        that by less than LIKE_WATER in all channels, 1 from UNLIKE_WATER on. A scalar, differentiable in alpha.
+    """
+    apart = (target - behind.detach()).abs().amax(-1)
+    surface = ((apart - LIKE_WATER) / (UNLIKE_WATER - LIKE_WATER)).clamp(0, 1) * valid
+    return (surface * (1 - alpha)).mean()
 
 
 def smoothness(range_image: Tensor, alpha: Tensor, guide: Tensor, median_range: float) -> Tensor:

@@ -8,7 +8,7 @@ from ..rendering.render import Picture
 from ..settings.recipes import Recipe, Weights
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
-from .losses import attenuation_order, grey_world, photometric, smoothness
+from .losses import attenuation_order, grey_world, photometric, smoothness, uncovered_surface
 from .targets import Target
 
 OCEANIC = (0, 1, 2)
@@ -46,6 +46,25 @@ class Objective:
         """Return whether the rendered image has to come with the same image without water."""
         return self.recipe.grey_world > 0 and medium is not None and not self.in_stage_two(fraction)
 
+    def is_photometric(self, target: Target, medium: Medium | WaterNetwork | None, fraction: float) -> bool:
+        """Return whether a target's loss is `photometric` with equal weights, and `coverage_weight` times coverage."""
+        recipe = self.recipe
+        if target.interpolated or target.emphasis is not None or recipe.relative or recipe.open_water:
+            return False
+        hinge = recipe.hinge and medium is not None and self.order
+        consistency = recipe.range_consistency and isinstance(medium, WaterNetwork)
+        others = self.needs_range(target, fraction) or self.needs_restored(medium, fraction) or hinge or consistency
+        return self.in_stage_two(fraction) or not others
+
+    def coverage_weight(self, fraction: float) -> float:
+        """Return the weight of surfaces that Gaussians leave open, `fraction` (0..1) of the way through the run."""
+        return self.recipe.coverage if self.in_stage_two(fraction) else 0.0
+
+    def photometric_weights(self, fraction: float) -> tuple[float, float, float]:
+        """Return the weights of L1, 1 - SSIM and L2, `fraction` (0..1) of the way through the run."""
+        weights = self.recipe.photometric_two if self.in_stage_two(fraction) else self.recipe.photometric
+        return _at(weights.l1, fraction), weights.ssim, _at(weights.l2, fraction)
+
     def reconstruction(self, color: Tensor, target: Target, fraction: float) -> Tensor:
         """Compare a rendered image with its target.
 
@@ -60,17 +79,8 @@ class Objective:
         if target.emphasis is not None:
             # A pixel of weight 1/2 is moved half of the way to the target, so that SSIM is weighted too.
             color = torch.lerp(target.color, color, target.emphasis[..., None])
-        weights = self.recipe.photometric_two if self.in_stage_two(fraction) else self.recipe.photometric
-        return photometric(
-            color,
-            target.color,
-            target.valid,
-            _at(weights.l1, fraction),
-            weights.ssim,
-            _at(weights.l2, fraction),
-            self.recipe.relative,
-            self.backend,
-        )
+        weights = self.photometric_weights(fraction)
+        return photometric(color, target.color, target.valid, *weights, self.recipe.relative, self.backend)
 
     def __call__(
         self, picture: Picture, target: Target, medium: Medium | WaterNetwork | None, fraction: float
@@ -90,6 +100,8 @@ class Objective:
         loss = self.reconstruction(picture.color, target, fraction)
         if target.interpolated:
             return target.weight * loss
+        if (weight := self.coverage_weight(fraction)) and picture.behind is not None:
+            loss = loss + weight * uncovered_surface(picture.alpha, target.color, picture.behind, target.valid)
         if two:
             return loss
         if "depth_prior" in recipe.effects and target.inverse_range is not None and picture.range is not None:

@@ -9,6 +9,8 @@ from ..base.timing import part
 from ..gaussians.densify import random_of
 from ..rendering.importance import visibility
 from ..rendering.render import render
+from ..water.medium import Medium
+from ..water.network import WaterNetwork
 from .densification import strategy_of
 from .dropout import opacity_factors
 from .effect_selection import EffectSelection
@@ -127,13 +129,39 @@ class AutogradStep:
             loss = loss + guided
         with part("backward between kernels"):
             loss.backward()
-        value, problem = step_problem(loss, state.optimizer.parameters())
         gradient = picture.rendering.means2d.grad
-        if problem:
-            state.optimizer.clear_gradients()
-        else:
-            if gradient is not None and state.recipe.undimmed_densification and medium is not None:
-                gradient = gradient / visibility(medium, picture.offsets).detach()[:, None]
-            with part("optimiser"):
-                state.optimizer.step(config.learning_rates)
-        return StepResult(value, problem, gradient, picture.rendering.radii)
+        return update_parameters(state, loss, gradient, picture.rendering.radii, medium, picture.offsets, config)
+
+
+def update_parameters(
+    state: RunState,
+    loss: Tensor,
+    means2d_gradient: Tensor | None,
+    radii: Tensor,
+    medium: Medium | WaterNetwork | None,
+    offsets: Tensor,
+    config: StepConfig,
+) -> StepResult:
+    """Update the parameters by their gradients, unless one is not finite.
+
+    Args:
+        state: State of the run, whose parameters have their gradients; they are cleared.
+        loss: The loss, a scalar.
+        means2d_gradient: (N, 2) gradient by the projected centres, None where there is none.
+        radii: (N,) extent on screen, pixels.
+        medium: The water, None without.
+        offsets: (N, 3) from the camera to the Gaussians, scene units.
+        config: What the schedule says about this iteration.
+
+    Returns:
+        The outcome of the step.
+    """
+    value, problem = step_problem(loss, state.optimizer.parameters())
+    if problem:
+        state.optimizer.clear_gradients()
+    else:
+        if means2d_gradient is not None and state.recipe.undimmed_densification and medium is not None:
+            means2d_gradient = means2d_gradient / visibility(medium, offsets).detach()[:, None]
+        with part("optimiser"):
+            state.optimizer.step(config.learning_rates)
+    return StepResult(value, problem, means2d_gradient, radii)

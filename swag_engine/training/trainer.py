@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +14,19 @@ from ..base.errors import InputError
 from ..base.files import locked_folder
 from ..base.timing import Ledger
 from ..evaluation.metrics import ViewScore, mean_score, median_image_psnr, score_views
+from ..evidence.noise import estimate_noise
 from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, write_json
-from ..gaussians.cloud import GaussianCloud
+from ..gaussians.cloud import GaussianCloud, to_numpy
 from ..gaussians.init import gaussians_from_points
 from ..kernels.backends import device_for
 from ..planning.plan import write_plan
 from ..rendering.model import SceneModel
+from ..rendering.restoration import CONFIDENCE, RestorationLimit, describe_restored, restoration_limit
 from ..scene.colmap import Points, Scene, load_scene
 from ..scene.images import TrainingImage
 from ..semantics.embed import DIMENSIONS
+from ..settings.jerlov import water_of_type
 from ..settings.settings import TrainSettings
 from ..water.medium import MAX_DEGREE, Medium
 from .checkpoint import load_checkpoint, save_checkpoint
@@ -34,6 +37,7 @@ from .guard import Guard, finite_part
 from .guidance import Guidance, find_guidance
 from .inputs import Event, load_inputs
 from .motion import MotionMasks, find_motion
+from .native_step import NativeStep
 from .network_priors import depth_of_images, interpolated_frames
 from .pacing.budget import Budget, fit_budget
 from .pacing.clock import FLAT_DB, FLAT_FRACTION, Clock, is_flat, next_minute
@@ -114,6 +118,8 @@ def make_trainer(
             f"{run.path} holds a training run already; continue it with --resume or choose another folder."
         )
     scene = load_scene(scene_folder)
+    if not resume:
+        settings = with_scale_of(scene, settings)
     settings, budget = fit_budget(scene, settings.sized(), started, schedule.closing_seconds)
     note = ""
     if not resume:
@@ -133,6 +139,18 @@ def make_trainer(
     if resume:
         trainer.resume(longer)
     return trainer
+
+
+def with_scale_of(scene: Scene, settings: TrainSettings) -> TrainSettings:
+    """Return settings with the scene's measured scale where they have none.
+
+    Raises:
+        InputError: If the water is one per metre, and neither has a scale.
+    """
+    settings = replace(settings, metres_per_unit=settings.metres_per_unit or scene.metres_per_unit)
+    if settings.water_type != "auto":
+        water_of_type(settings.water_type, settings.metres_per_unit)
+    return settings
 
 
 class Trainer:
@@ -214,7 +232,8 @@ class Trainer:
 
     def _act_on(self, guidance: Guidance | None) -> None:
         self.guidance = guidance
-        self.step: Step = AutogradStep(self.inputs, self.selection, guidance)
+        otherwise = AutogradStep(self.inputs, self.selection, guidance)
+        self.step: Step = NativeStep(self.inputs, self.selection, otherwise)
         self.densification = Densification(self.inputs, self.selection, self.targets, guidance)
 
     # -- the run ------------------------------------------------------------------------------------------------------
@@ -258,8 +277,11 @@ class Trainer:
                 self.save()
                 saved = time.monotonic()
         self.guard.check_result(self.state.guarded, self.state.optimizer)
-        self.save()
-        return self._finish(loss, interrupted)
+        self.save()  # before anything that takes long: whoever stops a run may not wait for it
+        limit = within_memory(self._restoration_limit) if self._restores else None
+        if limit:
+            self.save(limit)
+        return self._finish(loss, interrupted, limit)
 
     def iterate(self) -> float:
         """Make one iteration and return its loss; one that runs out of memory is abandoned and the run reduced."""
@@ -347,7 +369,7 @@ class Trainer:
                 if should_stop():
                     return None
                 self.iterate()
-            return self._scores(self.inputs.validation)
+            return self._scores(self.inputs.validation, fork.cloud)
 
         best = run_trials(before, due, self._copied, self.selection.switch, score_after)
         self.state = best or before
@@ -404,14 +426,14 @@ class Trainer:
         path = str(self.run.preview)
         self.on_event({"event": "preview", "path": path, "iteration": state.iteration, "water": water})
 
-    def _scores(self, images: Sequence[TrainingImage]) -> list[ViewScore]:
+    def _scores(self, images: Sequence[TrainingImage], cloud: GaussianCloud) -> list[ViewScore]:
         """Score images; on the CPU where the card has too little memory, with NaN where no memory suffices."""
         state, settings = self.state, self.inputs.settings
         degree, backend = settings.sh_degree, settings.backend
-        found = within_memory(lambda: score_views(state.cloud, images, degree, backend, state.effects))
+        found = within_memory(lambda: score_views(cloud, images, degree, backend, state.effects))
         if found is None:
-            cloud, effects = state.cloud.to(CPU), deepcopy(state.effects).to(CPU)
-            found = within_memory(lambda: score_views(cloud, images, degree, "auto", effects))
+            on_cpu, effects = cloud.to(CPU), deepcopy(state.effects).to(CPU)
+            found = within_memory(lambda: score_views(on_cpu, images, degree, "auto", effects))
         state.relief.unscored |= found is None
         return found or [ViewScore(image.camera.name, math.nan, math.nan, math.nan, 0) for image in images]
 
@@ -419,14 +441,15 @@ class Trainer:
         """Score the validation images and log the result. Test images are never scored here."""
         state, inputs = self.state, self.inputs
         started, seconds = time.monotonic(), self.pacer.seconds
-        state.psnr, state.ssim = mean_score(self._scores(inputs.validation))
+        state.psnr, state.ssim = mean_score(self._scores(inputs.validation, state.cloud))
         state.curve.append((round(state.clock.fraction, 4), round(seconds, 2), state.psnr))
         if budget := self.pacer.budget:
             each = (time.monotonic() - started) / len(inputs.validation)
-            budget.held_out = each * (len(inputs.validation) + len(inputs.test))
+            restored = len(inputs.training) if self._restores else 0
+            budget.held_out = each * (len(inputs.validation) + len(inputs.test) + restored)
         if state.recipe.dropout:
             scored = inputs.training[:: -(-len(inputs.training) // SCORED_IMAGES)]
-            self.training_psnr = mean_score(self._scores(scored))[0]
+            self.training_psnr = mean_score(self._scores(scored, state.cloud))[0]
             state.dropout = dropout_rate(self.training_psnr, state.psnr, state.recipe.dropout)
         self.run.log(
             {
@@ -443,18 +466,39 @@ class Trainer:
 
     # -- results ------------------------------------------------------------------------------------------------------
 
-    def _finish(self, loss: float, interrupted: bool) -> Event:
+    @property
+    def _restores(self) -> bool:
+        """Whether restored colors are limited; recipes with water on display values stay as their papers have them."""
+        medium = self.state.effects.medium
+        return isinstance(medium, Medium) and medium.light == "linear"
+
+    def _restoration_limit(self) -> RestorationLimit:
+        state, inputs = self.state, self.inputs
+        medium = state.effects.medium
+        assert isinstance(medium, Medium)
+        noise = estimate_noise(inputs.training)
+        cameras = [image.camera for image in inputs.training]
+        limit, restored = restoration_limit(
+            state.cloud, cameras, medium, noise, state.effects.lamp, inputs.settings.backend
+        )
+        self.notes += filter(None, [describe_restored(restored)])
+        return limit
+
+    def _finish(self, loss: float, interrupted: bool, limit: RestorationLimit | None) -> Event:
         """Write results and figures; return the `result` event."""
         state, inputs = self.state, self.inputs
         seconds, dropped = self.pacer.seconds, state.dropout
         if inputs.validation and state.iteration:
             self._validate(loss)
-        splats = state.cloud.to_splats()
+        cloud = limit.apply(state.cloud) if limit else state.cloud
+        splats = cloud.to_splats()
+        if limit:
+            splats.extras[CONFIDENCE] = to_numpy(limit.least_confidence)
         if self.guidance:
             self.guidance.write(self.run.path, splats, inputs.scene.up.tolist(), state.cloud)
         else:
             self.run.write_result(splats, inputs.scene.up)
-        scores = self._scores(inputs.test)
+        scores = self._scores(inputs.test, cloud)
         test_psnr, test_ssim = mean_score(scores)
         overfitting = dropout_note(dropped, self.training_psnr, state.psnr)
         guard_note = self.guard.note(state.guarded, state.iteration)
@@ -507,11 +551,17 @@ class Trainer:
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
-    def save(self) -> None:
-        """Write a checkpoint of the run."""
+    def save(self, limit: RestorationLimit | None = None) -> None:
+        """Write a checkpoint of the run.
+
+        Args:
+            limit: Limit of the restored colors, at the end of a run. It is beside the Gaussians and not applied to
+                them, so that the run can continue.
+        """
         state = self.state
         state.seconds, state.budget_spent = self.pacer.seconds, self.pacer.budget_spent
-        path = save_checkpoint(self.run.path, state.iteration, *state.to_checkpoint())
+        tensors, stored = state.to_checkpoint()
+        path = save_checkpoint(self.run.path, state.iteration, tensors | (limit.tensors() if limit else {}), stored)
         self.on_event({"event": "checkpoint", "path": str(path)})
 
     def resume(self, longer: bool = False) -> None:

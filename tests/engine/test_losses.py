@@ -6,7 +6,13 @@ import torch
 
 from swag_engine.base.timing import Ledger
 from swag_engine.evaluation.ssim import ssim
-from swag_engine.training.losses import attenuation_order, grey_world, photometric, smoothness
+from swag_engine.training.losses import (
+    attenuation_order,
+    grey_world,
+    photometric,
+    smoothness,
+    uncovered_surface,
+)
 
 SIZES = [(1, 1), (4, 7), (11, 11), (23, 41), (9, 330)]  # the last one is wider than a block of the kernel
 
@@ -193,3 +199,17 @@ def test_attenuation_out_of_order_is_penalised_by_channel():
     beta = torch.tensor([0.3, 0.1, 0.05])
     assert attenuation_order(beta, (0, 1, 2)).item() == 0
     assert attenuation_order(beta, (2, 1, 0)).item() == pytest.approx(0.2 + 0.05 + 2e-3)
+
+
+def test_surfaces_are_pushed_to_be_opaque_and_open_water_is_not():
+    behind = torch.tensor([0.1, 0.4, 0.5]).expand(1, 4, 3)
+    target = behind.clone()
+    target[0, 1, 0], target[0, 2, 1], target[0, 3] = 0.14, 0.3, 0.9  # haze, half way, surface
+    valid = torch.ones(1, 4, dtype=torch.bool)
+    value, gradient = value_and_gradient(
+        lambda alpha: uncovered_surface(alpha, target, behind, valid), torch.tensor([[0.2, 0.2, 0.6, 0.5]])
+    )
+    assert gradient[0].tolist() == pytest.approx([0, 0, -0.5 / 4, -1 / 4], abs=1e-6)
+    assert value == pytest.approx((0.5 * 0.4 + 0.5) / 4)
+    valid[0, 3] = False
+    assert uncovered_surface(torch.zeros(1, 4), target, behind, valid) == pytest.approx(0.5 / 4)

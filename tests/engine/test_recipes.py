@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from swag_engine.base.errors import InputError
 from swag_engine.evaluation.ssim import ssim
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.georeference import Georeference, write_georeference
 from swag_engine.scene.images import load_images
 from swag_engine.scene.split import split_views
 from swag_engine.settings import recipes
@@ -99,7 +100,28 @@ def test_stage_two_has_its_own_weights():
     assert objective.reconstruction(color, target, 0.6).item() == pytest.approx(0.05 * 0.25 + 0.9 * 0.0625)
 
 
+def test_surfaces_are_closed_in_stage_two_alone():
+    objective = Objective(Recipe(stage_two_from=0.5, coverage=0.1), 1.0, None, "torch")
+    color: torch.Tensor = torch.full((4, 4, 3), 0.5)
+    target: Any = StubTarget()
+    target.valid = torch.ones(4, 4, dtype=torch.bool)
+    picture: Any = StubPicture(color, torch.full((4, 4), 0.25), behind=torch.zeros(4, 4, 3))
+    assert objective(picture, target, None, 0.4).item() == pytest.approx(0, abs=1e-6)
+    assert objective(picture, target, None, 0.6).item() == pytest.approx(0.1 * 0.75)
+    picture.behind = None
+    assert objective(picture, target, None, 0.6).item() == 0
+
+
+@dataclass
+class StubPicture:
+    color: torch.Tensor
+    alpha: torch.Tensor
+    behind: torch.Tensor | None
+    range = restored = None
+
+
 class StubTarget:
+    interpolated = False
     color = torch.full((4, 4, 3), 0.5)
     valid = None
     weight = 1.0
@@ -187,13 +209,30 @@ def test_damaged_depth_is_ignored_with_a_note(tmp_path):
     [
         ({"water_type": "IX", "metres_per_unit": 1.0}, "not known: use one of I, IA"),
         ({"water_type": "-1,0,0", "metres_per_unit": 1.0}, "from 0 to 10"),
-        ({"water_type": "II"}, "scene's scale is needed"),
         ({"metres_per_unit": -1.0}, "must be a number from"),
     ],
 )
 def test_impossible_water_settings_are_refused(values, message):
     with pytest.raises(InputError, match=message):
         TrainSettings(**values)
+
+
+def test_a_water_type_needs_the_scale_of_the_scene(tiny_scene, tmp_path):
+    with pytest.raises(InputError, match="scene's scale is needed"):
+        train(tiny_scene, tmp_path / "run", replace(SETTINGS, water_type="II"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_training_takes_the_measured_scale_of_the_scene(tiny_scene, tmp_path):
+    scene, run = tmp_path / "scene", tmp_path / "run"
+    shutil.copytree(tiny_scene, scene)
+    measured = Georeference(0.5, 0.01, "targets", "estimated", np.eye(3), np.zeros(3))
+    write_georeference(scene, measured)
+    train(scene, run, replace(SETTINGS, water_type="II", iterations=4))
+    assert json.loads((run / "config.json").read_text())["settings"]["metres_per_unit"] == 0.5
+    assert json.loads((run / "water.json").read_text())["per"] == "metre"
+    train(scene, tmp_path / "own", replace(SETTINGS, metres_per_unit=2.0, iterations=4))
+    assert json.loads((tmp_path / "own" / "config.json").read_text())["settings"]["metres_per_unit"] == 2.0
 
 
 def test_a_chosen_water_type_is_modelled_whatever_the_evidence(tiny_scene, tmp_path):

@@ -179,7 +179,7 @@ def test_a_file_that_cannot_be_written_whole_is_an_error_and_leaves_no_run_folde
 
 
 @pytest.mark.parametrize(
-    "values", [{"iterations": -1}, {"width": "640"}, {"backend": "gpu"}, {"colour": 3}, {"seed": True}]
+    "values", [{"iterations": -1}, {"width": "640"}, {"backend": "gpu"}, {"color": 3}, {"seed": True}]
 )
 def test_settings_are_checked(values):
     with pytest.raises(InputError):

@@ -10,9 +10,16 @@ import pytest
 import torch
 
 from swag_engine.base.errors import InputError
-from swag_engine.experiments.evaluate_run import evaluate_run, render_run
+from swag_engine.experiments.develop_run import automatic_development
+from swag_engine.experiments.evaluate_run import evaluate_run, load_newest, load_run, render_run
+from swag_engine.experiments.report import write_report
+from swag_engine.formats.export import ExportOptions, export_run
+from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.splats.develop_splats import bake_development
+from swag_engine.splats.development import NO_DEVELOPMENT, Development
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
 
@@ -57,6 +64,30 @@ def test_evaluation_repeats_the_figures_and_restored_colors_are_nearer_to_the_tr
     assert errors["swag"] < 0.7 * errors["3dgs"]
 
 
+def test_the_result_has_limited_colors_and_their_confidence_and_the_checkpoint_those_of_training(runs):
+    splats, loaded = read_ply(runs / "swag" / "result.ply"), load_run(runs / "swag")
+    np.testing.assert_array_equal(splats.sh[:, 0], loaded.cloud.sh0[:, 0].numpy())
+    confidence = splats.extras["confidence"]
+    np.testing.assert_array_equal(confidence, loaded.confidence.numpy())
+    assert confidence.dtype == np.float32 and 0 <= confidence.min() < 0.97 < confidence.max() <= 1
+    trained = load_checkpoint(runs / "swag")[0]["cloud.sh0"]
+    changed = (loaded.cloud.sh0 - trained).abs().amax((1, 2)).numpy()
+    assert 0 < np.median(changed[confidence > 0.99]) < 0.02 < np.quantile(changed[confidence < 0.97], 0.9)
+    assert read_glb(runs / "swag" / "result.glb").extras.keys() == {"confidence"}
+
+
+def test_the_report_maps_the_confidence(runs):
+    page = write_report(runs / "swag").read_text()
+    assert page.count("<figcaption>confidence</figcaption>") == 3 and "Confidence maps show" in page
+
+
+def test_without_water_no_color_is_limited(runs):
+    splats, trained = read_ply(runs / "3dgs" / "result.ply"), load_checkpoint(runs / "3dgs")[0]
+    np.testing.assert_array_equal(splats.sh[:, 0], trained["cloud.sh0"][:, 0].numpy())
+    assert not splats.extras and load_run(runs / "3dgs").confidence is None
+    assert "Confidence" not in write_report(runs / "3dgs").read_text()
+
+
 def test_the_amount_of_water_can_be_chosen(runs, tmp_path):
     means = []
     for amount in (0.0, 0.5, 1.0):
@@ -70,6 +101,46 @@ def test_the_amount_of_water_can_be_chosen(runs, tmp_path):
         render_run(runs / "swag", tmp_path, None, 1.5)
 
 
+def test_restored_views_are_developed_and_what_is_measured_is_not(runs, tmp_path):
+    cloud, effects, _ = load_newest(runs / "swag")
+    found = automatic_development(runs / "swag", cloud, effects)
+    assert max(found["clipped"]) <= 0.01 and max(found["clipped"]) <= max(found["clipped_before"])
+
+    def picture(name, **options):
+        (path,) = render_run(runs / "swag", tmp_path / name, "reef_000.jpg", **options)
+        return path
+
+    def pixels(name, **options):
+        return cv2.imread(str(picture(name, **options)))[..., ::-1].astype(np.float64) / 255
+
+    plain, developed = pixels("none", water=0, develop="none"), pixels("auto", water=0)
+    wanted = Development.from_json(found).apply(plain)
+    below = plain.max(axis=-1) < 0.99  # what 8 bits have cut cannot be developed
+    assert np.abs(developed - wanted)[below].max() < 0.03 and np.abs(developed - plain).mean() > 0.01
+    assert np.array_equal(pixels("photo", water=1), pixels("photo, none", water=1, develop="none"))
+    assert pixels("brighter", water=1, develop="exposure=1").mean() > pixels("photo", water=1).mean() + 0.1
+    assert picture("light", water=0, exr=True).suffix == ".exr"
+    with pytest.raises(InputError, match="no color chart"):
+        render_run(runs / "swag", tmp_path, None, 0.0, "chart")
+
+    write_report(runs / "swag")
+    assert "Development" in (runs / "swag" / "report.html").read_text(encoding="utf-8")
+    kept = RunFolder(runs / "swag").color_view("auto").restored
+    assert kept == Development.from_json(found)
+    for develop, expected in (("none", NO_DEVELOPMENT), ("auto", kept)):
+        out = tmp_path / f"{develop}.ply"
+        result = export_run(runs / "swag", "ply", out, ExportOptions(develop=develop))
+        wanted = bake_development(read_ply(runs / "swag" / "result.ply"), expected)
+        np.testing.assert_allclose(read_ply(out).sh, wanted.sh, atol=1e-6)
+        assert any("developed" in note for note in result["notes"]) == (develop == "auto")
+
+
+def test_photos_without_modelled_water_are_not_developed(runs):
+    cloud, effects, _ = load_newest(runs / "3dgs")
+    found = automatic_development(runs / "3dgs", cloud, effects)
+    assert Development.from_json(found) == NO_DEVELOPMENT and "No water" in found["note"]
+
+
 def test_a_resumed_run_keeps_its_water(runs, tmp_path):
     asked = iter(range(10**9))
     settings = TrainSettings(**{**SETTINGS.to_json(), "recipe": "swag"})
@@ -79,5 +150,5 @@ def test_a_resumed_run_keeps_its_water(runs, tmp_path):
     train(REEF, tmp_path / "run", settings, resume=True)
     expected, _ = load_checkpoint(runs / "swag")
     got, _ = load_checkpoint(tmp_path / "run")
-    assert "medium.veil" in expected
+    assert {"medium.veil", "restoration.confidence"} <= set(expected)
     assert all(torch.equal(got[name], expected[name]) for name in expected)

@@ -1,0 +1,169 @@
+// From a blended image (height, width, 3) to the photo that a camera would take of it, its differences from a training image,
+// and back.
+#include "light.h"
+#include "simd.h"
+
+namespace {
+
+constexpr int TERMS = 3;         // of the vignetting's polynomial
+constexpr int SUMS = 3 + TERMS;  // gradients by the logs of the gains (3) and by the polynomial's coefficients
+
+// What a camera does to linear light (effects/exposure.py, effects/vignetting.py): a gain for each channel times
+// 1 + k1 r^2 + k2 r^4 + k3 r^6 within bounds, r from the principal point over half of the image's diagonal.
+struct Gain {
+    float gain[3], k[TERMS], centre_x, centre_y, least, most, scale;
+
+    // numbers: gain (3), k (3), principal point as fractions of width and height, least and most of the polynomial; null for
+    // no gain.
+    Gain(const float *numbers, int64_t height, int64_t width) {
+        if (!numbers) return;
+        memcpy(gain, numbers, sizeof gain);
+        memcpy(k, numbers + 3, sizeof k);
+        centre_x = numbers[6] * width, centre_y = numbers[7] * height;
+        least = numbers[8], most = numbers[9];
+        scale = 4.f / (float)(width * width + height * height);
+    }
+
+    Vec squared_radius(int64_t x, int64_t y) const {
+        Vec dx;
+        for (int l = 0; l < VW; l++) dx[l] = (float)l;
+        dx += (float)x + .5f - centre_x;
+        float dy = (float)y + .5f - centre_y;
+        return (dx * dx + dy * dy) * scale;
+    }
+
+    Vec polynomial(Vec squared) const {
+        Vec change = Vec{};
+        for (int j = TERMS - 1; j >= 0; j--) change = (change + k[j]) * squared;
+        return 1.f + change;
+    }
+
+    Vec bounded(Vec p) const { return larger(smaller(p, splat(most)), splat(least)); }
+};
+
+// VW floats from place i on, zeros beyond `end`.
+inline Vec load(const float *from, int64_t i, int64_t end) {
+    Vec v = {};
+    if (i + VW <= end)
+        memcpy(&v, from + i, sizeof v);
+    else
+        memcpy(&v, from + i, (end - i) * sizeof(float));
+    return v;
+}
+
+// Pixels (x .. x + count, y) as the rasteriser and the water behind make them, before any gain.
+inline void compose(const float *blended, const float *transmittance, const float *behind, int64_t pixel, int count,
+                    Vec &T, Vec *color, Vec *water) {
+    load_rows(blended + 3 * pixel, count, color);
+    if (!behind) return;
+    T = load(transmittance, pixel, pixel + count);
+    load_rows(behind + 3 * pixel, count, water);
+    for (int c = 0; c < 3; c++) color[c] += T * water[c];
+}
+
+// Calls visit(x) for each pixel of a row that is not valid.
+template <class Visit>
+inline void for_invalid(const uint8_t *valid, int64_t width, Visit visit) {
+    if (!memchr(valid, 0, width)) return;
+    for (int64_t x = 0; x < width; x++)
+        if (!valid[x]) visit(x);
+}
+
+}  // namespace
+
+// Rows [begin, end): photo (H, W, 3) = the blended image over the open water `behind` (H, W, 3) with the gain applied, and
+// equal to the target where a pixel is not valid; target (H, W, 3) from bytes; sums (H, 2) of each row's |photo - target|
+// and its square. behind and gain_numbers may be null.
+API void photo_forward(int64_t begin, int64_t end, int64_t height, int64_t width, const float *blended,
+                       const float *transmittance, const float *behind, const float *gain_numbers, const uint8_t *pixels,
+                       const uint8_t *valid, float *photo, float *target, double *sums) {
+    const Gain gain(gain_numbers, height, width);
+    for (int64_t y = begin; y < end; y++) {
+        int64_t first = 3 * y * width, floats = 3 * width;
+        float *__restrict row = photo + first, *__restrict wanted = target + first;
+        for (int64_t i = 0; i < floats; i++) wanted[i] = pixels[first + i] / 255.f;
+        if (!behind && !gain_numbers) memcpy(row, blended + first, floats * sizeof(float));
+        for (int64_t x = 0; x < width && (behind || gain_numbers); x += VW) {
+            int count = (int)smaller<int64_t>(VW, width - x);
+            Vec T, color[3], water[3], slope;
+            compose(blended, transmittance, behind, y * width + x, count, T, color, water);
+            if (gain_numbers) {
+                Vec factor = gain.bounded(gain.polynomial(gain.squared_radius(x, y)));
+                for (int c = 0; c < 3; c++)
+                    color[c] = to_display(to_light(color[c], slope) * (factor * gain.gain[c]), slope);
+            }
+            store_rows(color, count, row + 3 * x);
+        }
+        for_invalid(valid + y * width, width, [&](int64_t x) { memcpy(row + 3 * x, wanted + 3 * x, 3 * sizeof(float)); });
+        Vec absolute = {}, square = {};
+        for (int64_t i = 0; i < floats; i += VW) {
+            Vec error = load(row, i, floats) - load(wanted, i, floats);
+            absolute += larger(error, -error);
+            square += error * error;
+        }
+        sums[2 * y] = sum(absolute);
+        sums[2 * y + 1] = sum(square);
+    }
+}
+
+// Rows [begin, end) of the gradients by the blended image, by alpha and by what is behind, and each row's sums (H, 6) of
+// those by the logs of the gains and the polynomial's coefficients. The gradient by the photo is `by_photo` (H, W, 3), if it
+// is not null, plus `absolute` sign(error) plus `square` error.
+API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t width, const float *blended,
+                        const float *transmittance, const float *behind, const float *gain_numbers, const uint8_t *valid,
+                        const float *photo, const float *target, const float *by_photo, float absolute, float square,
+                        float *by_blended, float *by_alpha, float *by_behind, double *sums) {
+    const Gain gain(gain_numbers, height, width);
+    for (int64_t y = begin; y < end; y++) {
+        int64_t first = 3 * y * width, floats = 3 * width;
+        const float *__restrict seen = photo + first, *__restrict wanted = target + first;
+        float *__restrict row = by_blended + first;
+        if (by_photo)
+            memcpy(row, by_photo + first, floats * sizeof(float));
+        else
+            memset(row, 0, floats * sizeof(float));
+        for (int64_t i = 0; i < floats; i++) {
+            float error = seen[i] - wanted[i];
+            row[i] += square * error + absolute * (float)((error > 0) - (error < 0));
+        }
+        for_invalid(valid + y * width, width, [&](int64_t x) { memset(row + 3 * x, 0, 3 * sizeof(float)); });
+        memset(by_alpha + y * width, 0, width * sizeof(float));
+
+        Vec total[SUMS] = {};
+        for (int64_t x = 0; x < width && (behind || gain_numbers); x += VW) {
+            int count = (int)smaller<int64_t>(VW, width - x);
+            int64_t pixel = y * width + x;
+            Vec T, color[3], water[3], by[3];
+            load_rows(row + 3 * x, count, by);
+            compose(blended, transmittance, behind, pixel, count, T, color, water);
+            if (gain_numbers) {
+                Vec squared = gain.squared_radius(x, y), polynomial = gain.polynomial(squared);
+                Vec factor = gain.bounded(polynomial), by_log_factor = {};
+                for (int c = 0; c < 3; c++) {
+                    Vec in_slope, out_slope, applied = factor * gain.gain[c], light = to_light(color[c], in_slope) * applied;
+                    to_display(light, out_slope);
+                    Vec by_light = by[c] * out_slope, by_log = by_light * light;
+                    by[c] = by_light * applied * in_slope;
+                    total[c] += by_log;
+                    by_log_factor += by_log;
+                }
+                Vec by_term = masked((polynomial >= gain.least) & (polynomial <= gain.most), by_log_factor / factor);
+                for (int j = 0; j < TERMS; j++) total[3 + j] += by_term *= squared;
+                store_rows(by, count, row + 3 * x);
+            }
+            if (behind) {
+                Vec through_alpha = {};
+                for (int c = 0; c < 3; c++) {
+                    through_alpha -= by[c] * water[c];
+                    by[c] *= T;
+                }
+                if (count == VW)
+                    memcpy(by_alpha + pixel, &through_alpha, sizeof through_alpha);
+                else
+                    memcpy(by_alpha + pixel, &through_alpha, count * sizeof(float));
+                store_rows(by, count, by_behind + 3 * pixel);
+            }
+        }
+        for (int k = 0; k < SUMS; k++) sums[SUMS * y + k] = sum(total[k]);
+    }
+}
