@@ -15,7 +15,7 @@ class SWAG_OT_inspect_scene(SceneJob):
     bl_label = "Check Photos"
     job = "Check"
 
-    def request(self, swag: SwagScene) -> dict[str, Any]:
+    def question(self, swag: SwagScene) -> dict[str, Any]:
         """The request with a folder for the engine's arrays."""
         swag.found = ""
         self._arrays = tempfile.TemporaryDirectory()

@@ -18,10 +18,8 @@ class SWAG_OT_pick_scale(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether the scene can be scaled, from a 3D viewport."""
-        if scale.scaled_object(context) is None:
-            cls.poll_message_set("Import a scene or open splats; where there are several, select one of them")
-            return False
-        return context.area is not None and context.area.type == "VIEW_3D"
+        in_viewport = context.area is not None and context.area.type == "VIEW_3D"
+        return scale.can_scale(cls, context) and in_viewport
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Wait for two clicks."""

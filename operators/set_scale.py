@@ -37,10 +37,7 @@ class SWAG_OT_set_scale(ReportingOperator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether it is clear what to scale."""
-        if scale.scaled_object(context) is None:
-            cls.poll_message_set("Import a scene or open splats; where there are several, select one of them")
-            return False
-        return True
+        return scale.can_scale(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for the distance, beginning with the present one."""

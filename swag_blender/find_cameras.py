@@ -6,10 +6,12 @@ from typing import Any, cast
 import bpy
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.scene.cameras import CAMERA_PAGE
 from . import scene_import
 from .blender_types import set_button
 from .properties import status_of, swag_of
 from .sidebar import draw_job, draw_outcome
+from .web_page import open_page
 
 JOB = "Find Cameras"
 
@@ -42,6 +44,34 @@ def free_scene_folder(source: Path) -> Path:
         number += 1
         folder = source.with_name(f"{name}-{number}")
     return folder
+
+
+def camera_page(context: bpy.types.Context) -> Path | None:
+    """The page about the cameras of the chosen photos, None where there is none."""
+    folder = swag_of(context.scene).scene_path
+    page = Path(folder, CAMERA_PAGE)
+    return page if folder and page.is_file() else None
+
+
+def open_camera_page(context: bpy.types.Context) -> None:
+    """Open the page about the cameras of the chosen photos in the web browser.
+
+    Raises:
+        InputError: there is no page, or no browser.
+    """
+    page = camera_page(context)
+    if page is None:
+        raise InputError(
+            f"The chosen photos have no {CAMERA_PAGE}: Find Cameras writes it, and `inspect SCENE --page FILE` on the "
+            "command line for cameras from elsewhere."
+        )
+    open_page(page)
+
+
+def draw_camera_page(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the button that opens the page about the cameras; nothing where there is none."""
+    if camera_page(context):
+        layout.operator("swag.open_camera_page", icon="URL")
 
 
 def draw_find_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -1,17 +1,20 @@
-"""Length of a metre in an imported scene, from a distance that the user knows."""
+"""Length of a metre in an imported scene, from a distance that the user knows, or from coded targets."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import bpy
 from mathutils import Vector
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.scene.georeference import describe_scale
 from . import scene_import, splats
 from .blender_types import present
+from .georeference import METRES_KEY, apply_georeference, georeference_of, scale_about_origin, use_units
 from .properties import swag_of
 
-METRES_KEY = "swag_metres_per_unit"
-"""Property of a scene's root, or of splats without one: metres in a unit of its own space."""
+JOB = "Scale"
+"""Name of the job that looks for targets."""
 SELECT_TWO = "Select two objects at different places, such as two cameras, or pick two points."
 
 
@@ -61,21 +64,64 @@ def scale_to_distance(context: bpy.types.Context, ends: Sequence[Vector], distan
         raise InputError(SELECT_TWO)
     factor = distance / length
     obj, scene = present(scaled_object(context)), present(context.scene)
-    if scene.unit_settings.system == "NONE":
-        scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 1.0
+    use_units(scene)
     metres = obj.matrix_world.median_scale * factor * scene.unit_settings.scale_length
-    _scale_about_origin(obj, factor)
+    scale_about_origin(obj, factor)
     obj[METRES_KEY] = metres
     swag_of(scene).metres_per_unit = metres
     return metres
 
 
-def _scale_about_origin(obj: bpy.types.Object, factor: float) -> None:
-    """Scale an object and the clipping distances of the cameras below it about the world's origin."""
-    scaled = obj.matrix_world.copy() * factor
-    scaled[3] = (0.0, 0.0, 0.0, 1.0)
-    obj.matrix_world = scaled
-    for child in obj.children_recursive:
-        if isinstance(child.data, bpy.types.Camera):
-            child.data.clip_start *= factor
-            child.data.clip_end *= factor
+def is_measured(context: bpy.types.Context) -> bool:
+    """Whether the engine measured the scale of the imported scene, which trainings then take."""
+    return georeference_of(scene_import.active_root(context)) is not None
+
+
+def can_scale(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether it is clear what to scale, for `poll` of an operator that needs it."""
+    if scaled_object(context) is None:
+        operator.poll_message_set("Import a scene or open splats; where there are several, select one of them")
+        return False
+    return True
+
+
+def has_scene(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Whether it is clear which imported scene is meant; tells the user where it is not."""
+    if scene_import.active_root(context) is None:
+        cls.poll_message_set("Import the scene first; where there are several, select one of them")
+        return False
+    return True
+
+
+def targets_request(context: bpy.types.Context, family: str, size: float) -> dict[str, Any]:
+    """The engine's request for the scale of the imported scene from coded targets.
+
+    Args:
+        context: its active object belongs to the scene, or there is only one.
+        family: a name of the engine's families of targets.
+        size: edge length of the targets in metres.
+
+    """
+    root = present(scene_import.active_root(context))
+    return {"request": "scale", "scene": root[scene_import.ROOT_KEY], "targets": family, "size": size}
+
+
+def take_scale(scene_name: str, event: dict[str, Any]) -> str:
+    """Scale an imported scene as a `scale` result says; returns what to tell the user.
+
+    Args:
+        scene_name: name of the Blender scene that was open when the scale was asked for.
+        event: the event.
+
+    Raises:
+        InputError: the scene was removed.
+    """
+    scene = bpy.data.scenes.get(scene_name)
+    folder = event["scene"]
+    found = [root for root in scene_import.roots(scene) if root[scene_import.ROOT_KEY] == folder] if scene else []
+    if not scene or not found:
+        raise InputError(f"{folder} was removed; import it again: it then has the scale that was measured.")
+    for root in found:
+        apply_georeference(root, scene, event)
+    swag_of(scene).metres_per_unit = 0.0  # the measured one
+    return " ".join((f"{describe_scale(event)}.", *event["notes"]))

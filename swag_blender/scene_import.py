@@ -18,6 +18,7 @@ from mathutils.kdtree import KDTree
 from ..swag_engine.base.errors import InputError
 from . import framing
 from .blender_types import present
+from .georeference import apply_georeference
 from .nodes import point_material
 from .properties import swag_of
 from .splats import is_splats, new_pointcloud
@@ -33,12 +34,17 @@ OPENCV_TO_BLENDER = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))
 
 
 def describe(result: dict[str, Any]) -> str:
-    """The result of an `inspect` request in lines: what was found in the first, then what is doubtful, one a line."""
-    found = f"{result['registered']} of {result['images']} photos have a camera, {result['points']['count']} points"
+    """The result of an `inspect` or `sfm` request in lines: what was found in the first, then doubts, one a line."""
+    taken = "".join(f"{note} " for note in result.get("notes", ()))
+    found = f"{taken}{result['registered']} of {result['images']} photos have a camera, "
+    found += f"{result['points']['count']} points"
     if lenses := result["summary"]["cameras"]:
-        most = lenses[0]
-        found += f", field of view {most['field_of_view']:.0f}° (focal length {most['focal_length']:.0f} px)"
+        most, error = lenses[0], result["summary"]["focal_error"]
+        sure = f" ± {error:.1%}" if error is not None and len(lenses) == 1 else ""
+        found += f", field of view {most['field_of_view']:.0f}° (focal length {most['focal_length']:.0f} px{sure})"
         found += f", the most frequent of {len(lenses)} lenses" if len(lenses) > 1 else ""
+    if drift := result["summary"]["drift"]:
+        found += f", drift {drift['share']:.1%} of the path"
     return "\n".join((found, *result["warnings"]))
 
 
@@ -79,8 +85,8 @@ def import_scene(result: dict[str, Any], scene: bpy.types.Scene) -> bpy.types.Ob
     """Build the objects of a worker's `inspect` result in a new collection of the Blender scene; returns the root.
 
     The first camera becomes the active one and gives the render its resolution. The view transform becomes Standard,
-    which leaves the colours of images and splats as they are. Raises OSError or ValueError when the arrays that the
-    result names cannot be read.
+    which leaves the colors of images and splats as they are. A measured scale is applied. Raises OSError or ValueError
+    when the arrays that the result names cannot be read.
     """
     positions = np.load(result["points"]["positions"]).astype(np.float32)
     colors = np.load(result["points"]["colors"])
@@ -114,6 +120,8 @@ def import_scene(result: dict[str, Any], scene: bpy.types.Scene) -> bpy.types.Ob
         data = cast(bpy.types.Camera, obj.data)
         data.display_size = _camera_display_size(centres, extent)
         data.clip_start, data.clip_end = extent * 0.001, extent * 100.0
+    if measured := result.get("scale"):
+        apply_georeference(root, scene, measured)
     cast(Any, scene.view_settings).view_transform = "Standard"
     if made:
         look_through(scene, made[0])

@@ -4,6 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+CAMERA_PAGE = "cameras.html"
+"""File name of the page about its cameras in the folder of a scene."""
+
 
 @dataclass(frozen=True, eq=False)
 class Camera:

@@ -11,9 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.text import first_names
 from .cameras import Camera
 from .colmap_library import pycolmap
+from .georeference import Georeference, read_georeference
 from .lenses import Lens
+from .model_quality import FEW_REGISTERED
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
 
@@ -70,7 +73,8 @@ class Scene:
         image_count: Number of image files in `image_folder`.
         missing: Names of the registered images that are not there.
         warnings: Sentences for the user.
-        up: Unit vector (3,) float64 in the world (see `up_direction`).
+        up: Unit vector (3,) float64 in the world, that of `georeference` where it was measured (see `up_direction`).
+        georeference: Scale, axes and coordinates, None where they were not measured.
     """
 
     folder: Path
@@ -82,9 +86,15 @@ class Scene:
     missing: tuple[str, ...]
     warnings: tuple[str, ...]
     up: np.ndarray
+    georeference: Georeference | None = None
+
+    @property
+    def metres_per_unit(self) -> float:
+        """Length of one scene unit in metres, 0 where it was not measured."""
+        return self.georeference.metres_per_unit if self.georeference else 0.0
 
 
-def load_scene(folder: Path) -> Scene:
+def load_scene(folder: Path, read_scale: bool = True) -> Scene:
     """Read a scene.
 
     Models are searched in the folder itself, in sparse/ and colmap/sparse/, and in the folders in them; the one with
@@ -92,6 +102,7 @@ def load_scene(folder: Path) -> Scene:
 
     Args:
         folder: Folder of a scene, or of one COLMAP model.
+        read_scale: Whether to read scale.json of the scene, too.
 
     Returns:
         The scene.
@@ -100,8 +111,13 @@ def load_scene(folder: Path) -> Scene:
         InputError: For anything that cannot be used.
     """
     folder = Path(folder).expanduser().absolute()
+    if not folder.exists():
+        raise InputError(
+            f"There is no folder {folder}: if the photos were moved, give their new folder, or for a run write it "
+            'under "scene" in config.json of the run.'
+        )
     if not folder.is_dir():
-        raise InputError(f"{folder} is not a folder." if folder.exists() else f"There is no folder {folder}.")
+        raise InputError(f"{folder} is not a folder.")
     warnings: list[str] = []
     model_folder, model = _largest_model(folder, warnings)
     points, index_of = _read_points(model, model_folder, warnings)
@@ -131,15 +147,20 @@ def load_scene(folder: Path) -> Scene:
     if missing:
         warnings.append(
             f"{len(missing)} of the {len(names)} registered photos are not in {image_folder} and are not used: "
-            f"{', '.join(missing[:3])}{' ...' if len(missing) > 3 else ''}."
+            f"{first_names(missing)}."
         )
-    if len(names) < 0.8 * image_count:
+    if len(names) < FEW_REGISTERED * image_count:
         warnings.append(
             f"Only {len(names)} of the {image_count} photos in {image_folder} have a pose: more overlap between "
             "neighbouring photos would help."
         )
 
     views.sort(key=lambda view: view.name)
+    georeference = read_georeference(scene_folder) if read_scale else None
+    if georeference and georeference.axes != "estimated":
+        up = georeference.up
+    else:
+        up = up_direction(np.stack([view.camera.world_to_camera for view in views]), points.positions)
     return Scene(
         folder=scene_folder,
         image_folder=image_folder,
@@ -149,8 +170,22 @@ def load_scene(folder: Path) -> Scene:
         image_count=image_count,
         missing=missing,
         warnings=tuple(warnings),
-        up=up_direction(np.stack([view.camera.world_to_camera for view in views]), points.positions),
+        up=up,
+        georeference=georeference,
     )
+
+
+def read_model(scene: Scene) -> pycolmap.Reconstruction:
+    """Read the COLMAP model of a scene, with the image names of the scene.
+
+    Raises:
+        InputError: When it has changed since and cannot be read.
+    """
+    model = _read_model(scene.model_folder)
+    names = _image_names(scene.model_folder, [model.image(image_id) for image_id in model.reg_image_ids()])
+    for image_id, name in names.items():
+        model.image(image_id).name = name
+    return model
 
 
 def up_direction(world_to_camera: np.ndarray, positions: np.ndarray) -> np.ndarray:
@@ -432,7 +467,7 @@ def _scene_folder(folder: Path) -> Path:
     return scene.parent.parent if scene.parent.name.lower() == "colmap" else scene.parent
 
 
-def image_files_below(folder: Path) -> list[Path]:
+def image_files_below(folder: Path, suffixes: frozenset[str] = IMAGE_SUFFIXES) -> list[Path]:
     """List the image files in a folder and below, sorted, without hidden folders and masks/.
 
     Folders that are symbolic links are entered, as image collections often lie on another disk; each folder counts
@@ -440,6 +475,7 @@ def image_files_below(folder: Path) -> list[Path]:
 
     Args:
         folder: The folder.
+        suffixes: Suffixes of the files, in lower case.
 
     Returns:
         Paths that begin with `folder`.
@@ -453,7 +489,7 @@ def image_files_below(folder: Path) -> list[Path]:
         entered.add(real)
         wanted = [name for name in folders if not name.startswith(".") and name.lower() != "masks"]
         folders[:] = sorted(wanted, key=lambda name: (os.path.islink(os.path.join(parent, name)), name))
-        found += [Path(parent, name) for name in files if Path(name).suffix.lower() in IMAGE_SUFFIXES]
+        found += [Path(parent, name) for name in files if Path(name).suffix.lower() in suffixes]
     return sorted(path for path in found if not path.name.startswith("."))
 
 

@@ -13,4 +13,8 @@ import pycolmap  # noqa: E402
 if threading.current_thread() is threading.main_thread() and _handler is not None:
     signal.signal(signal.SIGTERM, _handler)
 
+# It would also write each message to new files in the user's folder of temporary files.
+for _level in (pycolmap.logging.INFO, pycolmap.logging.WARNING, pycolmap.logging.ERROR, pycolmap.logging.FATAL):
+    pycolmap.logging.set_log_destination(_level, "")
+
 __all__ = ["pycolmap"]

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import struct
 import time
 import zipfile
 from collections.abc import Callable, Sequence
@@ -22,6 +23,8 @@ from .lenses import source_map
 
 _CACHE_FORMAT = 1
 """Version of the cached files."""
+_TIFF_ORIENTATION = 274
+"""Tag of the orientation in a TIFF file."""
 _CACHE_DAYS = 30
 """Days after which a cached file that no run has used is removed."""
 
@@ -100,16 +103,16 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> tuple[np.ndar
         data = np.fromfile(path, np.uint8)  # cv2.imread cannot open every path on Windows
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    image = cv2.imdecode(_without_tiff_orientation(data), cv2.IMREAD_UNCHANGED) if data.size else None
     if image is None:
         raise InputError(
             f"{path} cannot be read as an image, perhaps because it was cut short: copy it again or remove it."
         )
     height, width = image.shape[:2]
-    if size and not _fits((width, height), size) and _fits((height, width), size):
+    if size and not fits((width, height), size) and fits((height, width), size):
         image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
         height, width = image.shape[:2]
-    if size and not _fits((width, height), size):
+    if size and not fits((width, height), size):
         raise InputError(
             f"{path} is {width} x {height} pixels, but its camera in the COLMAP model is {size[0]} x {size[1]}: use "
             "the photos that the model was made from."
@@ -125,8 +128,30 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> tuple[np.ndar
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB), None
 
 
-def _fits(image: tuple[int, int], camera: tuple[int, int]) -> bool:
-    """Return whether an image has the camera's aspect ratio, to a pixel of rounding; its resolution may differ."""
+def _without_tiff_orientation(data: np.ndarray) -> np.ndarray:
+    """Return the bytes (N,) uint8 of a file, of a TIFF file with its orientation set to upright, as cv2 applies it."""
+    order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4].tobytes())
+    if order is None:
+        return data
+    patched = bytearray(data)
+    try:
+        (directory,) = struct.unpack_from(f"{order}I", patched, 4)
+        (entries,) = struct.unpack_from(f"{order}H", patched, directory)
+        for entry in range(directory + 2, directory + 2 + 12 * entries, 12):
+            if struct.unpack_from(f"{order}H", patched, entry) == (_TIFF_ORIENTATION,):
+                struct.pack_into(f"{order}H", patched, entry + 8, 1)
+    except struct.error:  # cut short; decoding will say so
+        pass
+    return np.frombuffer(patched, np.uint8)
+
+
+def fits(image: tuple[int, int], camera: tuple[int, int]) -> bool:
+    """Return whether an image has the camera's aspect ratio, to a pixel of rounding; its resolution may differ.
+
+    Args:
+        image: Width and height, pixels.
+        camera: Width and height, pixels.
+    """
     return abs(image[0] * camera[1] - image[1] * camera[0]) <= max(*image, *camera)
 
 

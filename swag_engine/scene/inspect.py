@@ -2,22 +2,20 @@
 
 import math
 from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .cameras import Camera
-from .colmap import Scene, View
+from .colmap import Scene, read_model
+from .colmap_library import pycolmap
+from .georeference import describe_scale
+from .model_quality import ModelQuality, assess_model
 from .split import split_views
-
-_LARGE_ERROR = 2.0
-"""Mean reprojection error in pixels above which poses are doubtful: COLMAP drops observations above 4, and the example
-scenes have 0.3 to 0.7."""
-_FEW_POINTS = 40
-"""Points of an image below which its pose is doubtful: COLMAP accepts a pose from 30 on."""
-_FIELDS_OF_VIEW = 15.0, 140.0
-"""Horizontal fields of view in degrees, from that of a telephoto lens to that of the widest action cameras: outside of
-them a focal length is probably wrong."""
+from .unregistered import Unregistered, explain_unregistered, unregistered_sentences
 
 
 def inspect_scene(scene: Scene) -> dict[str, Any]:
@@ -30,7 +28,11 @@ def inspect_scene(scene: Scene) -> dict[str, Any]:
         A dict for JSON. `ranges` are those from camera centre to sparse point over all observations, in scene units:
         percentiles 5, 25, 50, 75, 95, and `ratio`, the 95th over the 5th. Sizes are in pixels; `undistorted` is that
         of the pinhole image, `focal_length` in pixels and the horizontal `field_of_view` in degrees are medians of
-        pinhole images. `warnings` are the scene's, and sentences about what is doubtful in the poses.
+        pinhole images. `triangulation_angle` is the median over the points, in degrees. `focal_error` is the relative
+        standard error of the focal length, the largest of several lenses. `drift` compares the first and the last
+        visit of a place (see `Drift`). These are None where they cannot be determined. `unregistered` are images
+        without a pose, each with the probable reason. `warnings` are the scene's, and sentences about what is doubtful
+        in the poses. `scale` is the document of scale.json, None without.
     """
     points = scene.points
     ranges = np.concatenate(
@@ -44,6 +46,9 @@ def inspect_scene(scene: Scene) -> dict[str, Any]:
     registered = len(scene.views) + len(scene.missing)
     known_errors = points.errors[points.errors >= 0]
     error = float(known_errors.mean()) if len(known_errors) else None
+    quality = assess_scene(scene)
+    unregistered = explain_unregistered(scene)
+    focal_errors = [error for error in quality.focal_errors.values() if error is not None]
     split = split_views(view.name for view in scene.views)
     return {
         "scene": str(scene.folder),
@@ -70,39 +75,50 @@ def inspect_scene(scene: Scene) -> dict[str, Any]:
         "points_per_view": float(np.mean([len(view.point_indices) for view in scene.views])),
         "track_length": float(points.track_lengths.mean()),
         "reprojection_error": error,
+        "triangulation_angle": quality.triangulation_angle,
+        "focal_error": max(focal_errors, default=None),
+        "drift": asdict(quality.drift) if quality.drift else None,
+        "unregistered": [asdict(image) for image in unregistered],
         "ranges": {
             **{f"p{p}": _number(value) for p, value in zip((5, 25, 50, 75, 95), percentiles, strict=True)},
             "ratio": _number(percentiles[4] / percentiles[0]) if percentiles[0] > 0 else None,
         },
         "up": [float(value) for value in scene.up],
+        "scale": scene.georeference.to_json() if scene.georeference else None,
         "split": {"train": len(split.train), "validation": len(split.validation), "test": len(split.test)},
-        "warnings": [*scene.warnings, *_doubts(scene.views, error)],
+        "warnings": what_is_doubtful(scene, quality, unregistered),
     }
 
 
-def _doubts(views: tuple[View, ...], error: float | None) -> list[str]:
-    """Return sentences about poses and lenses that are probably wrong."""
-    doubts = []
-    if error is not None and error > _LARGE_ERROR:
-        doubts.append(
-            f"The mean reprojection error is {error:.1f} px (threshold {_LARGE_ERROR:g} px): the poses are doubtful."
-        )
-    # A model may come without observations, from a simulator or a survey.
-    weak = [view.name for view in views if 0 < len(view.point_indices) < _FEW_POINTS]
-    if weak:
-        doubts.append(
-            f"Photos with fewer than {_FEW_POINTS} points, whose poses are doubtful: "
-            f"{', '.join(weak[:3])}{' ...' if len(weak) > 3 else ''}."
-        )
-    least, most = _FIELDS_OF_VIEW
-    fields = [_field_of_view(view.camera) for view in views]
-    odd = [field for field in fields if not least <= field <= most]
-    if odd:
-        doubts.append(
-            f"A horizontal field of view of {odd[0]:.0f}° is unlikely (usual: {least:.0f}° to {most:.0f}°): the focal "
-            "length is doubtful, and photos from more directions would help."
-        )
-    return doubts
+def assess_scene(scene: Scene) -> ModelQuality:
+    """Assess the model of a scene, with the focal lengths that the EXIF data of its images say.
+
+    Raises:
+        InputError: When the model cannot be read any more.
+    """
+    model = read_model(scene)
+    paths = {view.name: view.path for view in scene.views}
+    samples: dict[int, Path] = {}
+    for image in model.images.values():
+        if image.name in paths:
+            samples.setdefault(image.camera_id, paths[image.name])
+    priors = {}
+    for camera_id, path in samples.items():
+        try:
+            named = pycolmap.infer_camera_from_image(str(path))
+        except (RuntimeError, ValueError):  # who needs the pixels of an unreadable image says so
+            continue
+        if named.has_prior_focal_length:
+            camera = model.camera(camera_id)  # the image may have been made smaller or larger since
+            smaller = max(camera.width, camera.height) / max(named.width, named.height)
+            priors[camera_id] = named.mean_focal_length() * smaller
+    return assess_model(model, scene.image_count, priors)
+
+
+def what_is_doubtful(scene: Scene, quality: ModelQuality, unregistered: Sequence[Unregistered]) -> list[str]:
+    """Return the sentences about a scene that a user should read."""
+    doubts = [doubt.sentence for doubt in quality.doubts if doubt.kind != "registered"]  # the scene says it
+    return [*scene.warnings, *doubts, *unregistered_sentences(unregistered)]
 
 
 def _field_of_view(camera: Camera) -> float:
@@ -125,6 +141,7 @@ def describe(summary: dict[str, Any]) -> str:
     """
     ranges = summary["ranges"]
     error = summary["reprojection_error"]
+    angle, focal_error, drift = summary["triangulation_angle"], summary["focal_error"], summary["drift"]
     split = summary["split"]
     rows = [
         ("Scene", summary["scene"]),
@@ -137,11 +154,15 @@ def describe(summary: dict[str, Any]) -> str:
         note = "" if size == undistorted else f", undistorted to {undistorted[0]} x {undistorted[1]}"
         optics = f"focal length {camera['focal_length']:.0f} px, field of view {camera['field_of_view']:.0f}°"
         rows.append(("Camera", f"{camera['model']} {size[0]} x {size[1]}{note}, {optics} ({camera['views']} views)"))
+    if focal_error is not None:
+        rows.append(("Focal error", f"{focal_error:.2%} (standard error of the focal length)"))
     rows.append(
         (
             "Points",
             f"{summary['points']}, {summary['points_per_view']:.0f} per view, each in {summary['track_length']:.1f}"
-            " views" + (f", reprojection error {error:.2f} px" if error is not None else ""),
+            " views"
+            + (f", triangulation angle {angle:.1f}°" if angle is not None else "")
+            + (f", reprojection error {error:.2f} px" if error is not None else ""),
         )
     )
     if None not in (ranges["p5"], ranges["p50"], ranges["p95"]):
@@ -152,6 +173,10 @@ def describe(summary: dict[str, Any]) -> str:
                 "observations)" + (f", ratio 1 : {ranges['ratio']:.2g}" if ranges["ratio"] else ""),
             )
         )
+    if summary["scale"]:
+        rows.append(("Scale", describe_scale(summary["scale"])))
+    if drift is not None:
+        rows.append(("Drift", f"{drift['share']:.2%} of the path, from {drift['first']} to {drift['last']}"))
     rows.append(("Views", f"{split['train']} to train, {split['validation']} to validate, {split['test']} to test"))
     rows += [("Warning", warning) for warning in summary["warnings"]]
-    return "\n".join(f"{label + ':':<12}{text}" for label, text in rows)
+    return "\n".join(f"{label + ':':<13}{text}" for label, text in rows)

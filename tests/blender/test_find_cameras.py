@@ -2,16 +2,19 @@
 
 import sys
 
+import cv2
 import numpy as np
 import pytest
 
-from tests.scenes.panels import write_photos
+from swag_engine.scene.images import read_image
+from tests.scenes.panels import SIZE, render, write_photos
+from tests.scenes.rotation_flag import with_rotation_flag
 
 
 def test_cameras_are_found_and_imported(blender, fake_engine, tmp_path):
     found = blender.run("find_cameras.find_and_import", tmp_path / "Fotos ä", SWAG_ENGINE_PYTHON=fake_engine)
-    sentence = "4 of 5 photos have a camera, 50 points, field of view 64° (focal length 812 px), the most frequent of "
-    sentence += "2 lenses"
+    sentence = "Took 5 of 90 frames. 4 of 5 photos have a camera, 50 points, field of view 64° (focal length 812 px), "
+    sentence += "the most frequent of 2 lenses, drift 1.2% of the path"
     assert found == {
         "folder": str(tmp_path / "Fotos ä_scene"),
         "found": [sentence, "The focal length is doubtful."],
@@ -19,6 +22,7 @@ def test_cameras_are_found_and_imported(blender, fake_engine, tmp_path):
         "failed": False,
         "cameras": 4,
         "points": 50,
+        "page": {"opened": [], "drawn": 0},
     }
     assert "Find Cameras: Matching photos" in blender.printed and "Traceback" not in blender.printed
 
@@ -44,6 +48,14 @@ def test_photos_may_be_given_as_a_folder_a_photo_or_a_video_and_the_scene_gets_a
     ]
 
 
+def test_pictures_with_a_rotation_flag_are_shown_as_the_engine_reads_them(blender, tmp_path):
+    paths = [tmp_path / "a.jpg", tmp_path / "b.tif"]
+    for path in paths:
+        path.write_bytes(with_rotation_flag(cv2.imencode(path.suffix, render(0))[1].tobytes()))
+        assert read_image(path)[0].shape == (SIZE[1], SIZE[0], 3)
+    assert blender.run("find_cameras.picture_sizes", [str(path) for path in paths]) == [list(SIZE)] * 2
+
+
 @pytest.mark.main_version
 def test_the_engine_finds_cameras_and_a_cancelled_search_leaves_nothing(blender, tmp_path):
     photos = write_photos(tmp_path / "dive", np.linspace(-1, 1, 6))
@@ -52,6 +64,8 @@ def test_the_engine_finds_cameras_and_a_cancelled_search_leaves_nothing(blender,
     assert cancelled["objects"] == 0 and cancelled["folder"] == ""
     assert [path.name for path in tmp_path.iterdir()] == ["dive"]
     found = blender.run("find_cameras.find_and_import", photos, tmp_path / "out", SWAG_ENGINE_PYTHON=sys.executable)
+    assert "px ± " in found["found"][0] and found["message"].startswith(found["found"][0])
+    assert found["page"] == {"opened": [(tmp_path / "out" / "cameras.html").as_uri()], "drawn": 1}
     assert found["cameras"] == 6 and found["points"] > 100 and found["folder"] == str(tmp_path / "out")
     assert found["found"][0].startswith("6 of 6 photos have a camera") and "Traceback" not in blender.printed
 

@@ -3,13 +3,13 @@ import struct
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 import pytest
 
+from swag_engine.base.errors import InputError
 from swag_engine.scene.colmap import Scene, load_scene, up_direction
 from swag_engine.scene.inspect import describe, inspect_scene
 from tests.scenes.dots import dot_positions, make_dot_scene
@@ -46,6 +46,11 @@ def test_poses_points_and_tracks_are_those_of_the_model(tmp_path: Path, text: bo
     errors = reprojection_errors(scene, pycolmap.Reconstruction(str(folder / "sparse" / "0")))
     assert len(errors) > 150 and errors.max() < 1e-3
     assert scene.warnings == () and scene.missing == () and scene.image_count == 4
+
+
+def test_a_folder_that_was_moved_is_told_with_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'There is no folder .*moved.*give their new folder.*"scene" in config.json'):
+        load_scene(tmp_path / "moved")
 
 
 def test_a_rig_of_two_cameras(tmp_path: Path) -> None:
@@ -189,20 +194,21 @@ def test_inspection_says_what_is_doubtful(tmp_path: Path) -> None:
     camera = inspect_scene(scene)["cameras"][0]
     assert inspect_scene(scene)["warnings"] == []
     assert camera["focal_length"] == 150 and camera["field_of_view"] == pytest.approx(67.38, abs=0.01)
-    first, second, *rest = scene.views
-    doubtful = replace(
-        scene,
-        views=(
-            replace(first, point_indices=first.point_indices[:30]),
-            replace(second, camera=replace(second.camera, fx=2000.0)),
-            *(replace(view, point_indices=view.point_indices[:0]) for view in rest),  # a model without observations
-        ),
-        points=replace(scene.points, errors=np.full_like(scene.points.errors, 2.5)),
-    )
-    error, weak, field = inspect_scene(doubtful)["warnings"]
-    assert "2.5 px (threshold 2 px)" in error
-    assert weak == "Photos with fewer than 40 points, whose poses are doubtful: view_01.png."
-    assert "field of view of 6°" in field
+    model = pycolmap.Reconstruction(str(scene.model_folder))
+    for camera in model.cameras.values():
+        camera.params = [2000.0, 2000.0, *camera.params[2:]]
+    for point in model.points3D.values():
+        point.error = 2.5
+    weak = model.find_image_with_name("view_01.png")
+    for index in [i for i, point in enumerate(weak.points2D) if point.has_point3D()][30:]:
+        model.delete_observation(weak.image_id, index)
+    model.write(str(scene.model_folder))
+    summary = inspect_scene(load_scene(tmp_path))
+    warnings = "\n".join(summary["warnings"])
+    assert "field of view of 6°" in warnings and "EXIF" in warnings
+    assert "2.5 px (threshold 2 px)" in warnings
+    assert "Photos with fewer than 40 points, whose poses are doubtful: view_01.png." in warnings
+    assert all(f"Warning:     {warning}" in describe(summary) for warning in summary["warnings"])
 
 
 def write_large_scene(folder: Path, views: int = 100, points: int = 100_000, per_view: int = 5000) -> None:

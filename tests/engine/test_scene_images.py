@@ -1,5 +1,4 @@
 import os
-import struct
 from pathlib import Path
 
 import cv2
@@ -11,6 +10,7 @@ from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images, read_image
 from swag_engine.scene.lenses import Lens
 from tests.scenes.dots import draw_dots, make_dot_scene
+from tests.scenes.rotation_flag import with_rotation_flag
 
 # Every camera model of pycolmap that a pinhole picture can be made of, with distortion worth the name.
 LENSES: dict[str, list[float]] = {
@@ -131,16 +131,11 @@ def test_a_mask_makes_pixels_invalid(name: str, tmp_path: Path) -> None:
     assert load_scene(tmp_path).image_count == 2
 
 
-def with_orientation(jpeg: bytes, orientation: int) -> bytes:
-    tiff = b"II*\x00\x08\x00\x00\x00" + struct.pack("<HHHIII", 1, 0x0112, 3, 1, orientation, 0)
-    segment = b"Exif\x00\x00" + tiff
-    return jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + jpeg[2:]
-
-
-def test_orientation_is_ignored_as_colmap_does_unless_only_the_turned_picture_fits(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".jpg", ".tif"])
+def test_orientation_is_ignored_as_colmap_does_unless_only_the_turned_picture_fits(tmp_path: Path, suffix: str) -> None:
     stored = draw_dots(120, 80, np.array([[20.0, 10.0]]), sigma=5)
-    path = tmp_path / "turned.jpg"
-    path.write_bytes(with_orientation(cv2.imencode(".jpg", stored)[1].tobytes(), 6))
+    path = tmp_path / f"turned{suffix}"
+    path.write_bytes(with_rotation_flag(cv2.imencode(suffix, stored)[1].tobytes()))
     as_colmap = pycolmap.Bitmap.read(str(path), True).to_array()
     pixels, _ = read_image(path, (120, 80))
     assert pixels.shape == as_colmap.shape == (80, 120, 3) and pixels[10, 20, 0] > 200 and as_colmap[10, 20, 0] > 200

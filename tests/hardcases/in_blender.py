@@ -51,8 +51,7 @@ def main() -> None:
     import addon_utils  # Blender's own
 
     assert addon_utils.enable("bl_ext.user_default.swag_splatting", default_set=True)
-    from bl_ext.user_default.swag_splatting.operators import import_scene
-    from bl_ext.user_default.swag_splatting.swag_blender import commands, engine_process
+    from bl_ext.user_default.swag_splatting.swag_blender import commands, engine_process, job
 
     class Kept(engine_process.Engine):
         def stop(self) -> None:
@@ -60,7 +59,7 @@ def main() -> None:
 
     bpy.ops.wm.read_homefile(use_empty=True)
     engine = Kept()
-    import_scene.Engine = lambda: engine  # type: ignore[misc, assignment]
+    job.Engine = lambda: engine  # type: ignore[misc, assignment]
     for line in sys.stdin:
         try:
             for path in json.loads(line):

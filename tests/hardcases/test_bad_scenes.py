@@ -15,9 +15,10 @@ import pycolmap
 import pytest
 
 from swag_engine.base.errors import InputError
-from swag_engine.scene import sfm
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
+from swag_engine.sfm import photos
+from swag_engine.sfm import reconstruct as sfm
 from tests.scenes.dots import make_dot_scene
 
 
@@ -87,6 +88,16 @@ def test_text_files_cut_short_or_with_other_text(tmp_path: Path, part: str) -> N
         sentence(lambda: load_scene(folder), folder / "sparse" / "0")
     file.write_text("Dear diary, today we dived\nand saw a wreck\n")
     sentence(lambda: load_scene(folder), file)
+
+
+def test_colmap_leaves_no_log_files(tmp_path: Path) -> None:
+    code = "from swag_engine.scene.colmap_library import pycolmap; pycolmap.logging.error('seen')"
+    environment = os.environ | {name: str(tmp_path) for name in ("TMPDIR", "TMP", "TEMP")}
+    ended = subprocess.run(
+        [sys.executable, "-c", code], cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True
+    )
+    assert ended.returncode == 0 and "seen" in ended.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("part", "named"), [("cameras", "cameras.bin"), ("frames", "sparse"), ("rigs", "sparse")])
@@ -206,7 +217,7 @@ def test_sfm_on_a_full_disk_or_stopped_leaves_nothing(folder: Path, monkeypatch:
     out = folder.parent / "out"
 
     def stop(stage: str, fraction: float) -> None:
-        if stage == "Detecting features":
+        if stage.startswith("Detecting features"):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -216,6 +227,6 @@ def test_sfm_on_a_full_disk_or_stopped_leaves_nothing(folder: Path, monkeypatch:
     def full(source: Path, target: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
 
-    monkeypatch.setattr(sfm.shutil, "copy2", full)
+    monkeypatch.setattr(photos.shutil, "copy2", full)
     sentence(lambda: sfm.reconstruct(folder / "images", out), "No space left")
     assert left_over(folder.parent) == [folder.name]

@@ -77,6 +77,8 @@ class Settings:
     """Strength of the processing in the camera, 1 as in telephones: see `process_as_phone`."""
     moving_object: float = 0.0
     """Fraction of the images that fish swim through."""
+    chart: bool = False
+    """Stand a 24-patch color chart on the sand."""
     volume: bool = False
     """Render a scattering volume instead of applying the model. See `VOLUME`; `water` and `lamp` are not used."""
     truth: Literal["held-out", "all"] = "held-out"
@@ -349,7 +351,7 @@ def render(settings: Settings) -> Rendered:
     factor = settings.supersample
     width, height = settings.width * factor, settings.height * factor
     focal = focal_length(settings) * factor
-    renderer = Renderer(Model(settings.seed), width, height, focal, settings.samples)
+    renderer = Renderer(Model(settings.seed, settings.chart), width, height, focal, settings.samples)
     poses = camera_path(settings.views)
     still = []
     for k, pose in enumerate(poses):

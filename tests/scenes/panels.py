@@ -31,12 +31,15 @@ def panels() -> list[tuple[np.ndarray, np.ndarray]]:
 PANELS = panels()
 
 
-def render(x: float) -> np.ndarray:
-    """The panels from (x, 0, 0), looking along z with a focal length of 1.1 widths, through dim blue-green water."""
+def render(x: float, yaw: float = 0, zoom: float = 1) -> np.ndarray:
+    """The panels from (x, 0, 0), looking along z with a focal length of 1.1 widths, through dim blue-green water.
+
+    `yaw` turns the camera to the right, in radians; `zoom` lengthens the focal length.
+    """
     picture = np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
     for texture, corners in PANELS:
-        seen = corners - [x, 0.1 * np.sin(2 * x), 0]
-        pixels = 1.1 * SIZE[0] * seen[:, :2] / seen[:, 2:] + np.array(SIZE) / 2
+        seen = (corners - [x, 0.1 * np.sin(2 * x), 0]) @ cv2.Rodrigues(np.array([0, yaw, 0.0]))[0]
+        pixels = 1.1 * zoom * SIZE[0] * seen[:, :2] / seen[:, 2:] + np.array(SIZE) / 2
         rows, columns = texture.shape[:2]
         source = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float32)
         warp = cv2.getPerspectiveTransform(source - 0.5, pixels.astype(np.float32) - 0.5)

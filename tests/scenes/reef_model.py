@@ -14,6 +14,8 @@ import numpy as np
 from mathutils import Matrix, Vector
 from numpy.typing import ArrayLike
 
+from swag_engine.colorchart.chart_kinds import PATCH, chart_kinds
+
 SUN = np.array([-0.42, -0.38, 0.82]) / np.linalg.norm([-0.42, -0.38, 0.82])  # towards the sun
 RGB = tuple[float, float, float]
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (V,3), quads (F,4), tint (V,) in 0..1
@@ -629,10 +631,14 @@ def label_of(mesh_name: str) -> str:
     return _LABEL_OF.get(mesh_name.split(".")[0].split()[0], "coral")
 
 
+CHART_PLACE = (0.5, -2.9)
+"""Place of the color chart, metres."""
+
+
 class Model:
     """The Blender scene. Only one exists at a time: Blender's data is global."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, chart: bool = False) -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self.scene = bpy.context.scene
         self.rng = np.random.default_rng(seed)
@@ -645,6 +651,8 @@ class Model:
             self.scene.collection.children.link(collection)
         self._light()
         self._model()
+        if chart:
+            self._chart()
 
     def place(
         self, mesh: bpy.types.Mesh, matrix: Matrix, collection: bpy.types.Collection | None = None
@@ -677,6 +685,31 @@ class Model:
         world.node_tree.nodes["Background"].inputs[0].default_value = (0.72, 0.75, 0.8, 1)
         self.scene.world = world
         self.scene.view_layers[0].lightgroups.add(name="sun")
+
+    def _chart(self) -> None:
+        """Stand a 24-patch color chart of a metre on the sand before the reef, leaning back."""
+        kind = chart_kinds()["24"]
+        centres = np.concatenate([[kind.size / 2], kind.centres])
+        sides = np.concatenate([[kind.size + 1], np.full((24, 2), PATCH)])
+        corners = centres[:, None] + sides[:, None] / 2 * np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
+        flat = (corners - kind.size / 2) / kind.size[0] * [1, -1]
+        lift = np.where(np.arange(25) == 0, 0, 0.004)[:, None, None] * np.ones((25, 4, 1))
+        mesh = bpy.data.meshes.new("seabed chart")
+        quads = np.arange(100).reshape(25, 4)
+        mesh.from_pydata(np.concatenate([flat, lift], -1).reshape(-1, 3).tolist(), [], quads.tolist())
+        for index, light in enumerate(np.concatenate([[[0.02, 0.02, 0.02]], kind.light])):
+            look = bpy.data.materials.new(f"patch {index}")
+            look.use_nodes = True
+            nodes = look.node_tree.nodes
+            nodes.clear()
+            surface, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+            surface.inputs["Color"].default_value = (*light, 1)
+            look.node_tree.links.new(surface.outputs[0], output.inputs[0])
+            mesh.materials.append(look)
+        mesh.polygons.foreach_set("material_index", np.arange(25))
+        x, y = CHART_PLACE
+        ground = seabed_height(np.array(x), np.array(y)).item()
+        self.place(mesh, Matrix.Translation((x, y, ground + 0.4)) @ Matrix.Rotation(np.radians(55), 4, "X"))
 
     def _surface(self, x: float, y: float) -> tuple[np.ndarray, np.ndarray] | None:
         """What lies under (x, y), unless something lives there already: point and upward normal."""

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bl_ext.user_default.swag_splatting.swag_blender import engine_process, find_cameras, scene_import
+from bl_ext.user_default.swag_splatting.swag_blender import engine_process, find_cameras, scene_import, web_page
 
 swag, status = bpy.context.scene.swag, bpy.context.window_manager.swag
 
@@ -31,7 +31,13 @@ def find_and_import(photos, scene_folder=""):
         "failed": status.failed,
         "cameras": sum(obj.type == "CAMERA" for obj in root.children_recursive),
         "points": len(scene_import.sparse_points(root).data.points),
+        "page": open_page(),
     }
+
+
+def picture_sizes(paths):
+    """Width and height of pictures as Blender shows them behind a camera."""
+    return [list(bpy.data.images.load(path).size) for path in paths]
 
 
 def refuse(photos):
@@ -101,3 +107,20 @@ def buttons(no_model):
     assert find(filepath=str(Path(no_model).with_name("photos"))) == ""
     draw()
     return {"messages": messages, "drawn": drawn}
+
+
+def open_page():
+    """Addresses that the button for the page about the cameras opens, and how often the panel shows the button."""
+    opened: list[str] = []
+
+    def record(address):
+        opened.append(address)
+        return True
+
+    browser: Any = web_page.webbrowser
+    browser.open = record
+    layout: Any = RecordingLayout()
+    find_cameras.draw_camera_page(layout, bpy.context)
+    if bpy.ops.swag.open_camera_page.poll():
+        bpy.ops.swag.open_camera_page()
+    return {"opened": opened, "drawn": len(layout.drawn)}

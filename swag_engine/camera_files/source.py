@@ -1,0 +1,62 @@
+"""A file of cameras, read as text, JSON or XML when a reader asks for it."""
+
+import json
+import xml.etree.ElementTree as ElementTree
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ..base.errors import InputError
+
+
+class Source:
+    """A file that may hold cameras.
+
+    Args:
+        path: The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @cached_property
+    def data(self) -> bytes:
+        """The bytes of the file.
+
+        Raises:
+            InputError: When it cannot be read.
+        """
+        try:
+            return self.path.read_bytes()
+        except OSError as error:
+            raise InputError(f"Cannot read {self.path}: {error.strerror or error}.") from error
+
+    @cached_property
+    def text(self) -> str:
+        """The text of the file."""
+        if self.data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            return self.data.decode("utf-16", errors="replace")
+        try:
+            return self.data.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            return self.data.decode("latin-1")
+
+    @cached_property
+    def json(self) -> Any:
+        """The JSON document, None where the file is none."""
+        if self.text.lstrip()[:1] not in ("{", "["):
+            return None
+        try:
+            return json.loads(self.text)
+        except (ValueError, RecursionError):
+            return None
+
+    @cached_property
+    def xml(self) -> ElementTree.Element | None:
+        """The root of the XML document, None where the file is none."""
+        if self.text.lstrip()[:1] != "<":
+            return None
+        try:
+            return ElementTree.fromstring(self.data.strip())
+        except ElementTree.ParseError:
+            return None

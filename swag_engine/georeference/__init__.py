@@ -1,0 +1,1 @@
+"""Scale, axes and coordinates of a scene from coded targets, reference points, GPS and depths."""

@@ -1,0 +1,1 @@
+"""Structure from motion: photos or a video become a COLMAP scene."""
