@@ -19,7 +19,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.common import write_results
 from swag_engine.planning.plan import plan_scene
 from swag_engine.scene.colmap import load_scene
-from swag_engine.scene.sfm import reconstruct
+from swag_engine.sfm.reconstruct import reconstruct
 
 IMAGES = {
     "berlin": "berlin/kapture/sensors/records_data",

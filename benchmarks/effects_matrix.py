@@ -58,7 +58,7 @@ SCENES: dict[str, dict] = {
     "green, fish": {"water": GREEN, "fish": True},
 }
 SKY = NO_WATER | {"B_inf": (0.35, 0.55, 0.95)}
-"""Scenes in air: the colour of the sky behind them, no attenuation and no backscatter."""
+"""Scenes in air: the color of the sky behind them, no attenuation and no backscatter."""
 LAND: dict[str, dict] = {
     "land": {"water": SKY},
     "land, exposure": {"water": SKY, "exposure": 0.12},
@@ -196,9 +196,9 @@ def run_case(case: Case, clean: Path) -> dict:
 
 
 def color_errors(passes, settings, fit) -> dict[str, float]:
-    """Measure the median delta E (CIE 1976) to the clean colours, as photographed and with the fitted water removed.
+    """Measure the median delta E (CIE 1976) to the clean colors, as photographed and with the fitted water removed.
 
-    Both are first scaled to the clean colours' median, because absolute brightness is unknown in a photograph.
+    Both are first scaled to the clean colors' median, because absolute brightness is unknown in a photograph.
     """
     from tests.scenes.make_scene import srgb
 

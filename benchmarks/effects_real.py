@@ -69,7 +69,7 @@ def restored(pixels: np.ndarray, ranges: np.ndarray, fit: Fit, unit: float, usua
 
 
 def curve(axis, ranges: np.ndarray, light: np.ndarray, track: np.ndarray, fit: Fit, unit: float, title: str) -> None:
-    """Plot light against range, every point shifted to the scene's median colour so that all lie on one curve."""
+    """Plot light against range, every point shifted to the scene's median color so that all lie on one curve."""
     order = np.linspace(*np.quantile(ranges, (0.01, 0.99)), 100)
     for c in range(3):
         direct = np.exp(-fit.beta_D[c] * ranges) * lamp_light(ranges, fit, unit)

@@ -55,6 +55,11 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
                 ("Y_UP", "Y Up", "PLY with y up, for programs that do not turn a PLY; a GLB or SPZ always has y up"),
                 ("Z_UP", "Z Up", "PLY with Blender's own axes; a GLB or SPZ always has y up"),
                 ("SCENE", "COLMAP Scene", "PLY in the COLMAP coordinates of the imported scene"),
+                (
+                    "GEOREFERENCED",
+                    "Georeferenced",
+                    "Metric frame of the measured scale: metres with z up, with offset and coordinate reference system",
+                ),
             ],
         ),
     ]
@@ -72,6 +77,14 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
         str,
         StringProperty(
             name="Crop Box", description="Only splats inside the bounding box of this object; an empty has its cube"
+        ),
+    ]
+    develop: Annotated[
+        bool,
+        BoolProperty(
+            name="Development",
+            description="Develop the colors as the panel Color says; highlights are not rolled off",
+            default=True,
         ),
     ]
     # The options that the command line has, too, are added below the class.
@@ -98,7 +111,7 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
         for names in (
             ("use", "part", "frame", "metres_per_unit"),
             ("labels", "crop_object", "min_opacity"),
-            ("water", "sh_degree", "extras", "cameras"),
+            ("water", "develop", "sh_degree", "extras", "cameras"),
         ):
             column = layout.column(align=True)
             for name in names:

@@ -46,7 +46,7 @@ class SWAG_OT_import_splats(bpy.types.Operator):
         int,
         IntProperty(
             name="SH Degree",
-            description="Highest degree of spherical harmonics; a lower one takes less memory, and 0 makes colours the "
+            description="Highest degree of spherical harmonics; a lower one takes less memory, and 0 makes colors the "
             "same from every view",
             default=3,
             min=0,

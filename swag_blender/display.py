@@ -1,4 +1,4 @@
-"""How a splat object is shown in viewports: as splats or points, how many, how bright, and its crop box."""
+"""How a splat object is shown in viewports: as splats or points, how many, and its crop box."""
 
 from typing import Annotated, Any, cast
 
@@ -20,8 +20,8 @@ class SwagDisplay(PropertyGroup):
             name="Display As",
             description="What viewports show, except in Rendered shading",
             items=[
-                ("SPLATS", "Splats", "The splats as trained, with view-dependent colours"),
-                ("POINTS", "Points", "A coloured point for each splat, which any graphics card draws fast"),
+                ("SPLATS", "Splats", "The splats as trained, with view-dependent colors"),
+                ("POINTS", "Points", "A colored point for each splat, which any graphics card draws fast"),
             ],
             update=lambda self, context: apply(self.id_data),
         ),
@@ -42,23 +42,11 @@ class SwagDisplay(PropertyGroup):
         int,
         IntProperty(
             name="SH Degree",
-            description="Highest degree of spherical harmonics in viewports and renders; 0 makes colours the same from "
+            description="Highest degree of spherical harmonics in viewports and renders; 0 makes colors the same from "
             "every view",
             default=3,
             min=0,
             max=3,
-            update=lambda self, context: apply(self.id_data),
-        ),
-    ]
-    exposure: Annotated[
-        float,
-        FloatProperty(
-            name="Exposure",
-            description="Brightness of the splats in viewports, in stops",
-            soft_min=-5.0,
-            soft_max=5.0,
-            min=-20.0,
-            max=20.0,
             update=lambda self, context: apply(self.id_data),
         ),
     ]

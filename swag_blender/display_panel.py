@@ -2,7 +2,7 @@
 
 import bpy
 
-from . import splats, viewport
+from . import labels, splats, viewport
 from .blender_types import present
 from .display import display_of
 from .nodes import splat_preview
@@ -28,9 +28,11 @@ class SWAG_PT_display(SwagPanel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         column = layout.column()
-        for name in ("style", "density", "exposure", "sh_degree"):
+        for name in ("style", "density", "sh_degree"):
             column.prop(display_of(obj), name)
         splat_preview.draw_input(column, obj, splat_preview.FACE_CAMERA)
+        if labels.CONFIDENCE in splats.pointcloud_of(obj).attributes:
+            column.prop(labels.labels_of(obj), "uncertain")
         drawing = viewport.drawing()
         if drawing is not None and drawing.store.notice:
             draw_wrapped(layout, drawing.store.notice, present(context.region).width, icon="INFO")

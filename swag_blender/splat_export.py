@@ -1,7 +1,7 @@
 """Splat objects as files for other programs."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +11,22 @@ from mathutils import Matrix
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.cameras import PosedImage, transform_camera, write_cameras
-from ..swag_engine.formats.export import ExportOptions, cameras_folder, with_water
-from ..swag_engine.formats.gltf import COLMAP_UP
+from ..swag_engine.formats.export import ExportOptions, cameras_folder, georeferenced_frame, with_water
+from ..swag_engine.formats.gltf import COLMAP_UP, Z_UP
 from ..swag_engine.formats.registry import find_format
 from ..swag_engine.formats.run_folder import RunFolder, read_json, write_json
 from ..swag_engine.formats.select import SplatSelection, label_ids, require_splats
 from ..swag_engine.formats.water import transform_water
 from ..swag_engine.scene.cameras import Camera
+from ..swag_engine.scene.georeference import Placement
 from ..swag_engine.settings.field import settings_of
+from ..swag_engine.splats.develop_splats import bake_development, name_development
 from ..swag_engine.splats.splats import Splats, concatenate
 from ..swag_engine.splats.transform import rotation_to_y_up, transformed
-from . import scene_import, splats
+from . import colors, scene_import, splats
 from .blender_types import present
 from .cameras import cameras_of
+from .georeference import georeference_of, placement_of
 from .runs import RUN_KEY
 from .setting_property import setting_property, texts_of
 from .splat_parts import part_of
@@ -41,8 +44,8 @@ NOTHING = {
 }
 """Which splats of an object are written, and what is said where these are none."""
 OPTIONS = ("water", "labels", "min_opacity", "sh_degree", "extras", "cameras")
-"""Options of the engine that the dialog offers. In place of the others it has an object to crop by, axes named after
-Blender's, the length of a Blender unit, and the size of the file."""
+"""Options of the engine that the dialog offers. In place of the others it has the scene's colors, an object to crop by,
+axes named after Blender's, the length of a Blender unit, and the size of the file."""
 OPTION_PROPERTIES = {
     name: setting_property(default, described)
     for name, default, described in settings_of(ExportOptions)
@@ -58,9 +61,11 @@ class ExportSettings:
     Attributes:
         use: "SELECTED" or "VISIBLE" splat objects.
         part: which of their splats, a key of NOTHING.
-        frame: a key of FRAMES, or "SCENE" for the COLMAP frame; a format with fixed axes has "UPRIGHT" or "SCENE".
-        metres_per_unit: length of a Blender unit in metres; the file is in metres.
+        frame: a key of FRAMES, "SCENE" for the COLMAP frame, or "GEOREFERENCED" for the metric one that was measured; a
+            format with fixed axes has "UPRIGHT", "SCENE" or "GEOREFERENCED".
+        metres_per_unit: length of a Blender unit in metres; the file is in metres. A georeferenced file is in any case.
         crop_object: name of the object whose bounding box crops the splats; "" for none.
+        develop: whether colors are developed as the panel Color says.
         options: the options of OPTIONS; the others are not used.
     """
 
@@ -69,6 +74,7 @@ class ExportSettings:
     frame: str = "UPRIGHT"
     metres_per_unit: float = 1.0
     crop_object: str = ""
+    develop: bool = True
     options: ExportOptions = field(default_factory=ExportOptions)
 
     @classmethod
@@ -90,13 +96,15 @@ def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings
     """
     format = find_format(path)
     objects = _chosen_objects(context, settings)
-    to_file, up = _file_frame(objects, path, settings)
+    to_file, up, lies_at = _file_frame(objects, path, settings)
     parts = []
     for obj, placement, part in _selected_splats(context, objects, settings):
         if settings.options.water and len(part):
             part = _add_water(context, obj, part, settings.options.water)
+        development = colors.color_view(present(context.scene), obj).at(settings.options.water)
+        part = (bake_development if settings.develop else name_development)(part, development)
         parts.append(transformed(part, to_file @ placement))
-    joined = require_splats(concatenate(parts))
+    joined = replace(require_splats(concatenate(parts)), placement=lies_at)
     cameras = []
     if settings.options.cameras:
         cameras = [transform_camera(camera, to_file) for camera in cameras_of(context, _roots(objects))]
@@ -104,6 +112,8 @@ def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings
             raise InputError("There are no cameras to save: import the scene, add a camera, or turn Cameras off.")
     format.write(path, joined, up, cameras)
     notes = format.notes(joined)
+    if joined.development is None and any(part.development for part in parts):
+        notes.append("The objects have different developments, so the file does not name one: export them one by one.")
     if not cameras:
         return len(joined), notes
     turn = np.eye(4)
@@ -111,7 +121,10 @@ def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings
         turn[:3, :3] = rotation_to_y_up(up)
     folder = cameras_folder(path)
     notes += _save_cameras(folder, [transform_camera(camera, turn) for camera in cameras])
-    _save_water(objects[0], turn @ to_file, folder / "water.json", settings.metres_per_unit)
+    in_metres = settings.metres_per_unit != 1.0 or lies_at is not None
+    _save_water(objects[0], turn @ to_file, folder / "water.json", in_metres)
+    if lies_at:
+        write_json(folder / "georeference.json", lies_at.to_json())
     return len(joined), notes
 
 
@@ -119,9 +132,10 @@ def expected_size(context: bpy.types.Context, path: Path, settings: ExportSettin
     """Number of splats and size of the file that save_splats would write, or why it would refuse, in words."""
     try:
         objects = _chosen_objects(context, settings)
-        _, up = _file_frame(objects, path, settings)
+        _, up, lies_at = _file_frame(objects, path, settings)
         # Frame and water change values, not their number: the size is found without them, which is quick.
-        joined = require_splats(concatenate([part for _, _, part in _selected_splats(context, objects, settings)]))
+        parts = [part for _, _, part in _selected_splats(context, objects, settings)]
+        joined = replace(require_splats(concatenate(parts)), placement=lies_at)
         size = find_format(path).size(path, joined, up, ())
     except InputError as error:
         return str(error)
@@ -141,9 +155,17 @@ def _chosen_objects(context: bpy.types.Context, settings: ExportSettings) -> lis
     return chosen
 
 
-def _file_frame(objects: list[bpy.types.Object], path: Path, settings: ExportSettings) -> tuple[np.ndarray, np.ndarray]:
-    """The matrix (4, 4) from Blender's world to the file, and the up vector (3,) of the splats."""
+def _file_frame(
+    objects: list[bpy.types.Object], path: Path, settings: ExportSettings
+) -> tuple[np.ndarray, np.ndarray, Placement | None]:
+    """The matrix (4, 4) from Blender's world to the file, the up vector (3,) of the splats, and where the file lies."""
     up = np.array(COLMAP_UP)
+    if settings.frame == "GEOREFERENCED":
+        root = scene_import.find_root(objects[0])
+        if root is None and (own := placement_of(objects[0])):  # opened from a georeferenced file
+            return np.linalg.inv(np.array(objects[0].matrix_world, np.float64)), np.array(Z_UP), own
+        matrix, placement = georeferenced_frame(georeference_of(root), Path(root.name if root else objects[0].name))
+        return matrix @ np.linalg.inv(np.array(present(root).matrix_world, np.float64)), np.array(Z_UP), placement
     if settings.frame == "SCENE":
         root = scene_import.find_root(objects[0])
         if root is None:
@@ -151,7 +173,7 @@ def _file_frame(objects: list[bpy.types.Object], path: Path, settings: ExportSet
         frame, up = root.matrix_world, scene_import.up_of(root)
     else:
         frame = FRAMES[settings.frame if "up" in find_format(path).options else "UPRIGHT"]
-    return np.diag([settings.metres_per_unit] * 3 + [1.0]) @ np.linalg.inv(np.array(frame, np.float64)), up
+    return np.diag([settings.metres_per_unit] * 3 + [1.0]) @ np.linalg.inv(np.array(frame, np.float64)), up, None
 
 
 def _selected_splats(
@@ -180,7 +202,7 @@ def _selected_splats(
 
 
 def _add_water(context: bpy.types.Context, obj: bpy.types.Object, dry: Splats, amount: float) -> Splats:
-    """The splats of an object with that fraction of its run's water in their colours."""
+    """The splats of an object with that fraction of its run's water in their colors."""
     roots = _roots([obj])
     if not roots:
         raise InputError(f"{obj.name} belongs to no imported scene, so its water is not known.")
@@ -198,14 +220,14 @@ def _save_cameras(folder: Path, cameras: list[Camera]) -> list[str]:
     return write_cameras(folder, images, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))[1]
 
 
-def _save_water(obj: bpy.types.Object, to_file: np.ndarray, path: Path, metres_per_unit: float) -> None:
+def _save_water(obj: bpy.types.Object, to_file: np.ndarray, path: Path, in_metres: bool) -> None:
     """Write the coefficients of the object's water, where it has one, in the file's axes and scale."""
     medium, metres = _water_of_run(obj)
     if medium:
         training_to_file = (to_file @ np.array(obj.matrix_world, np.float64))[:3, :3]
         scale = float(np.cbrt(np.linalg.det(training_to_file)))
-        in_metres = bool(metres) or metres_per_unit != 1.0
-        write_json(path, transform_water(medium, training_to_file / scale, scale, metres, in_metres))
+        per_metre = bool(metres) or in_metres
+        write_json(path, transform_water(medium, training_to_file / scale, scale, metres, per_metre))
 
 
 def _roots(objects: list[bpy.types.Object]) -> list[bpy.types.Object]:

@@ -1,4 +1,4 @@
-"""Node trees written as formulas: sockets with arithmetic, for geometry and shader trees.
+"""Node trees written as formulas: sockets with arithmetic, for geometry, shader and compositor trees.
 
 fake-bpy-module has no types for what nodes of one kind have alone, so nodes and sockets are Any here.
 """
@@ -86,7 +86,9 @@ class Field:
     __rmul__ = __mul__
 
 
-def new_tree(name: str, kind: Literal["GeometryNodeTree", "ShaderNodeTree"]) -> bpy.types.NodeTree:
+def new_tree(
+    name: str, kind: Literal["GeometryNodeTree", "ShaderNodeTree", "CompositorNodeTree"]
+) -> bpy.types.NodeTree:
     """Make an empty node group."""
     return present(bpy.data.node_groups.new(name, kind))
 

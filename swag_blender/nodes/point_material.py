@@ -1,4 +1,4 @@
-"""The material of coloured points: the sparse cloud, and splats drawn as points."""
+"""The material of colored points: the sparse cloud, and splats drawn as points."""
 
 import bpy
 

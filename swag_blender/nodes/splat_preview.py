@@ -2,15 +2,15 @@
 
 Color is computed once per splat, as splat renderers do: 0.5 + spherical harmonics of the direction from the scene's
 active camera. The shape is drawn in one of three ways:
-- renders ("Face Camera"): a rectangle parallel to the image plane through each splat's center, with the projected
+- renders ("Face Camera"): a rectangle parallel to the image plane through each splat's centre, with the projected
   Gaussian on it (EWA splatting, Zwicker et al. 2001, as in Kerbl et al. 2023). Cycles blends the splats by depth, with
   the alpha of the training, and EEVEE blends them in the order of the mesh's faces, which are sorted by depth: the
   image is that of the engine up to rounding. EEVEE draws one splat object completely in front of another.
 - otherwise: a sphere scaled and rotated to the three-sigma ellipsoid, right from every direction. With the hit point p
   in the sphere's own space (where 1 is three sigma) and the unit viewing direction v,
       alpha = opacity exp(-4.5 d^2),   d^2 = p.p - (p.v)^2,
-  with the distance d of the ray from the center: the largest value of the 3D Gaussian along the ray.
-- in the viewport ("Points in Viewport"): coloured points, smaller for fainter splats, fast for any number.
+  with the distance d of the ray from the centre: the largest value of the 3D Gaussian along the ray.
+- in the viewport ("Points in Viewport"): colored points, smaller for fainter splats, fast for any number.
 
 In viewports the nodes give the points without any shape unless an input asks for points or shapes:
 swag_blender/viewport draws the splats there, except in Rendered shading.
@@ -246,7 +246,7 @@ def _interface(tree: bpy.types.NodeTree) -> None:
     switch(
         FACE_CAMERA, True, "Render splats exactly as seen from the active camera; off: ellipsoids, for every direction"
     )
-    switch(POINTS_IN_VIEWPORT, False, "Draw coloured points in viewports")
+    switch(POINTS_IN_VIEWPORT, False, "Draw colored points in viewports")
     switch(SHAPES_IN_VIEWPORT, False, "Draw ellipsoids in viewports, for Rendered shading")
     number(
         DENSITY, "Float", "Percentage of the splats in the viewport; renders show all", 100.0, 0.0, 100.0, "PERCENTAGE"

@@ -17,7 +17,7 @@ POINT_IN_SIGMA = 1.5
 MIN_ALPHA = 1 / 255
 """Splat renderers do not draw smaller alphas."""
 FRUSTUM_MARGIN = 1.3
-"""The projection is linearised at most this far from the center, in half images (Kerbl et al. 2023, code)."""
+"""The projection is linearised at most this far from the centre, in half images (Kerbl et al. 2023, code)."""
 PIXEL_VARIANCE = 0.3
 """Variance in pixels squared that is added to the projected covariance (Zwicker et al. 2001, Kerbl et al. 2023)."""
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -104,7 +104,7 @@ def _half_axes(
 ) -> tuple[Field, Field, Field]:
     """Half axes of each splat's projection and its depth: one standard deviation, in its plane of depth, in the world.
 
-    With the camera's axes r, u, f and the center at (X, Y, Z) along them, a step d from the center moves the projection
+    With the camera's axes r, u, f and the centre at (X, Y, Z) along them, a step d from the centre moves the projection
     by ((r - X/Z f).d, (u - Y/Z f).d) in that plane, whatever the focal length.
     """
     view = add(tree, "GeometryNodeObjectInfo", Object=camera).outputs

@@ -15,14 +15,15 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 from mathutils import Color
 
-from .. import display, water
+from ...swag_engine.splats.development import NO_DEVELOPMENT
+from .. import colors, display, water
 from ..blender_types import present
 from ..crop_box import world_to_box
 from ..properties import swag_of
 from .depth_order import Part, Sorter
 from .packing import HARMONICS_TEXELS, OBJECT_TEXELS, ObjectTexels
 from .placements import Placement, placements
-from .shaders import NEAR, VIEW_FLOATS, Shaders, frustum_limits
+from .shaders import NEAR, VIEW_FLOATS, Shaders, development_constants, frustum_limits
 from .splat_store import SplatStore, float_buffer, new_texture
 
 REST_SECONDS = 0.25
@@ -112,6 +113,7 @@ class ViewportDrawing:
         view = self._views[pointer]
         view.set(present(context.region_data), (region.width, region.height))
         view.background = _background_color(context)
+        view.development = colors.picture_development(present(context.scene), context.active_object)
         return view
 
     def _update_order(self, view: "_View", parts: Sequence[Part], texels: Sequence[ObjectTexels]) -> None:
@@ -176,6 +178,8 @@ class ViewportDrawing:
             composite = self._shaders.composite
             composite.bind()
             composite.uniform_float("background", (*view.background, 1.0))
+            for name, values in development_constants(view.development).items():
+                composite.uniform_float(name, values)
             composite.uniform_sampler("picture", view.picture.texture_color)
             self._quads["composite"].draw(composite)
             gpu.state.blend_set("NONE")
@@ -190,6 +194,7 @@ class _View:
         self.order_count, self.orders = 0, 0
         self.wanted_order: object = None
         self.background = (0.0, 0.0, 0.0)
+        self.development = NO_DEVELOPMENT
         self.size = (0, 0)
         self.matrices = b""
         self.picture_key: object = None
@@ -274,7 +279,6 @@ def _object_texels(context: bpy.types.Context, shown: Sequence[Placement]) -> li
                 object_to_view=to_view @ one.to_world,
                 sh_degree=settings.sh_degree,
                 density=settings.density / 100,
-                gain=2.0**settings.exposure,
                 water=own_water,
                 water_amount=amount if own_water else 0.0,
                 # An instance is cropped as its object is.

@@ -15,7 +15,7 @@ from ..water_values import WaterValues
 GEOMETRY_TEXELS = 3
 """Texels of a splat's position, opacity and covariance."""
 HARMONICS_TEXELS = (1, 3, 9, 12)
-"""Texels of a splat's colour by degree of spherical harmonics: four coefficients in three texels from degree 1."""
+"""Texels of a splat's color by degree of spherical harmonics: four coefficients in three texels from degree 1."""
 OBJECT_TEXELS = 24
 """Texels of an object's matrices, display settings and water."""
 HIDDEN_ALPHA = 1.0
@@ -44,7 +44,7 @@ def harmonics_texels(sh: np.ndarray, degree: int) -> np.ndarray:
 
 
 def state_texels(hidden: np.ndarray | None, tint: np.ndarray | None, count: int) -> np.ndarray:
-    """Colour that is mixed in by its alpha, and whether a splat is drawn at all, as (N, 4) float32.
+    """Color that is mixed in by its alpha, and whether a splat is drawn at all, as (N, 4) float32.
 
     Args:
         hidden: (N,) bool; None for none.
@@ -74,7 +74,6 @@ class ObjectTexels:
         object_to_view: (4, 4) from the object's own space to the view's, z backwards as in OpenGL.
         sh_degree: Highest degree of spherical harmonics to use.
         density: Fraction of the splats to draw.
-        gain: Factor of linear light.
         water: The fitted water, None for none.
         water_amount: Fraction of it to show.
         crop: (4, 4) from the object's own space to one where kept splats are between -1 and 1; None for no crop box.
@@ -83,7 +82,6 @@ class ObjectTexels:
     object_to_view: np.ndarray
     sh_degree: int = 3
     density: float = 1.0
-    gain: float = 1.0
     water: WaterValues | None = None
     water_amount: float = 0.0
     crop: np.ndarray | None = None
@@ -93,7 +91,7 @@ class ObjectTexels:
         rows = np.zeros((OBJECT_TEXELS, 4), np.float32)
         rows[0:3] = self.object_to_view[:3]
         eye = np.linalg.inv(self.object_to_view.astype(np.float64))
-        rows[3, :3], rows[3, 3] = eye[:3, 3], self.gain
+        rows[3, :3] = eye[:3, 3]
         rows[4, :3] = self.sh_degree, self.density, self.crop is not None
         rows[5, :3] = eye[:3, 2] / np.linalg.norm(eye[:3, 2])
         if self.water is not None and self.water_amount > 0:

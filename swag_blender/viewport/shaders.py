@@ -1,14 +1,16 @@
 """Shaders that draw splats as the engine's rasteriser does: EWA splatting as in Kerbl et al. 2023.
 
-Splats are blended in display values (sRGB), as in training, in a buffer of their own. A last shader converts the
-blended values to what Blender's overlay buffer holds. Where splats are transparent the result is that of display values
-over the viewport's background, and close to it over other objects.
+Splats are blended in display values (sRGB), as in training, in a buffer of their own. A last shader develops the
+blended values, as swag_engine/splats/development.py does, and converts them to what Blender's overlay buffer holds.
+Where splats are transparent the result is that of display values over the viewport's background, and close to it over
+other objects.
 """
 
 from typing import Any
 
 import gpu
 
+from ...swag_engine.splats.development import GREY, NO_DEVELOPMENT, Development
 from ..nodes.formulas import SH_0, SH_FACTORS
 from ..nodes.splat_shapes import FRUSTUM_MARGIN, MIN_ALPHA, PIXEL_VARIANCE
 from .packing import GEOMETRY_TEXELS, HIDDEN_ALPHA
@@ -20,6 +22,8 @@ NEAR = 0.01
 OVERLAY_GAMMA = 2.2
 """Exponent with which Blender lays its overlays over the scene, on any display (measured in 5.2: sRGB's own curve is
 up to 7 levels of 255 off)."""
+DEVELOPMENT_ROWS = ("to_red", "to_green", "to_blue")
+"""Constants of the composite shader: rows of the development's gains, with contrast, knee and a switch as fourth."""
 VIEW_FLOATS = 52
 """Floats of the uniform buffer: 208 bytes, of which every device takes at least 16 KB."""
 
@@ -32,7 +36,7 @@ struct View {
   vec4 clip[6];         /* clip planes, in view space */
 };
 """
-_WATER = """
+_TRANSFER = """
 vec3 to_light(vec3 v) {
   vec3 curved = pow(max((v + 0.055) / 1.055, vec3(0.0)), vec3(2.4));
   return mix(v / 12.92, curved, vec3(greaterThan(v, vec3(0.04045))));
@@ -41,6 +45,10 @@ vec3 to_display(vec3 v) {
   vec3 curved = 1.055 * pow(max(v, vec3(0.0)), vec3(1.0 / 2.4)) - 0.055;
   return mix(v * 12.92, curved, vec3(greaterThan(v, vec3(0.0031308))));
 }
+"""
+_WATER = (
+    _TRANSFER
+    + """
 void harmonics(vec3 d, out float y[16]) {
   float xx = d.x * d.x, yy = d.y * d.y, zz = d.z * d.z, around = 4.0 * zz - xx - yy;
   y[0] = SH_0;
@@ -60,6 +68,7 @@ vec3 background_light(int object, vec3 direction) {
   return object_texel(object, 6).a / (1.0 + exp(-total));
 }
 """
+)
 _SPLAT_VERTEX = """
 ivec2 texel(int number) { return ivec2(number % view.layout_.x, number / view.layout_.x); }
 
@@ -152,7 +161,6 @@ void main() {
   if (object_texel(object, 6).a > 0.0) {
     rgb = through_water(object, rgb, direction, orthographic ? max(0.0, -v.z) : length(ray));
   }
-  if (eye.w != 1.0) { rgb = to_display(to_light(rgb) * eye.w); }
   rgb = mix(rgb, to_display(state.rgb), state.a);
   tint = vec4(rgb, centre.w);
   place = corner * reach;
@@ -188,15 +196,28 @@ void main() {
                              object_texel(object, 22).xyz * ray.z);
   vec3 light = background_light(object, direction);
   vec3 rgb = object_texel(object, 7).a > 0.5 ? light : to_display(light);
-  float gain = object_texel(object, 3).a;
-  if (gain != 1.0) { rgb = to_display(to_light(rgb) * gain); }
   blended = vec4(rgb, 1.0);
 }
 """
 _COMPOSITE_FRAGMENT = """
+/* swag_engine/splats/development.py; rows of the gains, with contrast, knee and whether to develop in w. */
+vec3 developed(vec3 display) {
+  if (to_blue.w < 0.5) { return display; }
+  float contrast = to_red.w, knee = to_green.w;
+  vec3 light = to_light(display);
+  light = vec3(dot(to_red.rgb, light), dot(to_green.rgb, light), dot(to_blue.rgb, light));
+  float peak = max(max(light.r, light.g), max(light.b, 1e-12));
+  float curved = GREY * pow(peak / GREY, contrast);
+  if (knee < 1.0) {
+    float over = max(curved - knee, 0.0) / (1.0 - knee);
+    curved = min(curved, knee) + (1.0 - knee) * over / (1.0 + over);
+  }
+  return to_display(light * (curved / peak));
+}
 void main() {
   vec4 found = texture(picture, place);
   if (found.a < 1e-4) { discard; }
+  found.rgb = developed(found.rgb / found.a) * found.a;
   /* Blender blends this with a gamma. It comes out as blended in display values over the viewport's background. */
   vec3 behind = pow(background.rgb, vec3(GAMMA));
   vec3 wanted = pow(clamp(found.rgb + (1.0 - found.a) * background.rgb, 0.0, 1.0), vec3(GAMMA));
@@ -236,7 +257,8 @@ class Shaders:
             _COMPOSITE_FRAGMENT,
             output="light",
             samplers=("picture",),
-            constants=(("VEC4", "background"),),
+            constants=tuple(("VEC4", name) for name in ("background", *DEVELOPMENT_ROWS)),
+            library=_TRANSFER,
         )
 
 
@@ -281,12 +303,20 @@ def _compile(
         ("GEOMETRY", GEOMETRY_TEXELS),
         ("DEPTH", depth),
         ("GAMMA", OVERLAY_GAMMA),
+        ("GREY", GREY),
     ):
         info.define(name, str(value))
     is_vertex_library = "texelFetch(order" in vertex
     info.vertex_source((library if is_vertex_library else "") + vertex)
     info.fragment_source(("" if is_vertex_library else library) + fragment)
     return gpu.shader.create_from_info(info)
+
+
+def development_constants(development: Development) -> dict[str, tuple[float, ...]]:
+    """The values of DEVELOPMENT_ROWS for a development."""
+    fourth = (development.contrast, development.knee, float(development != NO_DEVELOPMENT))
+    rows = development.gains.tolist()
+    return {name: (*row, last) for name, row, last in zip(DEVELOPMENT_ROWS, rows, fourth, strict=True)}
 
 
 def frustum_limits(projection: Any) -> tuple[float, float, float, float]:

@@ -35,7 +35,7 @@ class _Held:
 
     Attributes:
         data: Session number of its point cloud, and of how many changes of it by the extension are known.
-        checksums: Of geometry, colours and state.
+        checksums: Of geometry, colors and state.
         part: Its splats for the order; None where nothing of it is on the card.
     """
 
@@ -49,7 +49,7 @@ class SplatStore:
 
     Attributes:
         geometry: Positions, opacities, covariances.
-        harmonics: Colours.
+        harmonics: Colors.
         states: Tints, and which splats are not drawn.
         degree: Degree of spherical harmonics that the textures hold.
         notice: A sentence for the user where the device cannot hold everything; "" otherwise.

@@ -1,7 +1,7 @@
 """Attenuation: the water takes light, of one color more than of another."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from torch import Tensor
@@ -9,7 +9,7 @@ from torch import Tensor
 from ..evidence.decision import Decision
 from ..evidence.observations import LEAST_CHANGE
 from ..evidence.scene_evidence import SceneEvidence
-from ..evidence.water_terms import GREY, LEAST_COLOR, LEAST_WATER_BIC, SURE_COLOR, WIDEST_INTERVAL, WaterTerm
+from ..evidence.water_terms import CHANNELS, GREY, LEAST_COLOR, LEAST_WATER_BIC, SURE_COLOR, WIDEST_INTERVAL, WaterTerm
 from ..water.medium import SETTINGS, Medium, through_water
 from ..water.network import WaterNetwork
 from .effect import CostProbe, Effect
@@ -21,7 +21,16 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
     terms = evidence.water_terms
     if terms is None:
         return too_few_observations(evidence)
-    return limited_by_ranges(decide_by_color(terms.water), terms)
+    decision, family = decide_by_color(terms.water), terms.lamp_family
+    if family:
+        decision.evidence.update(loss_with_lamp=family.loss.tolist(), error_under_lamp=family.beta_error)
+        together = ", ".join(f"{name} {loss:.0%}" for name, loss in zip(CHANNELS, family.loss, strict=True))
+        decision = replace(
+            decision,
+            reason=f"{decision.reason} Lamp and water together take {together}. How much of it the water takes is less "
+            f"certain: the attenuation may be {family.beta_error:.3f} per unit higher or lower, alike in all colors.",
+        )
+    return limited_by_ranges(decision, terms)
 
 
 def decide_by_color(water: WaterTerm) -> Decision:

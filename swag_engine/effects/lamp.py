@@ -49,9 +49,14 @@ class Lamp:
         """Tau in squared scene units."""
         return float(self.log_tau.detach().exp()) * self.unit_range**2
 
+    @property
+    def relative_tau(self) -> Tensor:
+        """Tau over the squared median range, (), differentiable; bounded so that `light` stays finite."""
+        return self.log_tau.clamp(-12.0, 12.0).exp()
+
     def light(self, ranges: Tensor) -> Tensor:
         """Return the factor on linear light at ranges of any shape, scene units; differentiable in both."""
-        tau = self.log_tau.clamp(-12.0, 12.0).exp()
+        tau = self.relative_tau
         return (tau + 1) / (tau + (ranges / self.unit_range).square())
 
 
@@ -96,7 +101,8 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
     if lamp.tied and not lamp.found:
         decision = decision.undetermined(
             f"Cannot be determined: light that falls off from the camera by {lamp.falloff:.0%} explains the colors as "
-            f"well as water does (BIC gain {lamp.bic_gain:,.0f}, threshold {lamp.bic_needed:.0f})."
+            f"well as water does (BIC gain {lamp.bic_gain:,.0f}, threshold {lamp.bic_needed:.0f}). With a lamp the "
+            f"attenuation would be {', '.join(f'{value:.3f}' for value in lamp.beta_D)} per unit (red, green, blue)."
         )
     return limited_by_ranges(decision, terms)
 

@@ -13,6 +13,7 @@ import numpy as np
 from .fit import MOST_FITTED, Family, Fit, WeightedObservations, independent_channels, lens_terms
 from .observations import LEAST_BACKGROUND_LIGHT, LEAST_CHANGE, Observations, track_ratio
 
+CHANNELS = ("red", "green", "blue")
 NEAR_QUANTILE = 0.05
 """Quantile of the ranges that counts as the near end of a scene."""
 FAR_QUANTILE = 0.95
@@ -102,6 +103,7 @@ class LampTerm:
         inverse_square: That fraction over the one of the inverse square.
         grey: Relative difference of the loss between channels.
         colorless: Whether the loss without a lamp has no color.
+        beta_D: (3,) attenuation that goes with the lamp, per unit of the ranges.
     """
 
     found: bool
@@ -112,6 +114,21 @@ class LampTerm:
     inverse_square: float
     grey: float
     colorless: bool
+    beta_D: np.ndarray
+
+
+@dataclass(frozen=True)
+class LampFamily:
+    """What is known of attenuation under a lamp: lamp and water both take light with range and can replace each other.
+
+    Attributes:
+        loss: (3,) fraction of light that lamp and water take together between the near and the far end.
+        beta_error: Error of beta_D, the same in all channels, per unit of the ranges. It is what LAMP_ERROR of the
+            lamp's fall-off takes, so that it is smaller where the ranges differ more.
+    """
+
+    loss: np.ndarray
+    beta_error: float
 
 
 @dataclass(frozen=True)
@@ -166,7 +183,7 @@ class WaterTerm:
     @property
     def channel(self) -> str:
         """Name of the channel that loses most."""
-        return ("red", "green", "blue")[self.strongest]
+        return CHANNELS[self.strongest]
 
 
 @dataclass
@@ -184,7 +201,9 @@ class WaterTerms:
         separate_bic: BIC gain by a coefficient of its own.
         fit: Values of the family that was chosen.
         images: Images that the fit's gains are of, by index.
-        intervals: 95 % bounds (2, 3) of beta_D, beta_B and B; empty without attenuation.
+        lamp_family: What is known of attenuation under a lamp; None without either.
+        intervals: 95 % bounds (2, 3) of beta_D, beta_B and B; empty without attenuation. Those of beta_D have the error
+            of the lamp family added.
     """
 
     range_ratio: float
@@ -197,6 +216,7 @@ class WaterTerms:
     separate_bic: float
     fit: Fit
     images: Sequence[int]
+    lamp_family: LampFamily | None = None
     intervals: dict[str, np.ndarray] = field(default_factory=dict)
 
 
@@ -230,7 +250,12 @@ def find_water_terms(observations: Observations, open_water: np.ndarray | None =
     water, fit, intervals = comparison.water_term(none, direct, tied, separate, lamp, dark, random)
     images = np.unique(comparison.weighted.observations.image).tolist()
     separate_bic = comparison.bic(tied) - comparison.bic(separate)
-    return WaterTerms(ratio, correlation, camera, lamp, water, tied, separate, separate_bic, fit, images, intervals)
+    family = comparison.lamp_family(fit)
+    if family:
+        intervals["beta_D"] = (intervals["beta_D"] + family.beta_error * np.array([[-1.0], [1.0]])).clip(min=0)
+    return WaterTerms(
+        ratio, correlation, camera, lamp, water, tied, separate, separate_bic, fit, images, family, intervals
+    )
 
 
 @dataclass(frozen=True)
@@ -320,6 +345,18 @@ class _Comparison:
             inverse_square=float(share),
             grey=grey,
             colorless=bool(colorless),
+            beta_D=lit.beta_D,
+        )
+
+    def lamp_family(self, fit: Fit) -> LampFamily | None:
+        """What is known of the attenuation of a fit under a lamp; None where it has not both."""
+        if not (fit.family.lamp and fit.family.attenuation):
+            return None
+        near, far = self.near, self.far
+        lamp = float(np.log((fit.tau + far**2) / (fit.tau + near**2)))
+        return LampFamily(
+            loss=-np.expm1(-fit.beta_D * (far - near) - lamp),
+            beta_error=LAMP_ERROR * lamp / float(far - near),
         )
 
     def water_term(

@@ -1,5 +1,6 @@
 """Evaluation of a finished run: scores on its test images, and rendered images."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..base.transfer import srgb_to_linear
 from ..effects.scene_effects import SceneEffects
 from ..evaluation.lpips import BACKBONES, load_lpips
 from ..evaluation.metrics import (
@@ -19,21 +21,25 @@ from ..evaluation.metrics import (
     mean,
     mean_score,
     median_image_psnr,
+    render_color,
     render_image,
     restored_error,
     score_image,
 )
+from ..formats.exr import write_light_exr
 from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud
 from ..kernels.backends import device_for
 from ..kernels.machine import examine
 from ..rendering.model import SceneModel
+from ..rendering.restoration import RestorationLimit
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images, read_image
 from ..scene.inspect import inspect_scene
 from ..scene.split import split_views
 from ..training.checkpoint import load_checkpoint
 from ..training.inputs import median_range
+from .develop_run import color_view
 from .evaluation_page import write_evaluation_page
 from .page import ViewComparison
 
@@ -44,7 +50,8 @@ PAGE = "evaluation.html"
 def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any]:
     """Score the newest checkpoint of a run on its test images; write evaluation.json and evaluation.html.
 
-    Images without water are compared with clean/NAME.png or .webp of the scene, in the views that have one.
+    Images without water are compared with clean/NAME.png or .webp of the scene, in the views that have one. Scores are
+    those of images without development, the page shows developed ones.
 
     Args:
         folder: Folder of the run.
@@ -72,6 +79,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
     training = [image for image in images if image.camera.name in split.train]
     test = [image for image in images if image.camera.name in split.test]
 
+    development = color_view(folder, "auto", cloud, effects).at(0)
     scores, views, comparisons = [], {}, []
     for image in test:
         color = render_image(cloud, image.camera, settings.sh_degree, effects=effects)
@@ -80,12 +88,15 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
         score = score_image(image, color)
         figures: dict[str, Any] = {"psnr": score.psnr, "ssim": score.ssim}
         figures["lpips"] = {name: network(shown_color, target) for name, network in lpips.items()}
-        if truth := _true_image(scene, image):
+        if truth := true_image(scene, image):
             psnr, delta_e = restored_error(restored.numpy(), *truth)
             figures["restored"] = {"psnr": psnr, "delta_e": delta_e}
         scores.append(score)
         views[score.name] = figures
-        comparisons.append(compare_view(image, color, restored if effects.models else None))
+        shown = render_image(
+            cloud, image.camera, settings.sh_degree, effects=effects, amount=0, development=development
+        )
+        comparisons.append(compare_view(image, color, shown if effects.models else None))
 
     test_psnr, test_ssim = mean_score(scores)
     summary = inspect_scene(scene)
@@ -119,13 +130,16 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
     return result
 
 
-def compare_view(image: TrainingImage, color: Tensor, restored: Tensor | None) -> ViewComparison:
+def compare_view(
+    image: TrainingImage, color: Tensor, restored: Tensor | None, confidence: Tensor | None = None
+) -> ViewComparison:
     """Make the comparison of one view for a page.
 
     Args:
         image: Image of the scene.
         color: Rendered image (H, W, 3), display values 0..1.
-        restored: Rendered image without water (H, W, 3), None without a water model.
+        restored: Rendered image without water, developed (H, W, 3), None without a water model.
+        confidence: Confidence (H, W) in its colors, 0..1, NaN where no Gaussian is; None if it is not to be shown.
 
     Returns:
         The comparison.
@@ -135,7 +149,8 @@ def compare_view(image: TrainingImage, color: Tensor, restored: Tensor | None) -
         return (x * 255).round().byte().numpy()
 
     without = None if restored is None else in_8_bits(restored)
-    return ViewComparison(image.camera.name, image.pixels, in_8_bits(color), image.valid, without)
+    sure = None if confidence is None else confidence.cpu().numpy()
+    return ViewComparison(image.camera.name, image.pixels, in_8_bits(color), image.valid, without, sure)
 
 
 def describe(evaluation: dict[str, Any]) -> str:
@@ -158,7 +173,7 @@ def _scores(name: str, psnr: float, ssim: float, lpips: dict[str, float]) -> str
     return ", ".join([f"{name}: PSNR {psnr:.2f} dB", f"SSIM {ssim:.3f}", *known])
 
 
-def _true_image(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarray] | None:
+def true_image(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarray] | None:
     """Read the true image without water of a view, None where the scene has none.
 
     Returns:
@@ -195,20 +210,24 @@ def machine(device: torch.device) -> dict[str, Any]:
     }
 
 
-def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) -> list[Path]:
-    """Render views of a run at the training size to PNG files.
+def render_run(
+    folder: Path, out: Path, camera: str | None, water: float = 1.0, develop: str = "auto", exr: bool = False
+) -> list[Path]:
+    """Render views of a run at the training size to image files.
 
     Args:
         folder: Folder of the run.
         out: Folder of the files.
         camera: Name of one image; all test images without it.
         water: Amount of water, from 0 (removed) to 1 (as photographed).
+        develop: Development of PNG files, as `RunFolder.color_view`.
+        exr: Write linear light without development to OpenEXR files in place of PNG files.
 
     Returns:
         The files.
 
     Raises:
-        InputError: For another amount or name, and where the run has no checkpoint.
+        InputError: For another amount, name or development, and where the run has no checkpoint.
     """
     if not 0 <= water <= 1:
         raise InputError(f"The amount of water must be from 0 to 1, not {water}.")
@@ -219,29 +238,58 @@ def render_run(folder: Path, out: Path, camera: str | None, water: float = 1.0) 
     wanted = split_views(names).test if camera is None else [camera]
     if not set(wanted) <= set(names):
         raise InputError(f"{scene.folder} has no photo named {camera}; the first is {names[0]}.")
+    development = color_view(folder, develop, cloud, effects).at(water)
     files = []
     for view in scene.views:
         if view.camera.name not in wanted:
             continue
         sized = view.camera.resized(min(settings.width, view.camera.width))
-        pixels = (
-            (render_image(cloud, sized, settings.sh_degree, effects=effects, amount=water) * 255).round().byte().numpy()
-        )
-        path = (out / view.camera.name).with_suffix(".png")
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(cv2.imencode(".png", pixels[..., ::-1])[1].tobytes())
+        path = (out / view.camera.name).with_suffix(".exr" if exr else ".png")
+        if exr:
+            color = render_color(cloud, sized, settings.sh_degree, effects=effects, amount=water)
+            write_light_exr(path, srgb_to_linear(color.numpy()))
+        else:
+            image = render_image(
+                cloud, sized, settings.sh_degree, effects=effects, amount=water, development=development
+            )
+            pixels = (image * 255).round().byte().numpy()
+            with atomic_path(path) as temporary:
+                temporary.write_bytes(cv2.imencode(".png", pixels[..., ::-1])[1].tobytes())
         files.append(path)
     return files
 
 
+@dataclass(frozen=True)
+class LoadedRun:
+    """Model of a run as its result files have it.
+
+    Attributes:
+        cloud: The Gaussians, with limited colors where restored ones are not certain.
+        effects: The effects.
+        state: The stored state.
+        confidence: (N,) confidence in the restored colors, 0..1; None where the run restores none or has not ended.
+    """
+
+    cloud: GaussianCloud
+    effects: SceneEffects
+    state: dict[str, Any]
+    confidence: Tensor | None
+
+
 def load_newest(folder: Path) -> tuple[GaussianCloud, SceneEffects, dict[str, Any]]:
+    """Load Gaussians, effects and stored state of a run, as `load_run`."""
+    run = load_run(folder)
+    return run.cloud, run.effects, run.state
+
+
+def load_run(folder: Path) -> LoadedRun:
     """Load the newest checkpoint of a run to the device of the fastest backend.
 
     Args:
         folder: Folder of the run.
 
     Returns:
-        Gaussians, effects, and the stored state.
+        The model.
 
     Raises:
         InputError: Where the run has no checkpoint, or it is damaged.
@@ -252,4 +300,7 @@ def load_newest(folder: Path) -> tuple[GaussianCloud, SceneEffects, dict[str, An
     tensors, state = loaded
     device = device_for("auto")
     model = SceneModel.from_checkpoint(tensors, state).to(device)
-    return model.cloud, model.effects, state
+    limit = RestorationLimit.from_checkpoint(tensors)
+    if limit is None:
+        return LoadedRun(model.cloud, model.effects, state, None)
+    return LoadedRun(limit.apply(model.cloud), model.effects, state, limit.least_confidence.to(device))

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ..base.html_page import NONE, number, paragraph_html, table_html, write_page
 from ..evaluation.lpips import BACKBONES
-from .page import NONE, ViewComparison, number, paragraph_html, table_html, views_html, write_page
+from .page import ViewComparison, views_html
 
 
 def write_evaluation_page(path: Path, evaluation: dict[str, Any], comparisons: Sequence[ViewComparison]) -> None:
@@ -57,7 +58,7 @@ def metric_rows(evaluation: dict[str, Any]) -> list[tuple[str, str, str]]:
     if number(restored["psnr"], 0) != NONE:
         rows += [
             ("Without water, PSNR", number(restored["psnr"], 2, " dB"), "against the true image without water"),
-            ("Without water, colour error", number(restored["delta_e"], 1),
+            ("Without water, color error", number(restored["delta_e"], 1),
              "CIE ΔE 2000; about 1 is the smallest that people see"),
         ]  # fmt: skip
     files = ", ".join(f"{name} {size:.1f} MB" for name, size in evaluation["megabytes"].items())

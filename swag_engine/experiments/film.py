@@ -10,13 +10,13 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..base.transfer import srgb_to_linear
 from ..effects.scene_effects import SceneEffects
 from ..formats.camera_path import PathFrame
-from ..formats.exr import write_exr
+from ..formats.exr import write_exr, write_light_exr
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder, read_json
 from ..formats.water import DAMAGED
@@ -25,8 +25,10 @@ from ..kernels.backends import device_for
 from ..rendering.model import SceneModel
 from ..rendering.render import Picture, render
 from ..scene.cameras import Camera
+from ..splats.development import AS_RESTORED, ColorView, Development
 from ..training.checkpoint import checkpoints
 from ..water.medium import Medium
+from .develop_run import color_view
 from .evaluate_run import load_newest
 
 VIDEO_SUFFIX = ".mp4"
@@ -48,6 +50,7 @@ class FilmOptions:
         overwrite: Render frames whose files exist; without it they are kept.
         fps: Frames of a video per second.
         unit: Length of a scene unit in units of the depth.
+        exr: Write linear light without development to OpenEXR files in place of PNG files, with alpha premultiplied.
 
     Raises:
         InputError: If a number is not above 0.
@@ -58,6 +61,7 @@ class FilmOptions:
     overwrite: bool = False
     fps: float = 24.0
     unit: float = 1.0
+    exr: bool = False
 
     def __post_init__(self) -> None:
         if not 0 < self.fps <= 1000:
@@ -119,10 +123,17 @@ def read_medium(path: Path) -> Medium:
         raise InputError(DAMAGED) from error
 
 
-def film_run(folder: Path, out: Path, frames: Sequence[PathFrame], options: FilmOptions, **more: Any) -> dict[str, Any]:
-    """Render the Gaussians of a run along a camera path; arguments and result as `render_film`."""
+def film_run(
+    folder: Path, out: Path, frames: Sequence[PathFrame], options: FilmOptions, develop: str = "auto", **more: Any
+) -> dict[str, Any]:
+    """Render the Gaussians of a run along a camera path, developed as `color_view` says.
+
+    Further arguments and the result are those of `render_film`.
+    """
     _, settings, _ = RunFolder(folder).read_config()
-    return render_film(film_model(None, folder), out, frames, options, sh_degree=settings.sh_degree, **more)
+    model = film_model(None, folder)
+    colors = color_view(folder, develop, model.cloud, model.effects)
+    return render_film(model, out, frames, options, sh_degree=settings.sh_degree, colors=colors, **more)
 
 
 def render_film(
@@ -132,6 +143,7 @@ def render_film(
     options: FilmOptions,
     water: float = 1.0,
     sh_degree: int = 3,
+    colors: ColorView = AS_RESTORED,
     progress: Callable[[int, int], None] = lambda done, total: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any]:
@@ -139,11 +151,13 @@ def render_film(
 
     Args:
         model: Gaussians and effects.
-        out: Folder of NAME.png and depth/NAME.exr; or a video, NAME.mp4, with NAME_alpha.mp4 and NAME_depth/NAME.exr.
+        out: Folder of NAME.png (or NAME.exr) and depth/NAME.exr; or a video, NAME.mp4, with NAME_alpha.mp4 and
+            NAME_depth/NAME.exr.
         frames: The frames, with different names.
         options: What the files hold.
         water: Amount of water for frames that have none of their own, 0..1.
         sh_degree: Highest degree of spherical harmonics.
+        colors: How colors are developed; EXR files are not.
         progress: Called with the number of finished frames and that of all frames.
         should_stop: Asked between two frames. A stopped sequence keeps its frames, a stopped video is not written.
 
@@ -157,21 +171,27 @@ def render_film(
     if not 0 <= water <= 1:
         raise InputError(f"The amount of water must be from 0 to 1, not {water}.")
     is_video = out.suffix.lower() == VIDEO_SUFFIX
+    if is_video and options.exr:
+        raise InputError(f"{out.name} is a video, which has no linear light: name a folder to write EXR files.")
     depth_folder = out.with_name(f"{out.stem}_depth") if is_video else out / "depth"
+    suffix = ".exr" if options.exr else ".png"
     result: dict[str, Any] = {"out": str(out), "frames": len(frames), "rendered": 0, "kept": 0, "interrupted": False}
     try:
         with _video(out, frames, options) if is_video else _sequence(out) as write:
             for done, frame in enumerate(frames):
                 if should_stop():
                     raise _StoppedError
-                image, depth = out / f"{frame.camera.name}.png", depth_folder / f"{frame.camera.name}.exr"
+                image, depth = out / f"{frame.camera.name}{suffix}", depth_folder / f"{frame.camera.name}.exr"
                 files = [image, depth] if options.depth else [image]
                 if not (is_video or options.overwrite) and all(file.exists() for file in files):
                     result["kept"] += 1
                 else:
                     amount = water if frame.water is None else frame.water
                     picture = _picture(model, frame.camera, amount, sh_degree, options)
-                    write(frame.camera.name, _pixels(picture, options.alpha))
+                    if options.exr:
+                        write_light_exr(image, _light(picture, options.alpha))
+                    else:
+                        write(frame.camera.name, _pixels(picture, options.alpha, colors.at(amount)))
                     if options.depth:
                         write_exr(depth, _depth(picture, frame.camera, options.unit))
                     result["rendered"] += 1
@@ -269,17 +289,29 @@ def _picture(model: SceneModel, camera: Camera, amount: float, sh_degree: int, o
     )  # fmt: skip
 
 
-def _pixels(picture: Picture, with_alpha: bool) -> np.ndarray:
+def _pixels(picture: Picture, with_alpha: bool, development: Development) -> np.ndarray:
     """Return (H, W, 3) uint8 display values, with straight alpha (H, W, 4) where it is asked for."""
+    color = development.apply(_straight(picture, with_alpha))
+    if with_alpha:
+        color = np.concatenate([color, picture.alpha[..., None].cpu().numpy()], axis=-1)
+    return np.round(color.clip(0, 1) * 255).astype(np.uint8)
+
+
+def _light(picture: Picture, with_alpha: bool) -> np.ndarray:
+    """Return linear light (H, W, 3), with alpha (H, W, 4), premultiplied, where it is asked for."""
+    light = srgb_to_linear(_straight(picture, with_alpha))
+    if with_alpha:
+        alpha = picture.alpha[..., None].cpu().numpy()
+        light = np.concatenate([light * alpha, alpha], axis=-1)
+    return light
+
+
+def _straight(picture: Picture, with_alpha: bool) -> np.ndarray:
+    """Return display values (H, W, 3), of the Gaussians alone where alpha is asked for."""
     color = picture.color
     if with_alpha:
-        alpha = picture.alpha[..., None]
-        color = torch.cat([color / alpha.clamp(min=LEAST_ALPHA), alpha], dim=-1)
-    return _in_8_bits(color)
-
-
-def _in_8_bits(values: Tensor) -> np.ndarray:
-    return (values.clamp(0, 1) * 255).round().byte().cpu().numpy()
+        color = color / picture.alpha[..., None].clamp(min=LEAST_ALPHA)
+    return color.cpu().numpy()
 
 
 def _depth(picture: Picture, camera: Camera, unit: float) -> np.ndarray:

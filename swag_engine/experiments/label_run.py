@@ -39,7 +39,7 @@ def label_run(
     """Label the Gaussians of a run from its training images.
 
     Writes labels into result.ply and result.glb, and labels.json and semantics.safetensors. Regions are embedded with
-    CLIP where its files are there or may be downloaded, else by colour and texture.
+    CLIP where its files are there or may be downloaded, else by color and texture.
 
     Args:
         folder: Folder of the run.

@@ -6,16 +6,15 @@ Functions that end in _html take plain text (from files, names, folders) and esc
 import base64
 import io
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
-from ..base.files import atomic_path
+from ..base.html_page import number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,94 +22,10 @@ if TYPE_CHECKING:
 
 FULL_ERROR = 51
 """Difference in 8-bit values (a fifth of the scale) from which on the error map is brightest."""
-NONE = "–"
-"""Text of a number that is not known."""
 BLUE = "#2a7f9e"
-"""Colour of curves and bars, visible on light and dark pages."""
+"""Color of curves and bars, visible on light and dark pages."""
 INK = "#010203"
-"""Colour of text and axes in a plot, replaced by the text colour of the page, light or dark."""
-
-STYLE = """
-:root { color-scheme: light dark; --line: #8886; --bar: #2a7f9e; }
-body { font: 16px/1.5 system-ui, sans-serif; margin: 0 auto; padding: 1.5rem; max-width: 80rem; }
-h1, h2, h3 { line-height: 1.2; }
-h2 { margin-top: 2.5rem; }
-h3 { margin: 1.5rem 0 .5rem; font-size: 1rem; }
-p, li { max-width: 48rem; overflow-wrap: anywhere; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .3rem .9rem .3rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
-td { overflow-wrap: break-word; }
-td.text { min-width: 14rem; }
-.number { text-align: right; white-space: nowrap; }
-.meaning { min-width: 14rem; }
-.meaning, figcaption { font-size: .875rem; opacity: .8; }
-.note { border-left: .25rem solid var(--bar); padding-left: .8rem; }
-.pictures, .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(45%, 16rem), 1fr)); gap: .8rem; }
-.plots { grid-template-columns: repeat(auto-fit, minmax(min(100%, 21rem), 1fr)); }
-figure { margin: 0; break-inside: avoid; }
-figure img, figure svg { display: block; width: 100%; height: auto; }
-.scale { width: 8rem; height: .7rem; margin: 0 .4rem; }
-.bar { display: block; height: .8rem; margin-top: .35rem; background: var(--bar); print-color-adjust: exact;
-  -webkit-print-color-adjust: exact; }
-.bars { width: 40%; min-width: 6rem; }
-pre { overflow-x: auto; padding: .8rem; border: 1px solid var(--line); white-space: pre-wrap; overflow-wrap: anywhere; }
-@media print { body { font-size: 10pt; max-width: none; padding: 0; } h2, h3 { break-after: avoid; } }
-"""
-
-
-def write_page(path: Path, title: str, parts: Iterable[str]) -> None:
-    """Write one HTML file.
-
-    Args:
-        path: The file.
-        title: Title, as plain text.
-        parts: Parts of the body, as HTML.
-
-    Raises:
-        InputError: When the file cannot be written.
-    """
-    head = (
-        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{STYLE}</style></head><body>'
-        f"<h1>{escape(title)}</h1>"
-    )
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join([head, *parts, "</body></html>\n"]), encoding="utf-8")
-
-
-def number(value: float | None, digits: int, unit: str = "") -> str:
-    """Format a number with so many digits and a unit; NONE where it is not known or not finite."""
-    return NONE if value is None or not np.isfinite(value) else f"{value:,.{digits}f}{unit}"
-
-
-def paragraph_html(text: str, style: str = "") -> str:
-    """Make a paragraph; the style is "note" or empty."""
-    return f'<p class="{style}">{escape(text)}</p>' if style else f"<p>{escape(text)}</p>"
-
-
-def table_html(rows: Iterable[Sequence[str]], heads: Sequence[str] = (), styles: Sequence[str] = ()) -> str:
-    """Make a table.
-
-    Args:
-        rows: Texts of the cells.
-        heads: Texts of the first row, none without.
-        styles: Style of each column: "number", "meaning", "text" or empty.
-
-    Returns:
-        HTML.
-    """
-
-    def row(tag: str, cells: Sequence[str]) -> str:
-        classes = [*styles, *[""] * len(cells)]
-        shown = (
-            f'<{tag} class="{style}">{escape(cell)}</{tag}>' if style else f"<{tag}>{escape(cell)}</{tag}>"
-            for cell, style in zip(cells, classes, strict=False)
-        )
-        return f"<tr>{''.join(shown)}</tr>"
-
-    lines = [row("th", heads)] if heads else []
-    return "\n".join(['<div class="wide"><table>', *lines, *(row("td", cells) for cells in rows), "</table></div>"])
+"""Color of text and axes in a plot, replaced by the text color of the page, light or dark."""
 
 
 def bars_html(values: dict[str, float], title: str, unit: str) -> str:
@@ -151,6 +66,7 @@ class ViewComparison:
         render: Rendered image.
         valid: Valid pixels (H, W) bool.
         restored: Rendered image without water, None without a water model.
+        confidence: Confidence (H, W) in its colors, float 0..1, NaN where nothing is restored; None if not shown.
     """
 
     name: str
@@ -158,10 +74,11 @@ class ViewComparison:
     render: np.ndarray
     valid: np.ndarray
     restored: np.ndarray | None = None
+    confidence: np.ndarray | None = None
 
 
 def views_html(views: Sequence[ViewComparison], captions: Sequence[str] | None = None) -> list[str]:
-    """Show each view: photo, rendered image and error map, and the rendered image without water where there is one.
+    """Show each view: photo, rendered image, error map, and image without water and its confidence where there are any.
 
     Args:
         views: The views.
@@ -174,10 +91,19 @@ def views_html(views: Sequence[ViewComparison], captions: Sequence[str] | None =
         f"<p>Error maps show the mean difference of red, green and blue: 0 {_image(_scale(), 'scale')} "
         f"{FULL_ERROR / 255:.0%} of the full scale or more. Grey pixels are not compared.</p>"
     ]
+    if any(view.confidence is not None for view in views):
+        lines.append(
+            "<p>Confidence maps show how far the color without water is known, in its least certain channel: 0 "
+            f"{_image(_scale(), 'scale')} 1. Below 0.5 noise and errors of the water outweigh what is left of the "
+            "light, and the color that is most likely in this scene takes its place. Grey pixels show open water.</p>"
+        )
     for view, caption in zip(views, captions or [""] * len(views), strict=True):
         shown = {"photo": view.photo, "rendered": view.render, "error": _error_map(view)}
         if view.restored is not None:
             shown["rendered without water"] = view.restored
+        if view.confidence is not None:
+            known = np.isfinite(view.confidence)[..., None]
+            shown["confidence"] = np.where(known, _colors(np.nan_to_num(view.confidence)), np.uint8(128))
         figures = (f"<figure>{_image(p)}<figcaption>{name}</figcaption></figure>" for name, p in shown.items())
         lines += [f"<h3>{escape(view.name)}{': ' if caption else ''}{escape(caption)}</h3>"]
         lines += [f'<div class="pictures">{"".join(figures)}</div>']
@@ -185,7 +111,7 @@ def views_html(views: Sequence[ViewComparison], captions: Sequence[str] | None =
 
 
 def _error_map(view: ViewComparison) -> np.ndarray:
-    """Return the mean absolute difference over the channels as colours (H, W, 3) uint8, black for none."""
+    """Return the mean absolute difference over the channels as colors (H, W, 3) uint8, black for none."""
     error = np.abs(view.render.astype(np.float32) - view.photo).mean(-1)
     return np.where(view.valid[..., None], _colors(error / FULL_ERROR), np.uint8(128))
 
@@ -234,7 +160,7 @@ def new_plots(x: str, *ys: str) -> "tuple[Figure, list[Axes]]":
 
 
 def plot_html(figure: "Figure", caption: str) -> str:
-    """Draw a figure as vector graphics in the text colour of the page.
+    """Draw a figure as vector graphics in the text color of the page.
 
     Args:
         figure: The figure.

@@ -1,4 +1,4 @@
-"""report.html: quality, time, effects and settings of a run, and the command that repeats it."""
+"""report.html: quality, time, effects, development and settings of a run, and the command that repeats it."""
 
 import shlex
 from collections.abc import Sequence
@@ -8,31 +8,22 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import InputError
+from ..base.html_page import NONE, number, paragraph_html, table_html, write_page
 from ..base.strict_json import from_json
 from ..evaluation.metrics import render_image
 from ..formats.run_folder import RunFolder, read_json
 from ..planning.plan import STATES
+from ..rendering.restoration import render_confidence
 from ..scene.colmap import load_scene
 from ..scene.images import load_images
 from ..scene.split import split_views
 from ..settings.settings import TrainSettings
 from ..training.pacing.memory import TOO_LITTLE, is_shortage
-from .evaluate_run import compare_view, load_newest, machine
+from .color_chart import DELTA_E
+from .develop_run import automatic_development
+from .evaluate_run import compare_view, load_run, machine
 from .evaluation_page import machine_line, metric_rows, view_table_html
-from .page import (
-    BLUE,
-    INK,
-    NONE,
-    ViewComparison,
-    bars_html,
-    new_plots,
-    number,
-    paragraph_html,
-    plot_html,
-    table_html,
-    views_html,
-    write_page,
-)
+from .page import BLUE, INK, ViewComparison, bars_html, new_plots, plot_html, views_html
 
 PAGE = "report.html"
 """Name of the page in the run's folder."""
@@ -44,6 +35,8 @@ LOGGED = ("seconds", "psnr", "ssim", "gaussians")
 
 def write_report(folder: Path) -> Path:
     """Write report.html to a run's folder, from its files and from images of its newest checkpoint.
+
+    The automatic development of the restored colors is found for that checkpoint, and kept in development.json.
 
     Parts whose file the run does not have are omitted.
 
@@ -58,7 +51,8 @@ def write_report(folder: Path) -> Path:
     """
     run = RunFolder(folder)
     scene_folder, settings, _ = run.read_config()
-    cloud, effects, state = load_newest(folder)
+    loaded = load_run(folder)
+    cloud, effects, state = loaded.cloud, loaded.effects, loaded.state
     metrics, forecast = _optional(run.metrics), _optional(folder / "forecast.json")
     evaluation = _optional(folder / "evaluation.json")
     if evaluation.get("iteration") != state["iteration"]:
@@ -69,12 +63,17 @@ def write_report(folder: Path) -> Path:
     scene = load_scene(scene_folder)
     chosen = _from_worst_to_best(views) or split_views([view.name for view in scene.views]).test[:SHOWN]
     by_name = {view.name: view for view in scene.views if view.name in chosen}
+    development = automatic_development(folder, cloud, effects)
+    run.write_development(development)
+    colors = run.color_view("auto")
     comparisons: list[ViewComparison] = []
     for image in load_images(scene, [by_name[name] for name in chosen if name in by_name], settings.width):
         rendered = [
-            render_image(cloud, image.camera, settings.sh_degree, effects=effects, amount=amount) for amount in (1, 0)
+            render_image(cloud, image.camera, settings.sh_degree, "auto", effects, amount, colors.at(amount))
+            for amount in (1, 0)
         ]
-        comparisons.append(compare_view(image, rendered[0], rendered[1] if effects.models else None))
+        sure = None if loaded.confidence is None else render_confidence(cloud, loaded.confidence, image.camera)
+        comparisons.append(compare_view(image, rendered[0], rendered[1] if effects.models else None, sure))
 
     where = machine(cloud.means.device)
     parts = [
@@ -85,6 +84,8 @@ def write_report(folder: Path) -> Path:
         *_ledger(metrics.get("ledger", {})),
         *_effects(_optional(folder / "plan.json").get("effects", {})),
         *_water(_optional(run.water)),
+        *_development(development),
+        *_chart(_optional(run.chart)),
         "<h2>Settings</h2>",
         table_html([(name.replace("_", " "), _shown(value)) for name, value in settings.to_json().items()]),
         "<h2>Repeat this run</h2>",
@@ -151,7 +152,7 @@ def _summary(scene: Path, metrics: dict[str, Any], state: dict[str, Any], gaussi
     elif metrics:
         lines.append("No test photos: the scene has too few photos to keep some out of training.")
     notes = (
-        [metrics.get("water") or "No water was modelled: the colours are as photographed.", *metrics.get("notes", [])]
+        [metrics.get("water") or "No water was modelled: the colors are as photographed.", *metrics.get("notes", [])]
         if metrics
         else []
     )
@@ -228,7 +229,7 @@ def _held_out(evaluation: dict[str, Any], views: dict[str, Any], comparisons: Se
         lines.append(view_table_html(views))
     if not evaluation:
         lines.append(
-            paragraph_html("Run `evaluate RUN` and then `report RUN` to add LPIPS, floaters and colour errors here.")
+            paragraph_html("Run `evaluate RUN` and then `report RUN` to add LPIPS, floaters and color errors here.")
         )
     if len(views) > len(comparisons):
         lines.append(paragraph_html(f"{len(comparisons)} of the {len(views)} views, in ascending order of PSNR:"))
@@ -295,6 +296,43 @@ def _water(water: dict[str, Any]) -> list[str]:
             rows.append((title + unit, *(number(value, 4) for value in values)))
     heads = ("", "red", "green", "blue")
     return ["<h2>Water</h2>", table_html(rows, heads, ("", *["number"] * 3))] if rows else []
+
+
+def _development(development: dict[str, Any]) -> list[str]:
+    """Show the automatic development, and what it does to clipped pixels."""
+    if "clipped" not in development:
+        return []
+    sentence = f"{development['note']} Images without water are shown with this development; scores are without it."
+    rows = [
+        (title, *(f"{fraction:.2%}" for fraction in development[name]))
+        for title, name in (("without development", "clipped_before"), ("with development", "clipped"))
+    ]
+    heads = ("clipped pixels of all training views", "red", "green", "blue")
+    return ["<h2>Development</h2>", paragraph_html(sentence), table_html(rows, heads, ("", *["number"] * 3))]
+
+
+def _chart(chart: dict[str, Any]) -> list[str]:
+    """Show the color chart: delta E before and after the correction, and the water that the chart says."""
+    try:
+        names = ", ".join(photo["name"] for photo in chart["photos"])
+        delta_e = [(title, number(chart["delta_e"].get(name), 1)) for name, title in DELTA_E.items()]
+        from_chart, error, of_run = (chart["beta_D"][name] for name in ("chart", "error", "run"))
+        per, notes = chart["beta_D"]["per"], chart["notes"]
+    except (KeyError, TypeError, AttributeError):
+        return []
+    lines = [
+        "<h2>Color chart</h2>",
+        paragraph_html(f"Mean CIE delta E 2000 of the patches from their known colors, in {names}."),
+        table_html(delta_e, ("colors", "delta E"), ("", "number")),
+    ]
+    rows = [
+        (title, *(number(value, 4) for value in values))
+        for title, values in (("from the chart", from_chart), ("its standard error", error), ("of the run", of_run))
+        if values
+    ]
+    if rows:
+        lines.append(table_html(rows, (f"attenuation per {per}", "red", "green", "blue"), ("", *["number"] * 3)))
+    return lines + [paragraph_html(note, "note") for note in notes]
 
 
 def _from_worst_to_best(views: dict[str, Any]) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..base.html_page import number, paragraph_html, table_html, write_page
 from ..evaluation.lpips import BACKBONES, Lpips, load_lpips
 from ..evaluation.metrics import ViewScore, mask_invalid, mean, mean_score, median_image_psnr, render_image, score_image
 from ..formats.run_folder import RunFolder, write_json
@@ -20,7 +21,7 @@ from ..scene.split import split_views
 from .ablate import metrics_of_run
 from .evaluate_run import load_newest, machine
 from .grid import Grid
-from .page import BLUE, INK, new_plots, number, paragraph_html, plot_html, table_html, write_page
+from .page import BLUE, INK, new_plots, plot_html
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

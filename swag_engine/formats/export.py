@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,10 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..scene.cameras import Camera
+from ..scene.georeference import Georeference, Placement, read_georeference
 from ..settings.field import check_settings, setting
+from ..splats.develop_splats import bake_development, name_development
+from ..splats.development import NO_DEVELOPMENT
 from ..splats.splats import Splats
 from ..splats.transform import rotation_to_y_up, transformed
 from .cameras import PosedImage, transform_camera, write_cameras
@@ -54,6 +57,13 @@ class ExportOptions:
         least=0,
         most=1,
     )
+    develop: str = setting(
+        "auto",
+        "Development",
+        "How restored colors are developed: auto (exposure and white point that the run found; less of it the more "
+        "water is shown), chart (from a color chart in the photos), none, or values as in "
+        "exposure=0.5,white=1.1/1/0.9,contrast=1.1; highlights are not rolled off",
+    )
     labels: tuple[str, ...] = setting(
         (), "Labels", "Only splats with these labels, by name or number; all splats where none is given"
     )
@@ -77,7 +87,14 @@ class ExportOptions:
         least=1e-9,
         most=1e9,
         unit="m",
-        zero="the length that the run was given, or else the scene's units are kept",
+        zero="that of the scene's scale.json, or else the length that the run was given; without both, the scene's "
+        "units are kept",
+    )
+    georeferenced: bool = setting(
+        False,
+        "Georeferenced",
+        "Write the metric frame that the command scale measured: x east, y north, z up in metres, with the offset and "
+        "the coordinate reference system in the file",
     )
     cameras: bool = setting(
         False,
@@ -89,6 +106,8 @@ class ExportOptions:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.georeferenced and (self.up not in ("scene", "z-up") or self.metres_per_unit):
+            raise InputError("A georeferenced file is in metres with z up: leave Axes and Metres per Unit as they are.")
 
 
 def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptions | None = None) -> dict[str, Any]:
@@ -101,8 +120,8 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
         options: What the file holds; the defaults without.
 
     Returns:
-        `out`; `splats`, their number; `bytes`, the size of the file; `files`, all that were written; `notes`,
-        sentences for the user.
+        `out`; `splats`, their number; `bytes`, the size of the file; `files`, all that were written; `development`,
+        what was done to the colors (as `Development.to_json`); `notes`, sentences for the user.
 
     Raises:
         InputError: If the folder is not a run or has no result yet, no splats are left to write, or `out` cannot be
@@ -128,40 +147,72 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
     )
     splats = require_splats(selection.apply(read_ply(run.ply)))
     medium = run.read_water()
+    development = run.color_view(options.develop).at(options.water)
+    unapplied = run.color_view("auto").at(options.water) if options.develop == "none" else NO_DEVELOPMENT
     if options.water and scene:
         splats = with_water(splats, medium, [v.camera for v in scene.views], options.water, settings.metres_per_unit)
-    metres = options.metres_per_unit or settings.metres_per_unit
-    scaling = np.diag([metres or 1.0] * 3 + [1.0])
+    splats = bake_development(name_development(splats, unapplied), development)
+    measured = read_georeference(scene_folder)
+    metres = options.metres_per_unit or (measured.metres_per_unit if measured else settings.metres_per_unit)
     fixed_axes = "up" not in target.options
-    axes = "y-up" if fixed_axes else options.up
-    rotation = np.eye(3) if axes == "scene" else FROM_Y_UP[axes] @ rotation_to_y_up(up)
-    into_file = scaling.copy()
-    into_file[:3, :3] = rotation @ scaling[:3, :3]
     # A format with fixed axes rotates the splats itself, from `up`.
-    matrix = scaling if fixed_axes else into_file
+    matrix = np.diag([metres or 1.0] * 3 + [1.0])
+    turn = np.eye(4)
+    placement = None
+    if options.georeferenced:
+        matrix, placement = georeferenced_frame(measured, scene_folder)
+        up, metres = [0.0, 0.0, 1.0], measured.metres_per_unit if measured else 1.0
+    if fixed_axes:
+        turn[:3, :3] = rotation_to_y_up(up)
+    elif options.up != "scene" and not options.georeferenced:
+        matrix[:3, :3] = FROM_Y_UP[options.up] @ rotation_to_y_up(up) @ matrix[:3, :3]
+    into_file = turn @ matrix
+    rotation = into_file[:3, :3] / (metres or 1.0)
     if not np.array_equal(matrix, np.eye(4)):  # so that splats without a change stay the same to the bit
         splats = transformed(splats, matrix)
+    splats = replace(splats, placement=placement)
     cameras = [transform_camera(view.camera, matrix) for view in scene.views] if scene and options.cameras else []
     result: dict[str, Any] = {"out": str(out), "splats": len(splats), "files": [], "notes": []}
+    result["development"] = development.to_json()
     result["bytes"] = target.size(out, splats, up, cameras)
     if options.forecast:
         return result
     target.write(out, splats, up, cameras)
     result["notes"] = target.notes(splats)
+    if splats.development and splats.development.applied:
+        done = replace(development, knee=1.0).to_text()
+        result["notes"].append(f"Colors are developed ({done}); --develop none leaves them restored.")
     files = [out]
     if options.cameras and scene:
         beside = cameras_folder(out)
-        points = scene.points.positions @ into_file[:3, :3].T
+        points = scene.points.positions @ into_file[:3, :3].T + into_file[:3, 3]
         images = _posed_images(scene, into_file, beside)
         written, notes = write_cameras(beside, images, points, scene.points.colors)
         result["notes"] += notes
         files += written
+        if placement:
+            write_json(beside / "georeference.json", placement.to_json())
+            files.append(beside / "georeference.json")
         if medium:
             in_file = transform_water(medium, rotation, metres or 1.0, settings.metres_per_unit, bool(metres))
             write_json(beside / "water.json", in_file)
             files.append(beside / "water.json")
     result["files"] = [str(path) for path in files]
     return result
+
+
+def georeferenced_frame(measured: Georeference | None, scene_folder: Path) -> tuple[np.ndarray, Placement]:
+    """Return the matrix (4, 4) from a scene to its metric frame, and where that lies.
+
+    Raises:
+        InputError: If the scene was not measured.
+    """
+    if not measured:
+        raise InputError(
+            f"The scale of {scene_folder} was not measured: measure it with the command scale and import the scene "
+            "again, or export without Georeferenced."
+        )
+    return measured.matrix, measured.placement or Placement(None, (0.0, 0.0, 0.0))
 
 
 def with_water(

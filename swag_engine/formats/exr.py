@@ -1,4 +1,4 @@
-"""OpenEXR images of one float channel: depth for compositing. numpy only.
+"""OpenEXR images for compositing: depth in 32-bit floats, colors in 16-bit floats. numpy only.
 
 Written as https://openexr.com/en/latest/OpenEXRFileLayout.html describes: scan lines, ZIP compression in blocks of 16.
 OpenCV's own writer is switched off unless a variable is set before the process starts.
@@ -14,12 +14,14 @@ from ..base.files import atomic_path
 
 MAGIC = struct.pack("<ii", 20000630, 2)
 """Magic number and version of a file with one part of scan lines."""
-CHANNEL = b"Y"
-"""Name of the channel: luminance, which all programs read; many ignore a channel Z without colors."""
+DEPTH_CHANNEL = "Y"
+"""Name of the channel of depth: luminance, which all programs read; many ignore a channel Z without colors."""
 BLOCK_LINES = 16
 """Lines of one block of ZIP compression."""
-FLOAT, ZIP = 2, 3
-"""Numbers of the pixel type and of the compression in the header."""
+HALF, FLOAT, ZIP = 1, 2, 3
+"""Numbers of the pixel types and of the compression in the header."""
+LARGEST_HALF = 65504.0
+"""Largest 16-bit float: light above it is cut."""
 
 
 def write_exr(path: Path, values: np.ndarray) -> None:
@@ -32,23 +34,43 @@ def write_exr(path: Path, values: np.ndarray) -> None:
     Raises:
         InputError: If the file cannot be written.
     """
-    height, width = values.shape
-    lines = np.ascontiguousarray(values, "<f4")
+    _write(path, {DEPTH_CHANNEL: values}, "<f4", FLOAT)
+
+
+def write_light_exr(path: Path, light: np.ndarray) -> None:
+    """Write an image of linear light in 16-bit floats.
+
+    Args:
+        path: The file.
+        light: (H, W, 3) red, green, blue (Rec. 709 primaries, white 1); or (H, W, 4), premultiplied by alpha.
+
+    Raises:
+        InputError: If the file cannot be written.
+    """
+    within = light.clip(-LARGEST_HALF, LARGEST_HALF)
+    _write(path, dict(zip("RGBA", np.moveaxis(within, -1, 0), strict=False)), "<f2", HALF)
+
+
+def _write(path: Path, channels: dict[str, np.ndarray], dtype: str, pixel_type: int) -> None:
+    names = sorted(channels)  # the order that the format prescribes
+    lines = np.ascontiguousarray(np.stack([channels[name] for name in names], axis=1), dtype)
+    height, _, width = lines.shape
     blocks = []
     for start in range(0, height, BLOCK_LINES):
         packed = _compressed(lines[start : start + BLOCK_LINES].tobytes())
         blocks.append(struct.pack("<ii", start, len(packed)) + packed)
-    header = MAGIC + _header(width, height)
+    header = MAGIC + _header(width, height, names, pixel_type)
     first = len(header) + 8 * len(blocks)
     offsets = first + np.cumsum([0, *map(len, blocks[:-1])])
     with atomic_path(path) as temporary:
         temporary.write_bytes(header + offsets.astype("<u8").tobytes() + b"".join(blocks))
 
 
-def _header(width: int, height: int) -> bytes:
+def _header(width: int, height: int, names: list[str], pixel_type: int) -> bytes:
     window = struct.pack("<iiii", 0, 0, width - 1, height - 1)
+    channels = b"".join(name.encode() + b"\0" + struct.pack("<iB3xii", pixel_type, 0, 1, 1) for name in names)
     attributes = {
-        ("channels", "chlist"): CHANNEL + b"\0" + struct.pack("<iB3xii", FLOAT, 0, 1, 1) + b"\0",
+        ("channels", "chlist"): channels + b"\0",
         ("compression", "compression"): bytes([ZIP]),
         ("dataWindow", "box2i"): window,
         ("displayWindow", "box2i"): window,

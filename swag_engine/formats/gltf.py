@@ -8,7 +8,7 @@ https://github.com/KhronosGroup/glTF/tree/main/extensions/2.0/Khronos/KHR_gaussi
 import json
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from math import atan
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,8 @@ from ..base.files import atomic_path
 from ..base.strict_json import from_json
 from ..base.transfer import srgb_to_linear
 from ..scene.cameras import Camera
+from ..scene.georeference import Placement
+from ..splats.development import SplatDevelopment
 from ..splats.splats import Splats, clean_splats, concatenate
 from ..splats.transform import C0, quaternions, rotation_matrices, rotation_to_y_up, transformed
 from .export_format import Direction, ExportFormat
@@ -45,6 +47,8 @@ MAX_COPIES = 4
 """How many times a scene may show the same splats, so that a small file cannot fill the memory."""
 COLMAP_UP = (0.0, -1.0, 0.0)
 """Up direction in COLMAP's axes."""
+Z_UP = (0.0, 0.0, 1.0)
+"""Up direction of splats with a placement."""
 CAMERA_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 """From the axes of glTF's cameras (looking along -z, y up) to those of COLMAP's (looking along z, y down)."""
 MAX_JSON = 16 << 20
@@ -53,6 +57,9 @@ MAX_JSON = 16 << 20
 
 def write_glb(path: Path, splats: Splats, up: Direction = COLMAP_UP, cameras: Sequence[Camera] = ()) -> None:
     """Write splats as a GLB of their own degree. The file is whole or absent.
+
+    The extras of the asset say where splats with a placement lie (`crs`, `offset`, in the axes of the splats: metres
+    with z up), and `development` there holds what `SplatDevelopment.to_json` returned.
 
     COLOR_0 holds the constant color as linear light, for programs that cannot show splats. Extras become attributes
     `_NAME` in upper case: integers within 16 bits as such, other numbers as float32.
@@ -113,9 +120,15 @@ def _assemble(path: Path, splats: Splats, up: Direction, cameras: Sequence[Camer
         "attributes": {name: index for index, name in enumerate(attributes)},
         "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
     }
-    node: dict[str, Any] = {"name": path.stem, "mesh": 0, "rotation": _xyzw(rotation_to_y_up(up))}
+    asset: dict[str, Any] = {"version": "2.0", "generator": "SWAG Splatting"}
+    extras: dict[str, Any] = splats.placement.to_json() if splats.placement else {}
+    if splats.development:
+        extras["development"] = splats.development.to_json()
+    if extras:
+        asset["extras"] = extras
+    node: dict[str, Any] = {"name": path.stem, "mesh": 0, "rotation": _xyzw(rotation_to_y_up(up_of(splats, up)))}
     document: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": "SWAG Splatting"},
+        "asset": asset,
         "extensionsUsed": [EXTENSION],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -138,6 +151,11 @@ def _assemble(path: Path, splats: Splats, up: Direction, cameras: Sequence[Camer
         raise InputError(f"{path} would be larger than the 4 GiB a GLB can hold; lower the SH degree or write a PLY.")
     head = b"glTF" + np.array([2, total, len(text), JSON_CHUNK], "<u4").tobytes() + text
     return head + np.array([offset, BINARY_CHUNK], "<u4").tobytes(), [array for array, _, _ in attributes.values()]
+
+
+def up_of(splats: Splats, up: Direction) -> Direction:
+    """Return the direction that is up in the world of splats: z with a placement, else `up`."""
+    return Z_UP if splats.placement else up
 
 
 def _camera(camera: Camera, near: float) -> dict[str, Any]:
@@ -181,7 +199,7 @@ def read_glb(path: Path, up: Direction = COLMAP_UP) -> Splats:
     Args:
         path: The file.
         up: Direction (3,) that shall be up in the splats' world; with the one given to `write_glb` the splats are those
-            that were written.
+            that were written. Splats with a placement have z up whatever is given.
 
     Returns:
         The splats.
@@ -189,10 +207,12 @@ def read_glb(path: Path, up: Direction = COLMAP_UP) -> Splats:
     Raises:
         InputError: If the file is missing, not a GLB, without Gaussian splats, compressed, damaged or cut off.
     """
+    to_y_up = rotation_to_y_up(up)
     from_y_up = np.eye(4)
-    from_y_up[:3, :3] = rotation_to_y_up(up).T
     try:
         document, binary = _chunks(path)
+        placement = _placement(document)
+        from_y_up[:3, :3] = (rotation_to_y_up(Z_UP) if placement else to_y_up).T
         parts = []
         size = 0
         for world, primitive in _splat_primitives(document):
@@ -208,7 +228,24 @@ def read_glb(path: Path, up: Direction = COLMAP_UP) -> Splats:
         raise InputError(f"{path} is damaged, its glTF structure does not hold together; write it again.") from error
     if not parts:
         raise InputError(f"{path} holds no Gaussian splats ({EXTENSION}).")
-    return concatenate(parts)
+    splats = concatenate(parts)
+    return replace(splats, placement=placement, development=_development(document))
+
+
+def _placement(document: dict[str, Any]) -> Placement | None:
+    """Return what the asset's extras say of where the splats lie, None for those of other programs."""
+    try:
+        return Placement.from_json(document["asset"]["extras"])
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _development(document: dict[str, Any]) -> SplatDevelopment | None:
+    """Return the development that the asset's extras name, None for those of other programs."""
+    try:
+        return SplatDevelopment.from_json(document["asset"]["extras"]["development"])
+    except (KeyError, TypeError, AttributeError, InputError):
+        return None
 
 
 def _attributes(path: Path, splats: Splats) -> Iterator[tuple[str, tuple[np.ndarray, int, str]]]:

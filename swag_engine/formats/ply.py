@@ -1,12 +1,14 @@
 """3DGS PLY, the layout of Kerbl et al. 2023 that splat programs read. numpy only, Blender imports it.
 
 Binary little-endian, one element `vertex`: x y z nx ny nz f_dc_0..2 f_rest_0.. (all of R, then G, then B) opacity
-(logit) scale_0..2 (natural logarithm) rot_0..3 (wxyz), then the extras under their own names and types.
+(logit) scale_0..2 (natural logarithm) rot_0..3 (wxyz), then the extras under their own names and types. The comments
+`crs NAME` and `crs_offset X Y Z` say where splats with a placement lie: offset + position, z up, in metres. Comments
+`development_NAME NUMBERS` have the values of `SplatDevelopment.to_json`: 1 or 0 for `applied`, a matrix row by row.
 """
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from math import isqrt
 from pathlib import Path
@@ -16,6 +18,8 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..scene.georeference import Placement
+from ..splats.development import SplatDevelopment
 from ..splats.splats import Splats, clean_splats
 from .compressed_ply import WORDS, unpack
 from .export_format import ExportFormat
@@ -95,7 +99,9 @@ def _layout(path: Path, splats: Splats) -> tuple[bytes, np.dtype, dict[str, np.n
     extras = {name: _storable(path, name, values) for name, values in splats.extras.items()}
     if taken := [name for name in extras if name in names or not name or len(name.split()) != 1]:
         raise InputError(f"Cannot write {path}: a PLY cannot hold a property of the name '{taken[0]}'; rename it.")
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(splats)}"]
+    comments = _placement_comments(splats.placement) + _development_comments(splats.development)
+    header = ["ply", "format binary_little_endian 1.0", *comments]
+    header += [f"element vertex {len(splats)}"]
     header += [f"property float {name}" for name in names]
     header += [f"property {TYPE_NAMES[values.dtype.str[1:]]} {name}" for name, values in extras.items()]
     row: list[tuple] = [
@@ -142,7 +148,7 @@ class _Element:
 
 
 def _read(path: Path, file: BinaryIO) -> Splats:
-    order, elements = _read_header(path, file)
+    order, elements, comments = _read_header(path, file)
     vertex = _splat_element(path, elements)
     if vertex.is_packed:
         return _read_packed(path, file, order, elements)
@@ -183,11 +189,55 @@ def _read(path: Path, file: BinaryIO) -> Splats:
     opacities = 1 / (1 + np.exp(-base[:, 6].astype(np.float64)))
     scales = np.exp(base[:, 7:].astype(np.float64)).astype(np.float32)
     positions = np.ascontiguousarray(base[:, :3])
-    return clean_splats(Splats(positions, rotations, scales, opacities.astype(np.float32), sh, extras), path)
+    splats = Splats(positions, rotations, scales, opacities.astype(np.float32), sh, extras)
+    splats = replace(splats, placement=_placement(comments), development=_development(comments))
+    return clean_splats(splats, path)
 
 
-def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
-    """Return the byte order ("<", ">" or "" for ASCII) and the elements; `file` is then at the first byte of data."""
+def _placement_comments(placement: Placement | None) -> list[str]:
+    """Return the lines of a header that say where the splats lie; doubles are written so that they are read back."""
+    if not placement:
+        return []
+    crs = [f"comment crs {placement.crs}"] if placement.crs else []
+    return [*crs, "comment crs_offset " + " ".join(map(repr, placement.offset))]
+
+
+def _placement(comments: dict[str, list[str]]) -> Placement | None:
+    """Return what the comments of a header say of where the splats lie, by the first word of each."""
+    try:
+        crs = comments["crs"][0] if "crs" in comments else None
+        return Placement.from_json({"crs": crs, "offset": [float(word) for word in comments["crs_offset"]]})
+    except (KeyError, IndexError, ValueError):
+        return None
+
+
+def _development_comments(development: SplatDevelopment | None) -> list[str]:
+    """Return the lines of a header that name the development, each short, since some programs limit the length."""
+    if development is None:
+        return []
+    values = {name: np.ravel(value).astype(float) for name, value in development.to_json().items()}
+    return [f"comment development_{name} {' '.join(map(repr, value.tolist()))}" for name, value in values.items()]
+
+
+def _development(comments: dict[str, list[str]]) -> SplatDevelopment | None:
+    """Return the development that the comments of a header name, None without them."""
+    prefix = "development_"
+    try:
+        values = {
+            name.removeprefix(prefix): [float(word) for word in words] if len(words) > 1 else float(words[0])
+            for name, words in comments.items()
+            if name.startswith(prefix)
+        }
+        return SplatDevelopment.from_json(values | {"applied": bool(values["applied"])})
+    except (InputError, KeyError, IndexError, ValueError):
+        return None
+
+
+def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element], dict[str, list[str]]]:
+    """Return the byte order ("<", ">" or "" for ASCII), the elements, and the comments by their first words.
+
+    `file` is then at the first byte of data.
+    """
     start = file.read(4)
     if not start:
         raise InputError(f"{path} is empty.")
@@ -201,6 +251,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
     file.readline()
     order: str | None = None
     elements: list[_Element] = []
+    comments: dict[str, list[str]] = {}
     try:
         while (line := file.readline(65536).decode("utf-8", "replace")) != "":
             if file.tell() > MAX_HEADER:
@@ -209,7 +260,9 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
                 case ["end_header"]:
                     if order is None:
                         raise ValueError("no format")
-                    return order, elements
+                    return order, elements, comments
+                case ["comment", name, *words]:
+                    comments[name] = words
                 case ["format", name, *_]:
                     order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}[name]
                 case ["element", name, number]:
@@ -222,7 +275,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element]]:
                     elements[-1].properties.append((name, TYPES[kind]))
                 case ["property" | "element", *_]:
                     raise ValueError(line)
-                case _:  # comments and obj_info
+                case _:  # obj_info
                     pass
     except (ValueError, KeyError, IndexError):
         raise InputError(f"The header of {path} is damaged; write the file again.") from None

@@ -11,6 +11,7 @@ from ..base.errors import InputError
 from ..base.files import atomic_path, not_writable
 from ..base.strict_json import from_json, to_json
 from ..settings.settings import TrainSettings
+from ..splats.development import NO_DEVELOPMENT, ColorView, Development
 from ..splats.splats import Splats
 from .registry import FORMATS
 
@@ -74,6 +75,11 @@ class RunFolder:
     def plan(self) -> Path:
         """The plan that the run follows."""
         return self.path / "plan.json"
+
+    @property
+    def chart(self) -> Path:
+        """Colors of a color chart, and the correction that they ask for."""
+        return self.path / "chart.json"
 
     @property
     def preview(self) -> Path:
@@ -170,6 +176,59 @@ class RunFolder:
             InputError: If the file is damaged.
         """
         return read_json(self.water, "") if self.water.exists() else None
+
+    @property
+    def development(self) -> Path:
+        """The automatic development of the restored colors."""
+        return self.path / "development.json"
+
+    def write_development(self, values: dict[str, Any]) -> None:
+        """Write the automatic development.
+
+        Args:
+            values: What `Development.to_json` returned, and figures for the report.
+
+        Raises:
+            InputError: If the file cannot be written.
+        """
+        write_json(self.development, values)
+
+    def read_developments(self) -> dict[str, Any]:
+        """Read the automatic development, and that from a color chart.
+
+        Returns:
+            The developments by the names that `--develop` has for them; empty where the run has none.
+
+        Raises:
+            InputError: If a file is damaged.
+        """
+        files = {"auto": self.development, "chart": self.chart}
+        return {name: read_json(path, "") for name, path in files.items() if path.exists()}
+
+    def color_view(self, develop: str) -> ColorView:
+        """Find how colors of the run are shown.
+
+        Args:
+            develop: `none`; `auto` or `chart`, a development of the run, which fades as water is shown; or values as
+                `Development.from_text` reads them, which do not.
+
+        Returns:
+            The view. Colors of a run without an automatic development are shown as they are.
+
+        Raises:
+            InputError: If `develop` is not valid, or the run has no color chart. For `auto` and `chart` also if
+                development.json or chart.json is damaged, even the one that is not asked for: the message names the
+                file. Without development.json, `auto` shows colors as they are; `develop_run.color_view` makes the
+                development anew. For other values of `develop` neither file is read.
+        """
+        if develop == "none":
+            return ColorView()
+        if develop not in ("auto", "chart"):
+            return ColorView(adjusted=Development.from_text(develop))
+        values = self.read_developments().get(develop)
+        if values is None and develop == "chart":
+            raise InputError(f"The run {self.path} has no color chart: find it with `chart`, or use auto.")
+        return ColorView(restored=NO_DEVELOPMENT if values is None else Development.from_json(values))
 
     def finished(self) -> bool:
         """Return whether the run did all its iterations, and was not interrupted."""

@@ -1,7 +1,7 @@
 """Selection of the splats, and of their properties, that an export writes. numpy only, Blender imports it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +55,7 @@ class SplatSelection:
         chosen = splats if kept.all() else splats.subset(kept)
         sh = chosen.sh[:, : (self.sh_degree + 1) ** 2]
         extras = chosen.extras if self.extras else {}
-        return Splats(chosen.positions, chosen.rotations, chosen.scales, chosen.opacities, sh, extras)
+        return replace(chosen, sh=sh, extras=extras)
 
 
 def inside_box(positions: np.ndarray, box: np.ndarray) -> np.ndarray:

@@ -29,10 +29,12 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..base.strict_json import from_json, to_json
+from ..scene.georeference import Placement
 from ..splats.splats import Splats, clean_splats
 from ..splats.transform import rotation_to_y_up, transformed
 from .export_format import Direction, ExportFormat
-from .gltf import COLMAP_UP
+from .gltf import COLMAP_UP, Z_UP, up_of
 
 log = logging.getLogger(__name__)
 
@@ -107,6 +109,8 @@ class Header:
 def write_spz(path: Path, splats: Splats, up: Direction = COLMAP_UP) -> None:
     """Write splats as an SPZ of version 4 of their own degree. The file is whole or absent.
 
+    SPZ has no place for where splats with a placement lie: that is written to NAME.scale.json beside the file.
+
     Numbers are rounded to the precision of the format, and those outside its range are set to its ends: f_dc within
     3.3, further coefficients within 1, standard deviations from 0.00005 to 380 units. Extras are left out.
 
@@ -122,6 +126,12 @@ def write_spz(path: Path, splats: Splats, up: Direction = COLMAP_UP) -> None:
     parts = _assemble(path, splats, up)
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.writelines(parts)
+    beside = _placement_path(path)
+    if splats.placement:
+        with atomic_path(beside) as temporary:
+            temporary.write_text(to_json(splats.placement.to_json(), indent=2) + "\n", encoding="utf-8")
+    else:
+        beside.unlink(missing_ok=True)  # of an earlier file of this name
 
 
 def spz_size(path: Path, splats: Splats, up: Direction = COLMAP_UP) -> int:
@@ -141,14 +151,14 @@ def _assemble(path: Path, splats: Splats, up: Direction) -> list[bytes]:
         raise InputError(f"Cannot write {path}: a splat's position is not finite; remove that splat.")
     zstandard = _zstandard()
     turn = np.eye(4)
-    turn[:3, :3] = rotation_to_y_up(up)
+    turn[:3, :3] = rotation_to_y_up(up_of(splats, up))
     if not np.array_equal(turn, np.eye(4)):
         splats = transformed(splats, turn)
     bits = _fraction_bits(path, splats)
     unpacked = _pack(splats, bits)[: 6 if splats.degree else 5]
     packer = zstandard.ZstdCompressor(level=LEVEL)
     packed = [packer.compress(attribute) for attribute in unpacked]
-    # The axes are declared, because some programs write others without a word.
+    # The axes are declared, because some programs write others undeclared.
     extension = RECORD.pack(AXES_EXTENSION, 4) + struct.pack("<I", 1 + AXES.index("RUB"))
     head = HEADER.pack(MAGIC, 4, len(splats), splats.degree, bits, HAS_EXTENSIONS, len(packed))
     start = TABLE_START.pack(len(head) + TABLE_START.size + len(extension))
@@ -221,7 +231,7 @@ def read_spz(path: Path, up: Direction = COLMAP_UP) -> Splats:
     Args:
         path: The file.
         up: Direction (3,) that shall be up in the splats' world; with the one given to `write_spz` the splats are those
-            that were written, to the precision of the format.
+            that were written, to the precision of the format. Splats with a placement have z up whatever is given.
 
     Returns:
         The splats.
@@ -245,9 +255,25 @@ def read_spz(path: Path, up: Direction = COLMAP_UP) -> Splats:
     if header.degree > 3:
         log.warning("%s: spherical harmonics above degree 3 were dropped", path)
     splats = clean_splats(_splats(header, attributes), path)
+    placement = _placement(path)
     turn = np.eye(4)
-    turn[:3, :3] = rotation_to_y_up(up).T @ axes
-    return splats if np.array_equal(turn, np.eye(4)) else transformed(splats, turn)
+    turn[:3, :3] = rotation_to_y_up(Z_UP if placement else up).T @ axes
+    splats = splats if np.array_equal(turn, np.eye(4)) else transformed(splats, turn)
+    splats.placement = placement
+    return splats
+
+
+def _placement_path(path: Path) -> Path:
+    """Return the file that says where the splats of an SPZ lie."""
+    return path.with_suffix(".scale.json")
+
+
+def _placement(path: Path) -> Placement | None:
+    """Return where the splats of an SPZ lie, None without the file that says so or where it is another program's."""
+    try:
+        return Placement.from_json(from_json(_placement_path(path).read_text(encoding="utf-8")))
+    except (OSError, ValueError):
+        return None
 
 
 def _header(path: Path, data: bytes) -> Header:

@@ -5,6 +5,7 @@ gets the color that it had in an image of the scene. The formulas are those of d
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,7 +59,7 @@ def bake_water(
         # Coefficients of seen + slope (color in another direction - color in this one).
         sh[part] = slope[:, None] * splats.sh[part]
         sh[part, 0] += (seen - 0.5 + slope * (0.5 - own)) / C0
-    return Splats(splats.positions, splats.rotations, splats.scales, splats.opacities, sh, splats.extras)
+    return replace(splats, sh=sh)
 
 
 def transform_water(

@@ -30,6 +30,7 @@ class Picture:
         restored: (H, W, 3) the same image without water and lamp, black where nothing is; None unless asked for.
         offsets: (N, 3) from the camera to the Gaussians, scene units, without a gradient.
         rendering: What the rasteriser returned.
+        behind: (H, W, 3) display color of open water in each pixel's direction; None where it is not rendered.
     """
 
     color: Tensor
@@ -38,6 +39,7 @@ class Picture:
     restored: Tensor | None
     offsets: Tensor
     rendering: Rendering
+    behind: Tensor | None = None
 
 
 def render(
@@ -117,6 +119,7 @@ def render(
     )
     color, seen = rendering.channels[..., :3], None
     restored = rendering.channels[..., 3:6] if with_restored else None
+    behind = None
     if with_background and isinstance(medium, Medium) and veiled and amount > 0:
         behind = open_water(medium, viewmat, intrinsics, camera.width, camera.height, water_degree, amount, backend)
         color = color + (1 - rendering.alpha[..., None]) * behind
@@ -124,7 +127,7 @@ def render(
         # The denominator is chosen before dividing: 0/0 behind a mask is NaN in the backward pass.
         covered = torch.where(rendering.alpha > 0, rendering.alpha, torch.ones_like(rendering.alpha))
         seen = rendering.channels[..., -1] / covered
-    return Picture(color, rendering.alpha, seen, restored, offsets, rendering)
+    return Picture(color, rendering.alpha, seen, restored, offsets, rendering, behind)
 
 
 def background_color(

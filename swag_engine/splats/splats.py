@@ -2,13 +2,15 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import isqrt
 from pathlib import Path
 
 import numpy as np
 
 from ..base.errors import InputError
+from ..scene.georeference import Placement
+from .development import SplatDevelopment
 
 log = logging.getLogger(__name__)
 
@@ -25,6 +27,9 @@ class Splats:
         sh: (N, K, 3) float32, spherical-harmonic coefficients of R, G, B, constant term first; K = 1, 4, 9 or 16 for
             degree 0 to 3. Color = .5 + sum of coefficient times basis (`transform.sh_basis`).
         extras: Name -> (N,) numbers of any real, integer or bool dtype, such as label or similarity.
+        placement: Where the positions lie on the Earth: they are then in metres with z up, and their coordinates are
+            positions + offset in double precision. None in any other frame.
+        development: Development of restored colors that a file of these splats names. None where it is not known.
 
     Raises:
         ValueError: If a shape or a dtype is another.
@@ -36,6 +41,8 @@ class Splats:
     opacities: np.ndarray
     sh: np.ndarray
     extras: dict[str, np.ndarray] = field(default_factory=dict)
+    placement: Placement | None = None
+    development: SplatDevelopment | None = None
 
     def __post_init__(self) -> None:
         count = len(self.positions)
@@ -78,6 +85,8 @@ class Splats:
             self.opacities[chosen],
             self.sh[chosen],
             {name: array[chosen] for name, array in self.extras.items()},
+            self.placement,
+            self.development,
         )
 
 
@@ -88,7 +97,8 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
         parts: At least one.
 
     Returns:
-        All splats; spherical harmonics and extras that a part lacks are zero for its splats.
+        All splats; spherical harmonics and extras that a part lacks are zero for its splats. They have a placement, and
+        a development, where all parts have the same.
     """
     if len(parts) == 1:
         return parts[0]
@@ -111,6 +121,8 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
         np.concatenate([part.opacities for part in parts]),
         sh,
         extras,
+        parts[0].placement if all(part.placement == parts[0].placement for part in parts) else None,
+        parts[0].development if all(part.development == parts[0].development for part in parts) else None,
     )
 
 
@@ -134,7 +146,7 @@ def clean_splats(splats: Splats, path: Path) -> Splats:
     scaled = (np.abs(lengths - 1) > 1e-6) & (lengths > 0) & np.isfinite(lengths)  # the others stay the same to the bit
     rotations[scaled] = rotations[scaled] / lengths[scaled, None]
     rotations[lengths == 0] = (1, 0, 0, 0)
-    splats = Splats(splats.positions, rotations, splats.scales, splats.opacities, splats.sh, splats.extras)
+    splats = replace(splats, rotations=rotations)
 
     finite = np.isfinite(splats.opacities)
     for array in (splats.positions, rotations, splats.scales, splats.sh.reshape(len(splats), splats.sh.shape[1] * 3)):

@@ -25,7 +25,7 @@ def transformed(splats: Splats, matrix: np.ndarray) -> Splats:
         matrix: (4, 4), which multiplies column vectors from the left.
 
     Returns:
-        The transformed splats, with the same opacities and extras.
+        The transformed splats, with the same opacities, extras and development, and without a placement.
 
     Raises:
         ValueError: If the matrix is not finite or not affine.
@@ -57,6 +57,7 @@ def transformed(splats: Splats, matrix: np.ndarray) -> Splats:
         splats.opacities,
         (splats.sh.reshape(count, coefficients * 3) @ mixing.T).reshape(splats.sh.shape),
         splats.extras,
+        development=splats.development,
     )
 
 

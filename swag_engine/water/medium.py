@@ -133,10 +133,7 @@ class Medium:
         """
         scale = metres_per_unit or 1.0
         with torch.no_grad():
-            veil = self.veil
-            if veil is None:
-                veil = self.attenuation.new_zeros(SH_COUNT, 3)
-                veil[0] = NO_BACKGROUND_LIGHT
+            veil = self._raw_background_light
             return {
                 "beta_D": _rounded(self.beta_D / scale),
                 "beta_B": _rounded(self.beta_B / scale),
@@ -147,9 +144,17 @@ class Medium:
             }
 
     def coefficients(self) -> Tensor:
-        """Return beta_D, beta_B and the SH of the background light, (33,), of water that has a background light."""
-        assert self.veil is not None
-        return torch.cat([self.beta_D, self.beta_B, self.veil.reshape(-1)])
+        """Return beta_D, beta_B and the raw SH of the background light, (33,)."""
+        return torch.cat([self.beta_D, self.beta_B, self._raw_background_light.reshape(-1)])
+
+    @property
+    def _raw_background_light(self) -> Tensor:
+        """`veil`, or values (9, 3) whose background light is 0."""
+        if self.veil is not None:
+            return self.veil
+        none = self.attenuation.new_zeros(SH_COUNT, 3)
+        none[0] = NO_BACKGROUND_LIGHT
+        return none
 
 
 def _rounded(values: Tensor) -> list[float]:

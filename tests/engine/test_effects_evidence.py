@@ -235,6 +235,22 @@ def test_a_weak_fall_off_needs_more_evidence_for_a_lamp():
     near, partly = (Found(observations_of(tau=tau, noise=0.6, count=300)).effects["lamp"] for tau in (1.0, 60.0))
     assert near.state == "on"
     assert partly.state == "unknown" and 30 < partly.evidence["bic_gain"] < partly.evidence["bic_gain_least"]
+    assert "With a lamp the attenuation would be" in partly.reason
+
+
+def test_under_a_lamp_the_sum_of_both_losses_is_known_and_attenuation_has_a_wider_interval():
+    """Lamp and water can replace each other, in all colors alike: more where the ranges differ less."""
+    found, wide = (Found(observations_of(**BLUE, tau=1.0, spread=spread)) for spread in (3.0, 5.0))
+    decision = found.effects["attenuation"]
+    near, far = 2 * 3.0**0.05, 2 * 3.0**0.95  # 5th and 95th percentile of the ranges
+    left = np.exp(-np.array(BLUE["beta_D"]) * (far - near)) * (1 + near**2) / (1 + far**2)
+    np.testing.assert_allclose(decision.evidence["loss_with_lamp"], 1 - left, atol=0.03)
+    assert "Lamp and water together take red 9" in decision.reason
+    error = decision.evidence["error_under_lamp"]
+    assert 0 < wide.effects["attenuation"].evidence["error_under_lamp"] < error
+    low, high = found.intervals["beta_D"]
+    assert np.all(high - low > error) and np.all((low < BLUE["beta_D"]) & (BLUE["beta_D"] < high))
+    assert "loss_with_lamp" not in Found(observations_of(**BLUE)).effects["attenuation"].evidence
 
 
 def test_exposure_under_a_lamp_needs_more_evidence():

@@ -103,7 +103,7 @@ def test_restored_images_have_no_effects(tiny_scene, tmp_path):
     train(tiny_scene, run, replace(SETTINGS, iterations=10, effects=effects))
     cloud, effects, _ = load_newest(run)
     (camera,) = [view.camera for view in load_scene(tiny_scene).views if view.name == name]
-    (restored,) = render_run(run, tmp_path / "restored", name, 0.0)
+    (restored,) = render_run(run, tmp_path / "restored", name, 0.0, "none")
     plain = render_image(cloud, camera, SETTINGS.sh_degree)
     one_step = 1.01 / 255  # of 8 bits
     pixels = torch.from_numpy(cv2.imread(str(restored))[..., ::-1] / np.float32(255))

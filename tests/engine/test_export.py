@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from typing import Any, get_args
 
 import numpy as np
@@ -26,9 +27,12 @@ from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.georeference import Georeference, Placement, write_georeference
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.splats.splats import Splats
-from swag_engine.splats.transform import rotation_matrices, sh_basis
+from swag_engine.splats.develop_splats import undo_development
+from swag_engine.splats.development import Development, SplatDevelopment
+from swag_engine.splats.splats import Splats, concatenate
+from swag_engine.splats.transform import rotation_matrices, sh_basis, transformed
 from swag_engine.water.medium import Medium, through_water
 from swag_engine.water.network import WaterNetwork
 
@@ -248,7 +252,7 @@ def test_baked_water_is_the_engines_from_where_it_was_photographed(light, amount
     expected = through_water(torch.from_numpy(own).float().clamp(min=0), offsets, medium, amount=amount).numpy()
     np.testing.assert_allclose(seen, expected, atol=2e-4)
     assert np.abs(seen - own).mean() > 0.03
-    # A glance from the side, the water left as it is: wrong by little against what the colour changes.
+    # A glance from the side, the water left as it is: wrong by little against what the color changes.
     turned = directions + np.random.default_rng(1).normal(size=(400, 3)) * 0.1
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
     own_there, seen_there = (np.einsum("nk,nkc->nc", sh_basis(turned, 3), s.sh) + 0.5 for s in (splats, baked))
@@ -256,6 +260,120 @@ def test_baked_water_is_the_engines_from_where_it_was_photographed(light, amount
     bright = (own > 0.1) & (own_there > 0.1)
     change = np.abs(expected_there - expected)[bright].mean()
     assert np.abs(seen_there - expected_there)[bright].mean() < 0.1 * change
+
+
+# ------------------------------------------------------------------------------------------------ development
+
+DEVELOPMENT = Development(0.5, (1.2, 1.0, 0.8), 1.1, ((1.1, -0.1, 0.0), (0.0, 1.0, 0.0), (0.0, 0.05, 0.95)), 0.8)
+
+
+@pytest.mark.parametrize("kind", [name for name, format in FORMATS.items() if "extras" in format.options])
+def test_a_file_names_the_development_of_its_colors(kind, run, tmp_path):
+    developed = RunFolder(shutil.copytree(run, tmp_path / "run"))
+    developed.write_development(DEVELOPMENT.to_json() | {"note": ""})
+    splats = some_splats()
+    splats.sh[:, 0] += 2.0  # above black, where undoing is exact
+    write_ply(developed.ply, splats)
+
+    def export(**options):
+        result = export_run(developed.path, kind, tmp_path / "out", ExportOptions(**options))
+        assert result["bytes"] == (tmp_path / "out").stat().st_size
+        return FORMATS[kind].read(tmp_path / "out", UP)
+
+    applied, restored = export(), export(develop="none")
+    assert applied.development == SplatDevelopment(DEVELOPMENT, applied=True)
+    rolled = export(develop="knee=0.7")
+    assert rolled.development == SplatDevelopment(Development(knee=0.7), applied=False), "only pictures are rolled off"
+    np.testing.assert_array_equal(rolled.sh, splats.sh)
+    assert restored.development == SplatDevelopment(DEVELOPMENT, applied=False)
+    assert np.abs(applied.sh - splats.sh).max() > 0.1
+    for read in (undo_development(applied), undo_development(restored)):
+        np.testing.assert_allclose(read.sh, splats.sh, atol=1e-4)
+        assert read.development == restored.development
+    assert applied.subset(np.arange(3)).development == concatenate([applied, applied]).development
+    assert concatenate([applied, restored]).development is None
+    assert export(develop="none", water=1.0).development is None, "the colors as photographed have no development"
+
+
+@pytest.mark.parametrize("values", ["exposure 1", "applied 1", "applied yes", "applied"])
+def test_comments_of_other_programs_are_no_development(values, tmp_path):
+    write_ply(tmp_path / "a.ply", some_splats(3))
+    comment = f"comment development_{values}\nelement vertex".encode()
+    (tmp_path / "a.ply").write_bytes((tmp_path / "a.ply").read_bytes().replace(b"element vertex", comment))
+    assert read_ply(tmp_path / "a.ply").development is None
+
+
+PLACEMENT = Placement("EPSG:32633", (500_000.123456789, 6_540_000.000123, -0.1))
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_splats_keep_where_they_lie(kind, tmp_path):
+    """UTM coordinates of millions of metres come back to the millimetre."""
+    splats = replace(some_splats(), placement=PLACEMENT)
+    coordinates = splats.positions.astype(np.float64) + PLACEMENT.offset
+    path = tmp_path / f"Riff ü{FORMATS[kind].suffix}"
+    FORMATS[kind].write(path, splats, UP, ())
+    read = FORMATS[kind].read(path, UP)
+    assert read.placement == PLACEMENT  # the doubles to the bit
+    assert np.abs(read.positions.astype(np.float64) + read.placement.offset - coordinates).max() < 1e-3
+    if kind != "spz":
+        assert FORMATS[kind].size(path, splats, UP, ()) == path.stat().st_size
+    moved = transformed(read, np.diag([2.0, 2, 2, 1]))
+    assert moved.placement is None and read.subset(np.arange(3)).placement == PLACEMENT
+    FORMATS[kind].write(path, moved, UP, ())
+    assert FORMATS[kind].read(path, UP).placement is None
+    nowhere = replace(splats, placement=Placement(None, (0.0, 0.0, 0.0)))
+    FORMATS[kind].write(path, nowhere, UP, ())
+    assert FORMATS[kind].read(path, UP).placement == nowhere.placement
+
+
+@pytest.mark.parametrize("comment", ["crs_offset 1 2", "crs_offset a b c", "crs_offset nan 0 0", "crs EPSG:1", "crs"])
+def test_comments_of_other_programs_are_no_placement(comment, tmp_path):
+    write_ply(tmp_path / "a.ply", some_splats(3))
+    data = (tmp_path / "a.ply").read_bytes().replace(b"element vertex", f"comment {comment}\nelement vertex".encode())
+    (tmp_path / "a.ply").write_bytes(data)
+    assert read_ply(tmp_path / "a.ply").placement is None
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_a_georeferenced_file_is_in_the_measured_frame(kind, run, tiny_scene, tmp_path):
+    folder, scene, splats = tmp_path / "run", tmp_path / "scene", read_ply(run / "result.ply")
+    shutil.copytree(run, folder)
+    shutil.copytree(tiny_scene, scene)
+    config = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").write_text(json.dumps(config | {"scene": str(scene)}))
+    out = tmp_path / f"out{FORMATS[kind].suffix}"
+    options = ExportOptions(georeferenced=True, cameras=True)
+    with pytest.raises(InputError, match="The scale of .* was not measured"):
+        export_run(folder, kind, out, options)
+    rotation = rotation_matrices(np.array([0.5, 0.5, -0.5, 0.5]))
+    measured = Georeference(0.4, 0.01, "gps", "full", rotation, np.array([3.0, -4.0, -12.5]), PLACEMENT)
+    write_georeference(scene, measured)
+    result = export_run(folder, kind, out, options)
+    read = FORMATS[kind].read(out, (0.0, -1.0, 0.0))
+    wanted = splats.positions.astype(np.float64) @ measured.matrix[:3, :3].T + measured.translation
+    assert np.abs(read.positions - wanted).max() < 1e-3 and read.placement == PLACEMENT
+    beside = tmp_path / "out_cameras"
+    assert json.loads((beside / "georeference.json").read_text()) == PLACEMENT.to_json()
+    assert str(beside / "georeference.json") in result["files"]
+    model = pycolmap.Reconstruction()
+    model.read_text(str(beside / "sparse" / "0"))
+    view = load_scene(scene).views[0]
+    image = next(image for image in model.images.values() if image.name.endswith(view.name))
+    centre = measured.matrix[:3, :3] @ view.camera.centre + measured.translation
+    if kind != "ply":
+        centre = np.array([centre[0], centre[2], -centre[1]])  # y up
+    assert np.abs(image.projection_center() - centre).max() < 1e-6
+    plain = export_run(folder, "ply", tmp_path / "plain.ply")
+    assert plain["splats"] == len(splats)  # in metres, as the scene was measured, with its own axes
+    scaled = read_ply(tmp_path / "plain.ply")
+    assert np.abs(scaled.positions - 0.4 * splats.positions).max() < 1e-5 and scaled.placement is None
+
+
+@pytest.mark.parametrize("more", [{"up": "y-up"}, {"metres_per_unit": 2.0}])
+def test_a_georeferenced_file_has_its_own_axes_and_unit(more):
+    with pytest.raises(InputError, match="in metres with z up"):
+        ExportOptions(georeferenced=True, **more)
 
 
 def test_baked_water_of_a_network():

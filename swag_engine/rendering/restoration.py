@@ -1,0 +1,276 @@
+"""Limit restored colors where noise and errors of the water exceed what is left of their light.
+
+Restoring divides by the transmission of the water, so that far away it multiplies noise and what is wrong with the
+water until only these are seen. docs/method.md, section 1, has the formulas.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+from ..effects.lamp import Lamp, lit
+from ..evidence.noise import Noise
+from ..gaussians.cloud import GaussianCloud
+from ..gaussians.contributions import contribution_sums
+from ..kernels.reference.harmonics import C0
+from ..kernels.reference.transfer import to_display, to_light
+from ..rasterize.api import rasterize
+from ..scene.cameras import Camera
+from ..water.medium import Medium, through_water
+
+BACKSCATTER_ERROR = 0.1
+"""Relative standard error of the backscatter, alike in all images: median of B and beta_B (docs/water.md)."""
+ATTENUATION_ERROR = 0.1
+"""Relative standard error of the attenuation, between median and 90th percentile (docs/water.md)."""
+RESTORED_FROM = 0.5
+"""Confidence from which a color counts as restored: its variance is below that of the scene's colors."""
+CONFIDENCE = "confidence"
+"""Property of splats in files: confidence of the least certain channel, 0..1."""
+WIDTH = 320
+"""Width at which Gaussians are weighed at most, pixels: wider images change confidences by thousandths."""
+LEAST_TOLD = 0.005
+"""Fraction of what the images show from which the user is told that it cannot be restored."""
+STORED = "restoration."
+"""Start of the names of the tensors in a checkpoint."""
+LEAST = 1e-12
+"""Least denominator."""
+BRIGHTEST_COLOR = 2.0
+"""Largest display value of a color: brighter ones are of Gaussians that images hardly show."""
+MOST_ERROR = 1e6
+"""Largest variance of an error: keeps matrices of doubles invertible."""
+PRIOR_GAUSSIANS = 5000
+"""Gaussians, at most about twice as many, that the distribution of the scene's colors is found from."""
+PRIOR_STEPS = 30
+"""Steps of expectation maximisation: 270 more change display values by less than .001 of 255 (4000 test colors)."""
+
+
+@dataclass
+class RestorationLimit:
+    """How far the colors of N Gaussians can be restored, and the colors that are most likely.
+
+    Attributes:
+        confidence: (N, 3) in 0..1 of red, green and blue.
+        color: (N, 3) display values.
+    """
+
+    confidence: Tensor
+    color: Tensor
+
+    @classmethod
+    def from_checkpoint(cls, tensors: Mapping[str, Tensor]) -> "RestorationLimit | None":
+        """Read the limit from the tensors of a checkpoint; None where it has none."""
+        stored = {field.name: tensors.get(STORED + field.name) for field in fields(cls)}
+        found = {name: tensor for name, tensor in stored.items() if tensor is not None}
+        return cls(**found) if len(found) == len(stored) else None
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return the tensors, named for a checkpoint, on the CPU."""
+        return {STORED + field.name: getattr(self, field.name).cpu() for field in fields(self)}
+
+    @property
+    def least_confidence(self) -> Tensor:
+        """(N,) confidence of the least certain channel."""
+        return self.confidence.min(dim=1).values
+
+    @torch.no_grad()
+    def apply(self, cloud: GaussianCloud) -> GaussianCloud:
+        """Return the cloud with the likely colors, which change with direction as far as they are certain."""
+        sh0 = (self.color.to(cloud.means)[:, None] - 0.5) / C0
+        return replace(cloud, sh0=sh0, shN=self.confidence.to(cloud.means)[:, None] * cloud.shN)
+
+
+@dataclass
+class LightSums:
+    """Sums over images for each of N Gaussians and each channel, all (N, 3).
+
+    The weight of a Gaussian in an image is the sum of T alpha over the pixels. Least squares on the images determine
+    its light J from light = transmission * J + backscatter as sum(weight * transmission * (light - backscatter)) /
+    sum(weight * transmission^2); what is wrong with the terms of the numerator is wrong with J in the same way.
+
+    Attributes:
+        weight: The weight.
+        light: Of weight * light as it reaches the camera.
+        information: Of weight * transmission^2.
+        backscatter: Of weight * transmission * backscatter.
+        optical_depth: Of weight * transmission^2 * (-log transmission).
+        noise: Of weight * transmission^2 * variance of a pixel.
+    """
+
+    weight: Tensor
+    light: Tensor
+    information: Tensor
+    backscatter: Tensor
+    optical_depth: Tensor
+    noise: Tensor
+
+    def add(self, weight: Tensor, light: Tensor, transmission: Tensor, backscatter: Tensor, variance: Tensor) -> None:
+        """Add an image.
+
+        Args:
+            weight: (N, 1) pixels.
+            light: (N, 3) light that reaches the camera.
+            transmission: (N, 3) fraction of J in it; above 1 where a lamp is near.
+            backscatter: (N, 3) the rest of it.
+            variance: (N, 3) of a pixel of that light.
+        """
+        information = weight * transmission.square()
+        self.weight += weight
+        self.light += weight * light
+        self.information += information
+        self.backscatter += weight * transmission * backscatter
+        self.optical_depth -= information * transmission.clamp(LEAST, 1.0).log()
+        self.noise += information * variance
+
+    def signal(self, J: Tensor) -> Tensor:
+        """Return the mean square (3,) of the light J (N, 3) of the scene.
+
+        Gaussians count by their information, or the noise of the far ones would pass for color.
+        """
+        return (self.information * J.square()).sum(0) / self.information.sum(0).clamp(min=LEAST)
+
+    def error(self, J: Tensor) -> Tensor:
+        """Return the variance (N, 3) of the error of J (N, 3), by noise and by errors of the water."""
+        information = self.information.clamp(min=LEAST)
+        error = (
+            self.noise / information.square()
+            + (BACKSCATTER_ERROR * self.backscatter / information).square()
+            + self.signal(J) * (ATTENUATION_ERROR * self.optical_depth / information).square()
+        )
+        return torch.where(self.information > LEAST, error, MOST_ERROR).clamp(max=MOST_ERROR)
+
+    def confidence(self, J: Tensor) -> Tensor:
+        """Compute the confidence in J: the Wiener weight, variance of the scene's J / (that + variance of the error).
+
+        Args:
+            J: (N, 3) light of the Gaussians.
+
+        Returns:
+            (N, 3) in 0..1; 0 for Gaussians that no image shows.
+        """
+        signal = self.signal(J)
+        return torch.where(self.information > LEAST, signal / (signal + self.error(J)).clamp(min=LEAST), 0.0)
+
+
+@torch.no_grad()
+def restoration_limit(
+    cloud: GaussianCloud,
+    cameras: Iterable[Camera],
+    medium: Medium,
+    noise: Noise,
+    lamp: Lamp | None = None,
+    backend: str = "auto",
+) -> tuple[RestorationLimit, Tensor]:
+    """Compute how far the images of a scene allow to restore the colors of Gaussians.
+
+    Args:
+        cloud: The Gaussians, without water.
+        cameras: Cameras of the images.
+        medium: The water, in linear light.
+        noise: Noise of the images.
+        lamp: A lamp at the camera.
+        backend: What computes, as in `kernels_for`.
+
+    Returns:
+        The limit, and the fraction (3,) of what the images show of the Gaussians whose red, green and blue have a
+        confidence of RESTORED_FROM or more.
+    """
+    color = (0.5 + C0 * cloud.sh0[:, 0]).clamp(0, BRIGHTEST_COLOR)
+    J = to_light(color)
+    black, white = torch.zeros_like(color), torch.ones_like(color)
+    offset, slope = (torch.from_numpy(values).to(color) for values in (noise.offset, noise.slope))
+    sums = LightSums(*(torch.zeros_like(color) for _ in fields(LightSums)))
+    for camera in cameras:
+        small = camera.resized(min(camera.width, WIDTH))
+        pixels = camera.width * camera.height / (small.width * small.height)
+        weight = contribution_sums(cloud, small, color.new_full((small.height, small.width, 1), pixels), backend)
+        offsets = cloud.means - torch.from_numpy(camera.centre).to(color)
+        lighted = white if lamp is None else lit(white, offsets.norm(dim=1), lamp)
+        # Light through water is a linear function of J: what 0 and 1 become gives its two coefficients.
+        backscatter, whole = (to_light(through_water(of, offsets, medium, backend=backend)) for of in (black, lighted))
+        transmission = (whole - backscatter).clamp(min=0)
+        light = transmission * J + backscatter
+        sums.add(weight, light, transmission, backscatter, offset + slope * light)
+    confidence = sums.confidence(J)
+    likely = to_display(likely_light(J, sums.error(J), sums.weight[:, 0]))
+    restored = (sums.weight * (confidence >= RESTORED_FROM)).sum(0) / sums.weight.sum(0).clamp(min=LEAST)
+    return RestorationLimit(confidence, torch.where(sums.weight > 0, likely, color)), restored
+
+
+def likely_light(J: Tensor, error: Tensor, weight: Tensor) -> Tensor:
+    """Estimate the light of surfaces from uncertain values and from how the scene's colors are distributed.
+
+    Colors of the scene are taken as normally distributed with a mean and a covariance of red, green and blue, which are
+    found together with the light by expectation maximisation (Dempster, Laird and Rubin 1977). The most likely light
+    given the values is their linear estimate of least mean square error: a channel that is uncertain follows the
+    others as it does elsewhere in the scene, and where none is certain it is the scene's mean color.
+
+    Args:
+        J: (N, 3) linear light.
+        error: (N, 3) variance of its error.
+        weight: (N,) pixels that show each.
+
+    Returns:
+        (N, 3) linear light, at least 0.
+    """
+    dtype = J.dtype
+    J, error, weight = J.double(), error.double().clamp(min=LEAST), weight.double()
+
+    def estimate(J: Tensor, error: Tensor, mean: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+        gain = covariance @ torch.linalg.inv(covariance + torch.diag_embed(error))
+        return mean + (gain @ (J - mean)[..., None])[..., 0], covariance - gain @ covariance
+
+    shown = torch.nonzero(weight > 0)[:, 0]
+    some = shown[:: max(1, len(shown) // PRIOR_GAUSSIANS)]
+    if not len(some):
+        return J.to(dtype)
+    values, variances, weights = J[some], error[some], weight[some, None] / weight[some].sum()
+    certain = weights / (error[some] + values.square().mean(0))
+    certain = certain / certain.sum(0)
+    mean = (certain * values).sum(0)
+    covariance = torch.diag((certain * (values - mean).square()).sum(0) + LEAST)
+    for _ in range(PRIOR_STEPS):
+        likely, uncertainty = estimate(values, variances, mean, covariance)
+        mean = (weights * likely).sum(0)
+        apart = likely - mean
+        spread = apart[:, :, None] * apart[:, None, :] + uncertainty
+        covariance = (weights[..., None] * spread).sum(0) + LEAST * torch.eye(3).to(spread)
+    return estimate(J, error, mean, covariance)[0].clamp(min=0).to(dtype)
+
+
+def describe_restored(restored: Tensor) -> str:
+    """Return a sentence for the user on channels that cannot be restored everywhere; empty if all can.
+
+    Args:
+        restored: (3,) fraction of what the images show that can be restored, as `restoration_limit` returns it.
+    """
+    missing = zip(("red", "green", "blue"), (1 - restored).tolist(), strict=True)
+    parts = [f"{name} in {part:.0%}" for name, part in missing if part >= LEAST_TOLD]
+    if not parts:
+        return ""
+    return (
+        f"Too far away to be restored: {', '.join(parts)} of what the photos show. The color "
+        "that is most likely in this scene takes its place."
+    )
+
+
+@torch.no_grad()
+def render_confidence(cloud: GaussianCloud, confidence: Tensor, camera: Camera, backend: str = "auto") -> Tensor:
+    """Render the confidence of Gaussians.
+
+    Args:
+        cloud: The Gaussians.
+        confidence: (N,) in 0..1.
+        camera: The camera.
+        backend: What renders.
+
+    Returns:
+        (H, W) mean confidence of the Gaussians in each pixel, NaN where most of it is background.
+    """
+    viewmat, K = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
+    rendering = rasterize(
+        cloud.means, cloud.quats, cloud.scales, cloud.opacities, confidence.to(cloud.means)[:, None], viewmat, K,
+        camera.width, camera.height, cloud.means.new_zeros(1), backend,
+    )  # fmt: skip
+    return torch.where(rendering.alpha > 0.5, rendering.channels[..., 0] / rendering.alpha, torch.nan)

@@ -1,0 +1,44 @@
+"""Development of the colors of splats in Blender; viewports are in test_real_viewport.py."""
+
+import json
+
+import numpy as np
+
+from swag_engine.app.protocol import FilmRequest, parse_request
+from swag_engine.formats.ply import write_ply
+from swag_engine.formats.run_folder import RunFolder
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.splats.development import ColorView, Development
+from swag_engine.splats.splats import Splats
+from tests.blender.splat_pictures import heap, psnr, render_by_engine
+
+
+def test_sliders_and_water_give_the_development_of_a_picture(blender):
+    blender.run("colors.sliders")
+
+
+def test_a_developed_render_equals_the_engines_developed_image(blender, tmp_path):
+    np.savez(tmp_path / "heap.npz", **heap())
+    development = Development.from_json(blender.run("colors.render_developed", tmp_path))
+    render = np.load(tmp_path / "render.npy")
+    color, alpha = render_by_engine(heap(), 160, 100, 150.0)
+    alpha = alpha[..., None]
+    wanted = development.apply(color / np.maximum(alpha, 1e-6)) * alpha
+    assert psnr(render[..., :3], wanted) > 50 and psnr(color, wanted) < 28
+
+
+def test_renders_follow_the_sliders_and_the_animated_water(blender):
+    blender.run("colors.render_follows_sliders_and_water", seconds=120)
+
+
+def test_films_and_exported_files_are_developed(blender, tmp_path):
+    sent = blender.run("colors.film_and_files", tmp_path)
+    request = {"request": "film", "cameras": "a", "splats": "b", "out": "c", "colors": sent}
+    parsed = parse_request(json.dumps(request))
+    assert isinstance(parsed, FilmRequest) and parsed.colors == ColorView.from_json(sent)
+
+
+def test_an_opened_run_has_its_development_and_damage_is_named(blender, tmp_path):
+    write_ply(tmp_path / "result.ply", Splats(**heap()))
+    RunFolder(tmp_path).write_config(tmp_path, TrainSettings(), [0, -1, 0])
+    assert "development is damaged" in blender.run("colors.open_run_with_development", tmp_path)
