@@ -7,8 +7,9 @@ VENV := .venv/bin/python
 demo: .venv/ready
 	$(VENV) demo/run.py
 
-# Two workers; a file's tests stay together, so that its fixtures are made once. UTF-8, because bpy resets the locale.
-PYTEST := PYTHONUTF8=1 $(VENV) -m pytest tests --numprocesses 2 --dist loadfile
+# Three workers for two cores, since many tests wait for windows and processes; a file's tests stay together, so that
+# its fixtures are made once. UTF-8, because bpy resets the locale.
+PYTEST := PYTHONUTF8=1 $(VENV) -m pytest tests --numprocesses 3 --dist loadfile
 
 # The quick tests: the engine's packages and one Blender version.
 test: .venv/ready

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.blender.real_blender import REAL, TOOLS
+
 ROOT = Path(__file__).resolve().parents[2]
 VERSIONS = ("5.0", "4.5", "5.2")
 
@@ -141,6 +143,14 @@ def blender(request, blenders, missing):
     ):
         missing(f"Blender {request.param} is not in {folder}: run `make .venv/ready`; Blender 5.2 needs Python 3.13.")
     return blenders[request.param]
+
+
+@pytest.fixture(scope="session")
+def real_blender(missing):
+    """The folder of the real Blender, a root folder of its own with a window system."""
+    if not (REAL / "usr/bin/blender").exists():
+        missing(f"There is no Blender with a window in {REAL}: run `{TOOLS}/setup {REAL}` (3 minutes, 2 GB).")
+    return REAL
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import OUT, install, press, report, start, until, view3d
+from window import OUT, install, photograph, press, report, start, until, view3d
 
 MODULE = "bl_ext.user_default.swag_splatting.swag_blender"
 
@@ -98,7 +98,7 @@ def steps():
     use("delete_splats")
     yield 1.5
     report["left"] = len(bpy.data.objects[name].data.points)
-    subprocess.run(["import", "-window", window_number(), str(OUT / "deleted.png")], check=True)
+    photograph("deleted.bmp", window_number())
     to_view = np.array(space.region_3d.view_matrix) @ np.array(bpy.data.objects[name].matrix_world)
     report["pictures"] = {
         "deleted": {"projection": np.array(space.region_3d.window_matrix).tolist(), "view": to_view.tolist()}

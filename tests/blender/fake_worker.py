@@ -95,10 +95,14 @@ def train(request):
     )  # fmt: skip
 
 
+def summary(*lenses, drift=None):
+    return {"cameras": lenses, "focal_error": 0.004, "drift": drift}
+
+
 def inspect(request):
     send(
         event="result", request="inspect", scene=request["scene"], images=12, registered=11,
-        points={"positions": "", "colors": "", "count": 345}, up=[0, 0, 1], cameras=[], summary={"cameras": [LENS]},
+        points={"positions": "", "colors": "", "count": 345}, up=[0, 0, 1], cameras=[], summary=summary(LENS),
         warnings=["The disk lacks one.png."],
     )  # fmt: skip
 
@@ -120,8 +124,13 @@ def sfm(request):
     np.save(paths["colors"], np.full((50, 3), 200, np.uint8))
     send(
         event="result", request="sfm", scene=request["out"], images=5, registered=4, points=paths | {"count": 50},
-        up=[0, -1, 0], cameras=cameras, summary={"cameras": [LENS, LENS]}, warnings=["The focal length is doubtful."],
+        up=[0, -1, 0], cameras=cameras, summary=summary(LENS, LENS, drift={"share": 0.012}),
+        warnings=["The focal length is doubtful."], notes=["Took 5 of 90 frames."],
     )  # fmt: skip
+
+
+def import_cameras(request):
+    sfm({"photos": request["file"]} | request)
 
 
 def plan(request):
@@ -148,6 +157,20 @@ def forecast(request):
     send(event="result", request="forecast", scene=request["scene"], presets=presets)
 
 
+def chart(request):
+    run = Path(request["run"])
+    if run.name == "no chart":
+        send(event="error", kind="input", message="None of the 3 photos shows a 24-patch color chart.")
+        return
+    document = {
+        "delta_e": {"photos": 16.24, "restored": 6.5, "corrected": 4.8, "left_out_patches": 5.2},
+        "beta_D": {"chart": [0.35, 0.12, 0.08], "error": [0.01] * 3, "run": None, "per": "unit"},
+        "photos": [{"name": f"{index}.jpg"} for index in range(7)],
+    }
+    (run / "chart.json").write_text(json.dumps(document))
+    send(event="result", request="chart", run=str(run), **document)
+
+
 def main():
     if sys.argv[2] == "swag_engine":
         print("arguments", json.dumps(sys.argv[3:]))
@@ -160,9 +183,15 @@ def main():
             if Path(request.get("scene", "")).name == "deaf":
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
             # A crash in the thread must end the process, as a crash of the engine does.
-            answer = {"train": train, "inspect": inspect, "plan": plan, "forecast": forecast, "sfm": sfm}[
-                request["request"]
-            ]
+            answer = {
+                "train": train,
+                "inspect": inspect,
+                "plan": plan,
+                "forecast": forecast,
+                "sfm": sfm,
+                "import_cameras": import_cameras,
+                "chart": chart,
+            }[request["request"]]
             threading.Thread(target=run_or_die, args=(answer, request), daemon=True).start()
     cancelled.set()
 

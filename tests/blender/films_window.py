@@ -11,7 +11,7 @@ import sys
 import bpy
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import install, photograph, report, start, until, view3d
+from window import install, open_sidebar, photograph, report, start, until, view3d
 
 
 def press(key):
@@ -34,7 +34,7 @@ def wipe_of(module):
 
 def drawn(window, area, wipe, index):
     """Wait until a photo is shown and drawn: the view's matrix is that of the last drawing."""
-    yield from until(lambda: wipe._running.index == index, 30)
+    yield from until(lambda: wipe._running.index == index)
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.wm.redraw_timer(type="DRAW_WIN_SWAP", iterations=2)
     yield 1.0
@@ -55,13 +55,13 @@ def state(space):
 
 def steps():
     install()
-    yield 2.0
-    window, area, region = view3d()
+    yield 0.5
+    window, area, _ = view3d()
     status, space = bpy.context.window_manager.swag, area.spaces.active
     package = "bl_ext.user_default.swag_splatting.swag_blender"
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.swag.import_scene("INVOKE_DEFAULT", directory=os.environ["SWAG_SCENE"])
-        yield from until(lambda: not status.job, 90)
+        yield from until(lambda: not status.job)
         bpy.ops.swag.import_splats(filepath=os.environ["SWAG_PLY"])
     space.shading.type = "SOLID"
     yield 1.0
@@ -72,7 +72,7 @@ def steps():
     yield 1.0
     yield from drawn(window, area, wipe, 0)
     report["first"] = wipe_of(wipe)
-    photograph("wipe-1")
+    photograph("wipe-1.bmp")
     left, top, right, bottom = report["first"]["frame"]
     x, y = round(left + 0.75 * (right - left)), round((top + bottom) / 2)
     for position in (x - 60, x - 30, x):
@@ -84,28 +84,23 @@ def steps():
     yield from press("Right")
     yield from drawn(window, area, wipe, 2)
     report["third"] = wipe_of(wipe)
-    photograph("wipe-2")
+    photograph("wipe-2.bmp")
     yield from press("Escape")
     report["running"] = wipe._running is not None
     report["after"] = state(space)
-    space.show_region_ui = True
-    yield 1.0
-    region.active_panel_category = "SWAG"
-    yield 1.0
+    yield from open_sidebar()
     report["warning"] = sys.modules[f"{package}.render_setup"].eevee_warning(bpy.context.scene, 32)
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.swag.prepare_render("INVOKE_DEFAULT", engine="EEVEE")
-    yield 2.0
-    photograph("dialog")
+    yield 0.5
     yield from press("Escape")
     scene = bpy.context.scene
     scene.frame_end, scene.swag_film.output = 2000, os.environ["SWAG_OUT"] + "/film"
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.swag.render_film("INVOKE_DEFAULT")
-        yield from until(lambda: status.factor > 0 or not status.job, 90)
-        photograph("film")
+        yield from until(lambda: status.factor > 0 or not status.job)
         bpy.ops.swag.cancel()
-    yield from until(lambda: not status.job, 90)
+    yield from until(lambda: not status.job)
     report["film"] = {"message": status.message, "failed": status.failed, "frame": scene.frame_current}
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.swag.compare_photos("INVOKE_DEFAULT")

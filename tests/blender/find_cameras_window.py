@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import install, photograph, report, start, until, view3d
+from window import install, open_sidebar, report, start, until, view3d
 
 PHOTOS = Path(os.environ["SWAG_PHOTOS"])
 
@@ -24,29 +24,22 @@ def file_browser():
 
 def steps():
     install()
-    yield 2.0
-    window, area, region = view3d()
+    window, area, _ = view3d()
     space = area.spaces.active
-    space.show_region_ui = True
-    yield 1.0
-    region.active_panel_category = "SWAG"
-    yield 1.0
+    yield from open_sidebar()
     status, swag = bpy.context.window_manager.swag, bpy.context.scene.swag
 
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.swag.find_cameras("INVOKE_DEFAULT")
-    yield from until(file_browser, 30)
-    yield 2.0
+    yield from until(lambda: file_browser() and file_browser()[1].spaces.active.params)
     browser, files = file_browser()
     files.spaces.active.params.directory = os.fsencode(f"{PHOTOS}/")
-    yield 2.0
-    photograph("1-choose")
+    yield 0.5
     with bpy.context.temp_override(window=browser, area=files):
         bpy.ops.file.execute()
-    yield from until(lambda: status.job == "Find Cameras" and status.text == "Matching photos", 60)
-    photograph("2-matching")
+    yield from until(lambda: status.job == "Find Cameras" and status.text == "Matching photos")
     bpy.ops.swag.cancel()
-    yield from until(lambda: not status.job, 60)
+    yield from until(lambda: not status.job)
     report["cancelled"] = {
         "message": status.message, "failed": status.failed, "objects": len(bpy.data.objects),
         "left": sorted(path.name for path in PHOTOS.parent.iterdir()), "shading": space.shading.type,
@@ -57,7 +50,7 @@ def steps():
     space.region_3d.view_location = (500, 0, 0)
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.swag.find_cameras("INVOKE_DEFAULT", filepath=str(PHOTOS))
-    yield from until(lambda: not status.job, 90)
+    yield from until(lambda: not status.job)
     yield 1.0
     points = next(obj for obj in bpy.data.objects if obj.type == "POINTCLOUD")
     view = space.region_3d
@@ -69,7 +62,6 @@ def steps():
         "in view": [abs(p.x) <= p.w and abs(p.y) <= p.w and p.w > 0 for p in seen],
         "size of the scene in the view": max(abs(v / p.w) for p in seen for v in (p.x, p.y)),
     }  # fmt: skip
-    photograph("3-found")
 
 
 start(steps())

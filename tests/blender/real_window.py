@@ -11,7 +11,7 @@ import time
 import bpy
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import click, install, photograph, press, report, start, until, view3d
+from window import click, install, open_sidebar, photograph, press_until, report, start, until, view3d
 
 # Commands of the buttons, and their columns in the sidebar.
 TRAIN, CONTINUE = ("bpy.ops.swag.train(resume=False)", 0.25), ("bpy.ops.swag.train(resume=True)", 0.62)
@@ -33,69 +33,81 @@ def timed(function, seconds):
 
 def steps():
     install()
-    yield 2.0
     window, area, region = view3d()
-    area.spaces.active.show_region_ui = True
     # The pointer's way over the sidebar then redraws no viewport, which takes long without a graphics card.
     bpy.context.preferences.system.use_region_overlap = False
-    yield 1.0
-    region.active_panel_category = "SWAG"
-    yield 1.0
-    photograph("1-empty")
+    yield from open_sidebar()
 
     status, swag = bpy.context.window_manager.swag, bpy.context.scene.swag
     with bpy.context.temp_override(window=window, area=area):
-        started = time.monotonic()
         bpy.ops.swag.import_scene("INVOKE_DEFAULT", directory=os.environ["SWAG_SCENE"])
-        yield from until(lambda: not status.job, 90)
-        report["import_seconds"] = time.monotonic() - started
+        yield from until(lambda: not status.job)
         report["imported"] = {"failed": status.failed, "message": status.message, "found": swag.found}
         region.tag_redraw()
+
+    swag.iterations, swag.width = 50, 64
+    viewport = next(region for region in area.regions if region.type == "WINDOW")
+    report["viewport"] = [viewport.x, viewport.y, viewport.width, viewport.height]
+    clouds = lambda: [o for o in bpy.data.objects if "swag_run" in o]  # noqa: E731
+    drawn = sys.modules["bl_ext.user_default.swag_splatting.swag_blender.viewport"].drawing
+
+    def draw_all():
+        """Wait until the viewport has drawn all that it has to draw, as steps."""
+        yield from until(drawn)
+        frames = -1
+        while drawn().is_waiting() or drawn().frames != frames:
+            frames = drawn().frames
+            yield 2.0
+
+    with bpy.context.temp_override(window=window, area=area):
+        bpy.ops.swag.train("INVOKE_DEFAULT")
+    yield from until(lambda: not status.job)
+    yield from draw_all()
+    photograph("trained.bmp")
+    drawn().store.mark_stale(None)
+    area.tag_redraw()
+    yield from draw_all()
+    photograph("trained, drawn anew.bmp")
+    bpy.data.objects.remove(clouds()[0])
     swag.iterations = 100_000
-    yield 1.0
-    photograph("2-imported")
 
     yield from click(*TRAIN)
-    yield from until(lambda: status.job == "Training", 90)
-    yield from until(lambda: status.iteration > 0 and status.factor > 0, 90)
-    clouds = lambda: [o for o in bpy.data.objects if "swag_run" in o]  # noqa: E731
-    yield from until(clouds, 90)
+    yield from until(lambda: status.job == "Training")
+    yield from until(lambda: status.iteration > 0 and status.factor > 0)
+    yield from until(clouds)
     # Time that the extension's timer blocks the window during training; drawing without a graphics card is not in it.
     job = sys.modules["bl_ext.user_default.swag_splatting.swag_blender.job"]
     report["blocked_seconds"] = []
     job.Job._follow = timed(job.Job._follow, report["blocked_seconds"])
-    yield 4.0
+    yield from until(lambda: len(report["blocked_seconds"]) > 30)
     report["training"] = {"iteration": status.iteration, "gaussians": status.gaussians, "figures": status.figures()}
     report["preview"] = len(clouds()[0].data.points)
-    photograph("3-training")
 
     yield from click(*PAUSE)
-    yield from until(lambda: status.paused, 90)
-    yield 3.0  # events under way arrive
-    paused_at = status.iteration
-    yield 2.0
+    yield from until(lambda: status.paused)
+    paused_at = -1
+    while paused_at != status.iteration:  # events under way arrive
+        paused_at = status.iteration
+        yield 1.5
+    yield 1.5
     report["iterations_while_paused"] = status.iteration - paused_at
     yield from click(*PAUSE)
-    yield from until(lambda: not status.paused and status.iteration > paused_at, 90)
+    yield from until(lambda: not status.paused and status.iteration > paused_at)
 
     yield from click(*CANCEL)
-    yield 1.0
-    report["asked first"] = not status.stopping
-    press("Return")
     yield 0.5
-    report["stopping"] = status.stopping or not status.job
-    yield from until(lambda: not status.job, 90)
-    yield 1.0
+    report["asked first"] = not status.stopping
+    yield from press_until("Return", lambda: status.stopping or not status.job)
+    yield from until(lambda: not status.job)
     report["end"] = {
         "failed": status.failed, "message": status.message, "interrupted": swag.result_interrupted,
         "points": len(clouds()[0].data.points), "gaussians": swag.result_gaussians, "continue": swag.can_continue,
     }  # fmt: skip
-    photograph("4-cancelled")
 
     yield from click(*CONTINUE)
-    yield from until(lambda: status.job == "Training" and status.iteration > report["training"]["iteration"], 90)
+    yield from until(lambda: status.job == "Training" and status.iteration > report["training"]["iteration"])
     bpy.ops.wm.read_homefile(use_empty=True)
-    yield 0.5
+    yield 0.2
     status = bpy.context.window_manager.swag
     engines = sys.modules["bl_ext.user_default.swag_splatting.swag_blender.engine_process"]._running
     report["after_opening"] = {"job": status.job, "engines": len(engines), "message": status.message}

@@ -15,7 +15,7 @@ import numpy as np
 from mathutils import Euler, Matrix, Vector
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import OUT, install, report, start, view3d
+from window import OUT, install, photograph, report, start, view3d
 
 MODULE = "bl_ext.user_default.swag_splatting"
 
@@ -55,7 +55,7 @@ def steps():
         yield from rest()
         # Blender's own screenshots are black without a graphics card.
         found = subprocess.run(["xdotool", "search", "--onlyvisible", "--class", "blender"], capture_output=True)
-        subprocess.run(["import", "-window", found.stdout.split()[-1], str(OUT / f"{name}.png")], check=True)
+        photograph(f"{name}.bmp", found.stdout.split()[-1])
         to_view = np.array(view.view_matrix) @ np.array(obj.matrix_world if obj else Matrix())
         pictures[name] = {"projection": np.array(view.window_matrix).tolist(), "view": to_view.tolist()}
 
@@ -121,9 +121,14 @@ def steps():
     yield from picture("selected", obj)
     labels.select(obj, np.zeros(count, bool))
     shown = obj.swag_display
-    shown.exposure = 1.0
-    yield from picture("exposed", obj)
-    shown.exposure, shown.sh_degree = 0.0, 1
+    colors = bpy.context.scene.swag_colors
+    colors.exposure, colors.temperature, colors.contrast = 1.0, 0.25, 1.2
+    yield from picture("adjusted", obj)
+    colors.reset()
+    obj["swag_development"] = json.dumps({"auto": json.loads((OUT / "development.json").read_text())})
+    yield from picture("developed", obj)
+    del obj["swag_development"]
+    shown.sh_degree = 1
     yield from picture("degree_1", obj)
     shown.sh_degree, shown.density = 3, 30.0
     yield from picture("thinned", obj)

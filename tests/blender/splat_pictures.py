@@ -29,7 +29,7 @@ def render_by_engine(arrays, width, height, focal, through=lambda colors, offset
         width: of the image, in pixels.
         height: of the image, in pixels.
         focal: focal length in pixels.
-        through: changes display colours (N, 3), given the splats' offsets from the camera (N, 3).
+        through: changes display colors (N, 3), given the splats' offsets from the camera (N, 3).
         matrix: affine 4x4 matrix that moves the splats, or None.
 
     Returns:
@@ -62,4 +62,4 @@ def render_by_engine(arrays, width, height, focal, through=lambda colors, offset
 
 
 def psnr(a, b):
-    return -10 * np.log10(np.mean((a - b) ** 2))
+    return -10 * np.log10(max(np.mean((a - b) ** 2), 1e-12))

@@ -20,7 +20,7 @@ from swag_engine.splats.splats import Splats
 
 
 def heap(count=1500, degree=3):
-    """Splats around the origin with colours that change much with the view."""
+    """Splats around the origin with colors that change much with the view."""
     random = np.random.default_rng(3)
     rotations = random.normal(size=(count, 4))
     sh = random.normal(size=(count, (degree + 1) ** 2, 3)) * 0.2

@@ -1,6 +1,7 @@
 """Labels of splats in Blender: list, show, select, search, masks, separate, merge."""
 
 import json
+import shutil
 import sys
 
 import cv2
@@ -22,6 +23,10 @@ def test_labels_are_listed_by_name_hidden_and_isolated(blender, labels_folder):
 
 def test_label_colors_tint_what_is_shown_and_not_the_splats(blender, labels_folder):
     blender.run("labels.tint", labels_folder)
+
+
+def test_colors_that_are_not_certain_are_marked_in_proportion(blender, tmp_path):
+    blender.run("labels.mark_uncertain", tmp_path)
 
 
 def test_names_and_visibility_of_labels_are_saved_in_the_file(blender, labels_folder):
@@ -58,11 +63,8 @@ def test_splats_without_labels_are_refused_with_what_to_do(blender, tmp_path):
 
 
 @pytest.mark.main_version
-def test_a_run_is_labelled_by_the_engine(blender, tiny_scene, tmp_path):
-    from swag_engine.settings.settings import TrainSettings
-    from swag_engine.training.trainer import train
-
-    train(tiny_scene, tmp_path / "run", TrainSettings(iterations=20, width=64, max_gaussians=320, sh_degree=0))
+def test_a_run_is_labelled_by_the_engine(blender, tiny_scene, finished_run, tmp_path):
+    shutil.copytree(finished_run, tmp_path / "run")
     for name, columns in (("left", slice(0, 30)), ("right", slice(30, 64))):
         (tmp_path / "masks" / name).mkdir(parents=True)
         mask = np.zeros((48, 64), np.uint8)

@@ -51,7 +51,7 @@ def test_renders_equal_the_engines_image(blender, tmp_path, renderer, moved):
 
 
 def test_linear_light_is_blended_after_the_srgb_curve(blender, tmp_path):
-    """Two splats behind each other: the colour is the blend of their linear light."""
+    """Two splats behind each other: the color is the blend of their linear light."""
     display = np.array([[0.9, 0.2, 0.03], [0.1, 0.8, 0.5]])
     blender.run("splat_objects.render_two_in_linear_light", tmp_path, display.tolist())
     light = to_light(display)

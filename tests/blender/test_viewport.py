@@ -1,4 +1,4 @@
-"""Drawing of splats in viewports, as far as it can be checked without a window; see also test_real_window.py."""
+"""Drawing of splats in viewports, as far as it can be checked without a window; see also test_real_viewport.py."""
 
 import pytest
 

@@ -33,7 +33,7 @@ def photograph(name):
         area.tag_redraw()
         region.tag_redraw()
         yield 2.0
-    blender_window.photograph(name)
+    blender_window.photograph(f"{name}.png")
     report["stages"].append(name)
     write_report()
 
@@ -55,14 +55,14 @@ def scroll(lines):
     """Scroll the sidebar to `lines` below its top, as steps."""
     window, area, region = view3d()
     region.tag_redraw()
-    yield 1.0  # its height is known once it was drawn
+    yield 3.0  # its height is known once it was drawn
     with bpy.context.temp_override(window=window, area=area, region=region):
         bpy.ops.view2d.pan(deltay=10_000)
         bpy.ops.view2d.pan(deltay=-22 * lines)
 
 
 def steps():
-    install()
+    install(viewport_samples=16)
     open_panels("SWAG_PT_effects", "SWAG_PT_water", "SWAG_PT_labels")
     yield 2.0
     window, area, region = view3d()
@@ -80,7 +80,7 @@ def steps():
     report["Engine check"] = status.message
     area.tag_redraw()
     yield 2.0
-    blender_window.photograph("1-preferences")
+    blender_window.photograph("1-preferences.png")
     area.type = "VIEW_3D"
     area.spaces.active.show_region_ui = True
     yield 1.0

@@ -7,13 +7,8 @@ root=${1:?usage: tour.sh ROOT EXTENSION.zip SCENE OUT} zip=${2:?} scene=${3:?} o
 here=$root/gui/tour; rm -rf "$here"; mkdir -p "$here" "$out"
 cp "${SCRIPT:-$(dirname "$0")/tour.py}" "$here/script.py"; cp "$(dirname "$0")/window.py" "$here"; cp "$zip" "$here/extension.zip"; cp -r "$scene" "$here/scene"
 python=$(readlink -f "$(dirname "$0")/../../.venv")/bin/python
-env -i PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LIBGL_ALWAYS_SOFTWARE=1 READY=/gui/tour/ready SWAG_ENGINE_PYTHON="$python" \
-    SWAG_ZIP=/gui/tour/extension.zip SWAG_SCENE=/gui/tour/scene SWAG_OUT=/gui/tour SWAG_CACHE_DIR=/gui/tour/cache \
-    BLENDER_USER_RESOURCES=/gui/tour/user chroot "$root" bash -c '
-    export DISPLAY=:$((80 + RANDOM % 400))
-    Xvfb $DISPLAY -screen 0 1920x1080x24 +extension GLX +render -noreset >/dev/null 2>&1 & x=$!
-    sleep 1.5; openbox >/dev/null 2>&1 & wm=$!; sleep 1
-    timeout 1200 blender --factory-startup --window-geometry 0 0 1920 1080 --python /gui/tour/script.py >/gui/tour/log 2>&1 || true
-    kill $wm $x'
+export SWAG_ENGINE_PYTHON=$python SWAG_ZIP=/gui/tour/extension.zip SWAG_SCENE=/gui/tour/scene SWAG_OUT=/gui/tour
+export SWAG_CACHE_DIR=/gui/tour/cache BLENDER_USER_RESOURCES=/gui/tour/user
+SECONDS_LIMIT=1200 bash "$(dirname "$0")/window.sh" "$root" tour 1920 1080 >"$here/log" || true
 cp "$here"/*.png "$here/report.json" "$out"; cat "$here/report.json"
 grep -q '"done": true' "$here/report.json"

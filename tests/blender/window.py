@@ -1,9 +1,10 @@
 """Shared by scripts inside the real Blender: its window, screenshots, waiting, a report for the caller.
 
-A script is a generator of steps that yields the seconds to wait before the next. Environment: SWAG_OUT is the
-folder of this file, of screenshots and of report.json; the file $READY is written at the end.
+A script is a generator of steps that yields the seconds to wait before the next; window.sh starts it. Environment:
+SWAG_OUT is the folder of this file, of screenshots and of report.json.
 """
 
+import contextlib
 import json
 import os
 import subprocess
@@ -16,6 +17,8 @@ import bpy
 # Set before Blender draws for the first time: the first click would only close a splash screen.
 bpy.context.preferences.view.show_splash = False
 OUT = Path(os.environ["SWAG_OUT"])
+PATIENCE = 180
+"""Seconds to wait for anything that takes a second or two on a machine with nothing else to do."""
 report = {"version": bpy.app.version_string}
 _last_row = 0
 """Pixel of the row where the last button was; 0 at first, when the search starts at the top."""
@@ -28,9 +31,9 @@ def view3d():
     return window, area, next(region for region in area.regions if region.type == "UI")
 
 
-def photograph(name):
-    """Save a screenshot, taken by the X server."""
-    subprocess.run(["import", "-window", "root", str(OUT / f"{name}.png")], check=True)
+def photograph(file, window="root"):
+    """Save a screenshot, taken by the X server: of the screen, or of one window. A .bmp takes little time to write."""
+    subprocess.run(["import", "-window", window, str(OUT / file)], check=True)
 
 
 def press(*keys):
@@ -38,13 +41,38 @@ def press(*keys):
     subprocess.run(["xdotool", "key", *keys], check=True)
 
 
-def until(condition, seconds):
+def until(condition, seconds=PATIENCE):
     """Wait for the condition, as steps; raise TimeoutError after `seconds`."""
     end = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > end:
             raise TimeoutError(f"waited {seconds} s")
         yield 0.05
+
+
+def press_until(key, condition):
+    """Press a key each second until the condition holds, as steps: a dialog may not yet be there to take the first."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        press(key)
+        for _ in range(20):
+            yield 0.05
+            if condition():
+                return
+    raise TimeoutError(f"pressed {key} for {PATIENCE} s")
+
+
+def open_sidebar():
+    """Open the sidebar and show the extension's tab, as steps: there is one once the sidebar was drawn."""
+    _, area, region = view3d()
+    area.spaces.active.show_region_ui = True
+
+    def shows_tab():
+        with contextlib.suppress(AttributeError):
+            region.active_panel_category = "SWAG"
+        return region.active_panel_category == "SWAG"
+
+    yield from until(shows_tab)
 
 
 def click(command, column):
@@ -84,8 +112,14 @@ def click(command, column):
     raise LookupError(f"{command} is not among {sorted(seen)}")
 
 
-def install():
-    """Install the extension SWAG_ZIP without online access, and remove all objects."""
+def install(viewport_samples=1):
+    """Install the extension SWAG_ZIP without online access, and remove all objects.
+
+    Args:
+        viewport_samples: how often EEVEE draws a viewport after each change. Blender's 16 are slow without a graphics
+            card.
+    """
+    bpy.context.scene.eevee.taa_samples = viewport_samples
     bpy.context.preferences.system.use_online_access = False
     bpy.ops.extensions.package_install_files(
         filepath=os.environ["SWAG_ZIP"], repo="user_default", enable_on_install=True, overwrite=True
@@ -113,7 +147,7 @@ def write_report():
 
 
 def start(steps):
-    """Run the steps from a timer, write the report, write $READY and quit Blender."""
+    """Run the steps from a timer, write the report and quit Blender."""
 
     def run():
         try:
@@ -122,10 +156,9 @@ def start(steps):
             report["done"] = True
         except Exception:
             report["traceback"] = traceback.format_exc()
-            photograph("failed")
+            photograph("failed.png")
         write_report()
-        Path(os.environ["READY"]).touch()
-        bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None, first_interval=2.0)
+        bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None)
         return None
 
-    bpy.app.timers.register(run, first_interval=2.0, persistent=True)
+    bpy.app.timers.register(run, first_interval=0.5, persistent=True)

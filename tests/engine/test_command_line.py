@@ -8,11 +8,12 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
 
-from swag_engine.app import progress
+from swag_engine.app import cli, progress
 from swag_engine.app.interrupts import Interrupts
 from swag_engine.kernels.machine import PACKAGES
 
@@ -23,6 +24,22 @@ TRAIN = ["--iterations", "60", "--width", "64", "--max-gaussians", "400", "--sh-
 def swag(*arguments, **more):
     command = [sys.executable, "-m", "swag_engine", *map(str, arguments)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, **more)
+
+
+@pytest.fixture
+def call(capsys):
+    """Like `swag`, in this process: to start another one takes seconds."""
+
+    def called(*arguments):
+        capsys.readouterr()
+        try:
+            code = cli.main([str(argument) for argument in arguments])
+        except SystemExit as usage:
+            code = usage.args[0]
+        printed = capsys.readouterr()
+        return SimpleNamespace(returncode=code, stdout=printed.out, stderr=printed.err)
+
+    return called
 
 
 def assert_one_sentence(done):
@@ -39,10 +56,10 @@ def run(tiny_scene, tmp_path_factory):
     return folder, json.loads(done.stdout)
 
 
-def test_inspect_prints_what_was_found(tiny_scene):
+def test_inspect_prints_what_was_found(tiny_scene, call):
     done = swag("inspect", tiny_scene)
     assert done.returncode == 0 and "10" in done.stdout and "300" in done.stdout
-    assert json.loads(swag("inspect", tiny_scene, "--json").stdout)["registered"] == 10
+    assert json.loads(call("inspect", tiny_scene, "--json").stdout)["registered"] == 10
 
 
 def test_train_answers_in_json_alone(run):
@@ -51,36 +68,36 @@ def test_train_answers_in_json_alone(run):
     assert Path(result["ply"]).parent == folder
 
 
-def test_evaluate_repeats_the_figures_of_training(run):
+def test_evaluate_repeats_the_figures_of_training(run, call):
     folder, result = run
-    scores = json.loads(swag("evaluate", folder, "--json").stdout)
+    scores = json.loads(call("evaluate", folder, "--json").stdout)
     assert scores["test_psnr"] == result["metrics"]["test_psnr"]
     assert set(scores["views"]) == {"view_00.png", "view_08.png"}
 
 
-def test_render_writes_pictures_and_knows_its_cameras(run, tmp_path):
+def test_render_writes_pictures_and_knows_its_cameras(run, tmp_path, call):
     folder, _ = run
-    done = swag("render", folder, "--out", tmp_path / "pictures", "--camera", "view_03.png")
+    done = call("render", folder, "--out", tmp_path / "pictures", "--camera", "view_03.png")
     assert done.returncode == 0 and (tmp_path / "pictures" / "view_03.png").stat().st_size > 500
-    assert_one_sentence(swag("render", folder, "--out", tmp_path, "--camera", "view_99.png"))
+    assert_one_sentence(call("render", folder, "--out", tmp_path, "--camera", "view_99.png"))
 
 
-def test_film_renders_the_cameras_that_export_writes(run, tmp_path):
+def test_film_renders_the_cameras_that_export_writes(run, tmp_path, call):
     folder, _ = run
-    assert swag("export", folder, "--format", "ply", "--out", tmp_path / "reef.ply", "--cameras").returncode == 0
+    assert call("export", folder, "--format", "ply", "--out", tmp_path / "reef.ply", "--cameras").returncode == 0
     cameras = tmp_path / "reef_cameras" / "transforms.json"
-    done = swag("film", folder, cameras, "--out", tmp_path / "film", "--alpha", "--depth", "--json")
+    done = call("film", folder, cameras, "--out", tmp_path / "film", "--alpha", "--depth", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["rendered"] == 10 and "Frame 1 of 10" in done.stderr
     assert (tmp_path / "film" / "view_03.png").exists() and (tmp_path / "film" / "depth" / "view_03.exr").exists()
-    assert_one_sentence(swag("film", folder, tmp_path / "none.json", "--out", tmp_path / "film"))
+    assert_one_sentence(call("film", folder, tmp_path / "none.json", "--out", tmp_path / "film"))
 
 
 @pytest.mark.parametrize("format", ["ply", "glb"])
-def test_export(run, tmp_path, format):
+def test_export(run, tmp_path, format, call):
     folder, _ = run
     out = tmp_path / f"reef.{format}"
-    assert swag("export", folder, "--format", format, "--out", out).returncode == 0
+    assert call("export", folder, "--format", format, "--out", out).returncode == 0
     assert out.read_bytes()[:4] in (b"ply\n", b"glTF")
 
 
@@ -176,19 +193,19 @@ def test_a_full_disk_ends_in_one_sentence(tiny_scene, tmp_path):
         ("train", "/nowhere", "--out", "/tmp/never", "--iterations", "-3"),
     ],
 )
-def test_bad_input_is_one_sentence(arguments):
-    assert_one_sentence(swag(*arguments))
+def test_bad_input_is_one_sentence(arguments, call):
+    assert_one_sentence(call(*arguments))
 
 
-def test_usage_errors_exit_with_two():
-    assert swag("paint").returncode == 2
-    assert swag("train").returncode == 2
-    assert "error" in json.loads(swag("train", "--json").stdout)
+def test_usage_errors_exit_with_two(call):
+    assert call("paint").returncode == 2
+    assert call("train").returncode == 2
+    assert "error" in json.loads(call("train", "--json").stdout)
 
 
-def test_torch_trains_where_no_kernel_runs(tiny_scene, tmp_path):
+def test_torch_trains_where_no_kernel_runs(tiny_scene, tmp_path, call):
     few = ["--iterations", "40", "--width", "32", "--max-gaussians", "400", "--sh-degree", "0", "--recipe", "3dgs"]
-    done = swag("train", tiny_scene, "--out", tmp_path / "run", "--json", "--backend", "torch", *few)
+    done = call("train", tiny_scene, "--out", tmp_path / "run", "--json", "--backend", "torch", *few)
     metrics = json.loads(done.stdout)["metrics"]
     assert metrics["iteration"] == 40 and metrics["test_psnr"] > metrics["control_psnr"]
 
@@ -197,9 +214,9 @@ def test_the_doctor_knows_all_that_the_engine_requires():
     assert sorted(PACKAGES) == sorted((ROOT / "requirements.txt").read_text().split())
 
 
-def test_the_doctor_says_what_runs_and_why_not_the_other():
+def test_the_doctor_says_what_runs_and_why_not_the_other(call):
     found = json.loads(swag("doctor", "--json").stdout)
-    text = swag("doctor").stdout
+    text = call("doctor").stdout
     assert found["packages"]["torch"] == torch.__version__ and found["backends"]["cpu"]["runs"]
     cuda = found["backends"]["cuda"]
     if cuda["runs"]:
@@ -210,8 +227,8 @@ def test_the_doctor_says_what_runs_and_why_not_the_other():
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a card here")
-def test_asking_for_a_card_that_is_not_there_is_one_sentence_and_leaves_nothing(tiny_scene, tmp_path):
-    done = swag("train", tiny_scene, "--out", tmp_path / "run", "--backend", "cuda", *TRAIN)
+def test_asking_for_a_card_that_is_not_there_is_one_sentence_and_leaves_nothing(tiny_scene, tmp_path, call):
+    done = call("train", tiny_scene, "--out", tmp_path / "run", "--backend", "cuda", *TRAIN)
     assert_one_sentence(done)
     assert done.stderr.startswith("The cuda backend cannot run here: ") and not (tmp_path / "run").exists()
 
@@ -229,8 +246,8 @@ def test_a_missing_package_is_named(tmp_path, package):
     assert json.loads(with_json.stdout) == {"error": with_json.stderr.strip()}
 
 
-def test_continuing_a_run_that_does_not_exist_says_what_to_do(tiny_scene, tmp_path):
-    done = swag("train", tiny_scene, "--out", tmp_path / "run", "--resume")
+def test_continuing_a_run_that_does_not_exist_says_what_to_do(tiny_scene, tmp_path, call):
+    done = call("train", tiny_scene, "--out", tmp_path / "run", "--resume")
     assert_one_sentence(done)
     assert f"There is no run in {tmp_path / 'run'} to continue: start one without --resume." in done.stderr
     assert not (tmp_path / "run").exists()

@@ -270,7 +270,7 @@ def test_contributions_agree_with_their_definition(channels, images):
         assert not expected.numel() or relative_error(value, expected) < 1e-5
 
 
-# -- colours, loss, optimiser ------------------------------------------------------------------------------------------
+# -- colors, loss, optimiser ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("degree, stored", [(0, 0), (0, 3), (1, 1), (2, 3), (3, 3)])

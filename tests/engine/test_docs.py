@@ -1,5 +1,6 @@
 """The documentation shows the figures of benchmarks/results and the imports of the code, and its links work."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -45,7 +46,10 @@ def test_a_changed_figure_is_found(copy, page):
 
 def test_a_changed_result_is_found(copy):
     path = copy / "benchmarks" / "results" / "raster.json"
-    path.write_text(path.read_text("utf-8").replace("910.3", "911.3"), "utf-8")
+    results = json.loads(path.read_text("utf-8"))
+    times = results["rasterise 50 000 at 640x360, ms"]
+    results["rasterise 50 000 at 640x360, ms"] = {name: time + 10 for name, time in times.items()}
+    path.write_text(json.dumps(results), "utf-8")
     done = check(copy, "tables.py")
     assert done.returncode == 1 and "docs/accuracy.md" in done.stdout
 
@@ -53,7 +57,7 @@ def test_a_changed_result_is_found(copy):
 def test_a_new_import_is_found(copy):
     assert check(copy, "import_diagram.py").returncode == 0
     with open(copy / "swag_engine" / "evaluation" / "metrics.py", "a", encoding="utf-8") as file:
-        file.write("\nfrom ..splats import splats\n")
+        file.write("\nfrom ..settings import settings\n")
     done = check(copy, "import_diagram.py")
     assert done.returncode == 1 and "docs/architecture.md" in done.stdout
 

@@ -15,14 +15,13 @@ from safetensors.torch import save_file
 
 from benchmarks.lpips_weights import ArrayUnpickler
 from swag_engine.app.cli import main
+from swag_engine.base.color_difference import delta_e_2000, lab
 from swag_engine.base.errors import InputError
 from swag_engine.evaluation.lpips import load_lpips
 from swag_engine.evaluation.metrics import (
     FLOATER_GAP,
-    delta_e_2000,
     floater_mass,
     joint_psnr,
-    lab,
     mean_score,
     restored_error,
     score_image,
@@ -164,7 +163,7 @@ def test_floaters_are_in_front_of_an_opaque_surface():
     assert np.isnan(floater_mass(cloud_of([(0, 0, -2.0)], [0.5]), [camera()], 4.0))
 
 
-# Colour without water -------------------------------------------------------------------------------------------------
+# Color without water -------------------------------------------------------------------------------------------------
 
 SHARMA = """
 50 2.6772 -79.7751 50 0 -82.7485 2.0425
@@ -300,9 +299,9 @@ def test_colours_without_water_are_compared_where_truth_is_known(tiny_scene, tmp
         cv2.imwrite(str(scene / folder / "view_08.png"), pixels)
     train(scene, tmp_path / "run", replace(SETTINGS, iterations=2))
 
-    def render_image(cloud, camera, sh_degree, effects=None, amount=1):
+    def render_image(cloud, camera, sh_degree, effects=None, amount=1, development=None):
         pixels = torch.full((48, 64, 3), 128 / 255 + (0.1 if amount else 0.01))
-        pixels[:, 32:] = 1  # open water has no true colour
+        pixels[:, 32:] = 1  # open water has no true color
         return pixels
 
     monkeypatch.setattr("swag_engine.experiments.evaluate_run.render_image", render_image)

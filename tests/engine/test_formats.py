@@ -302,7 +302,7 @@ def packed_ply(path, chunk_names, words, chunks, more=""):
 
 @pytest.mark.parametrize("more", ["", "element sh 2\n"], ids=["old SuperSplat", "gsplat of degree 0"])
 def test_compressed_by_hand(tmp_path, more):
-    """Two splats packed bit by bit, colours without bounds: one inside the box and one at its corner."""
+    """Two splats packed bit by bit, colors without bounds: one inside the box and one at its corner."""
     names = ["min_x", "min_y", "min_z", "max_x", "max_y", "max_z"]
     names += [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
     chunk = np.array([[-1, -2, -3, 1, 2, 5, -4, -4, -4, 0, -2, -1]], "<f4")

@@ -5,12 +5,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import torch
 
+from swag_engine.app import cli
 from swag_engine.base.errors import InputError
 from swag_engine.experiments import label_run as semantics_run
 from swag_engine.experiments.label_run import extract_run, label_run, search_run
@@ -165,7 +167,7 @@ def test_one_label_is_taken_out(labelled: Path, tmp_path: Path, suffix: str) -> 
 def test_labels_without_masks_or_words_come_from_saliency(run: Path) -> None:
     assert label_run(run)["regions"] == "masks"  # the demo scene has some in its folder labels
     made = label_run(run, provider="saliency")
-    assert made["regions"] == "saliency" and made["embedder"] == "colour and texture"
+    assert made["regions"] == "saliency" and made["embedder"] == "color and texture"
     names = [entry["name"] for entry in made["labels"]]
     assert "open water" in names and 2 <= len(names) <= 9
     again = label_run(run, provider="saliency")  # over its own result, from the cache
@@ -233,12 +235,15 @@ def test_rendering_the_labels_of_a_run_is_right_where_it_is_covered(labelled: Pa
 # The doors ------------------------------------------------------------------------------------------------------------
 
 
-def command(*arguments: object) -> subprocess.CompletedProcess[str]:
-    line = [sys.executable, "-m", "swag_engine", *map(str, arguments), "--json"]
-    return subprocess.run(line, capture_output=True, text=True, cwd=REEF.parents[2])
+def test_the_command_line_labels_searches_and_takes_out(
+    untouched: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def command(*arguments: object) -> SimpleNamespace:
+        capsys.readouterr()
+        code = cli.main([*map(str, arguments), "--json"])
+        printed = capsys.readouterr()
+        return SimpleNamespace(returncode=code, stdout=printed.out, stderr=printed.err)
 
-
-def test_the_command_line_labels_searches_and_takes_out(untouched: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(untouched, tmp_path / "run")
     made = command("label", folder, "--masks", MASKS)
     assert made.returncode == 0, made.stderr

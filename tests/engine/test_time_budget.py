@@ -170,5 +170,5 @@ def test_parts_are_counted_without_the_parts_inside_them():
 
 def test_the_ledger_of_a_run_adds_up_to_its_iterations(tiny_scene, tmp_path):
     ledger = train(tiny_scene, tmp_path / "run", SHORT)["metrics"]["ledger"]
-    assert {"rasterise", "rasterise backward", "optimiser", "losses", "other"} <= set(ledger)
+    assert {"rasterise", "rasterise backward", "optimiser", "loss L1 and SSIM", "other"} <= set(ledger)
     assert min(ledger.values()) >= 0

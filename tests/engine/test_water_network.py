@@ -12,7 +12,7 @@ UNIT = 2.5
 
 
 def make(n=30, dtype=torch.float64, seed=0):
-    """Colours (n, 3), offsets (n, 3) and a network far from its start, so that nothing is nearly linear."""
+    """Colors (n, 3), offsets (n, 3) and a network far from its start, so that nothing is nearly linear."""
     random = torch.Generator().manual_seed(seed)
     colors = torch.rand(n, 3, generator=random, dtype=torch.float64).to(dtype)
     offsets = (2 * torch.randn(n, 3, generator=random, dtype=torch.float64)).to(dtype)

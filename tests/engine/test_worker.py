@@ -106,7 +106,8 @@ def test_cameras_of_photos_are_found_and_described(worker, tmp_path):
     assert event["event"] == "result" and stages[-1] == "Placing cameras"
     assert event["scene"] == str(tmp_path / "out") and event["registered"] == event["images"] == 6
     assert len(np.load(event["points"]["positions"])) == event["points"]["count"] > 100
-    assert 15 < event["summary"]["cameras"][0]["field_of_view"] < 140 and event["warnings"] == []
+    assert 15 < event["summary"]["cameras"][0]["field_of_view"] < 140
+    assert all("focal length" in warning for warning in event["warnings"])  # of a wall it cannot be known
     assert worker.close() == 0
 
 

@@ -109,7 +109,7 @@ def train_to(scene, run):
 
 
 def undo_previews(folder):
-    """Number of splat objects after undo of what the user did between previews, and whether Blender survives it."""
+    """Points of the splat objects and place of an object that the user moved, after undo and redo between previews."""
     context = bpy.context
     preview = folder + "/preview.ply"
     context.scene.swag.scene_folder = folder
@@ -119,16 +119,32 @@ def undo_previews(folder):
         context.view_layer.update()
         bpy.ops.ed.undo_push(message=f"move {step}")
     training = Training(context, resume=False)
-    counts = []
-    for number in range(4):
-        for size in (30 + number, 50 - number):
-            write_ply(Path(preview), random_splats(size, 1))
-            training.read_preview({"path": preview})
-            training._preview[0].result()
-            training.show_preview(context)
-            context.view_layer.update()
-        bpy.ops.ed.undo()
+
+    def show(size):
+        write_ply(Path(preview), random_splats(size, 1))
+        training.read_preview({"path": preview})
+        training._preview[0].result()
+        training.show_preview(context)
         context.view_layer.update()
-        found = [obj for obj in bpy.data.objects if "swag_run" in obj]
-        counts.append([len(obj.data.points) for obj in found])
-    return {"counts": counts, "x": bpy.data.objects["Empty"].location.x}
+
+    def state():
+        context.view_layer.update()
+        points = [len(obj.data.points) for obj in bpy.data.objects if "swag_run" in obj]
+        return {"points": points, "x": bpy.data.objects["Empty"].location.x}
+
+    show(30)
+    show(50)
+    found = {"before": state()}
+    undone = 0
+    while undone < 6 and bpy.data.objects["Empty"].location.x > 0:
+        bpy.ops.ed.undo()
+        undone += 1
+        show(40)
+    found["undone"] = state()
+    for _ in range(undone):
+        bpy.ops.ed.redo()
+    show(60)
+    found["redone"] = state()
+    bpy.data.objects.remove(next(obj for obj in bpy.data.objects if "swag_run" in obj))
+    show(70)
+    return found | {"deleted": state()}

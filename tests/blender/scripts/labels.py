@@ -116,6 +116,26 @@ def tint(folder):
     assert np.array_equal(back.positions, made.positions) and list(back.extras) == ["label"]
 
 
+def mark_uncertain(folder):
+    _, made = labelled_object([1] * 4, "plain")
+    confidence = np.array([1, 0.75, 0.2, 0], "f4")
+    made.extras["confidence"] = confidence
+    obj = splats.new_splat_object("restored", made, scene.collection)
+
+    def tints():
+        values = np.empty(16, "f4")
+        obj.data.attributes["swag:tint"].data.foreach_get("color", values)
+        return values.reshape(-1, 4)
+
+    obj.swag_labels.uncertain = True
+    assert np.allclose(tints()[:, 3], 1 - confidence) and np.allclose(tints()[:, :3], (1, 0, 0.3))
+    labels.select(obj, np.array([False, False, False, True]))
+    assert np.allclose(tints()[3], labels.SELECTED_COLOR)
+    obj.swag_labels.uncertain = False
+    assert not tints()[:3].any()
+    assert np.array_equal(splats.read_splats(obj).extras["confidence"], confidence)
+
+
 def save_and_open(folder):
     obj, _ = labelled_object([1] * 50 + [2] * 30 + [0] * 20 + [7] * 5)
     show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)

@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 from bl_ext.user_default.swag_splatting import operators
 from bl_ext.user_default.swag_splatting.swag_blender import (
+    color_chart,
     edit_panel,
     effect_pictures,
     effects,
@@ -199,7 +200,7 @@ class RecordingPanel:
 
 def panel_classes():
     """The panels of the sidebar's tab."""
-    modules = (panels, water, edit_panel, film_panel)
+    modules = (panels, water, color_chart, edit_panel, film_panel)
     classes = [cls for module in modules for cls in vars(module).values() if isinstance(cls, type)]
     return [cls for cls in dict.fromkeys(classes) if issubclass(cls, SwagPanel) and cls is not SwagPanel]
 

@@ -81,7 +81,7 @@ def render_heap(folder, renderer, moved, matrix):
 
 
 def render_two_in_linear_light(folder, colors):
-    """Render two splats behind each other whose display colours are `colors` (2, 3)."""
+    """Render two splats behind each other whose display colors are `colors` (2, 3)."""
     two = Splats(
         np.array([[0, 0, 4], [0, 0, 5]], "f4"),
         np.array([[1, 0, 0, 0]] * 2, "f4"),
@@ -97,7 +97,7 @@ def render_two_in_linear_light(folder, colors):
 
 
 def render_background(color):
-    """The colour of an empty render with display values and with linear light, by the name of the first."""
+    """The color of an empty render with display values and with linear light, by the name of the first."""
     pinhole_camera(9, 9, 20.0)
     obj = splats.new_splat_object("behind", random_splats(1, 1), scene.collection)
     obj.location.y = 50

@@ -3,7 +3,7 @@
 import re
 
 import bpy
-from bl_ext.user_default.swag_splatting.swag_blender import effect_pictures, effects, job, run_list
+from bl_ext.user_default.swag_splatting.swag_blender import color_chart, effect_pictures, effects, job, run_list
 from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_figures import FIGURES
 from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_names import EFFECTS
 
@@ -51,5 +51,12 @@ def shown_words():
     found |= {name.replace("_", " ").capitalize() for name in EFFECTS}
     found |= {figure.label for figures in FIGURES.values() for figure in figures.values()}
     found |= {sentence for _, sentence in effects.STATES.values()} | {effects.NO_WATER, effects.WATER_UNKNOWN}
-    found |= {*effect_pictures.COLUMNS, *run_list.LABELS.values(), "Stopped", "Finished", job.NO_PHOTOS}
+    found |= {
+        *effect_pictures.COLUMNS,
+        *run_list.LABELS.values(),
+        *color_chart.ROWS,
+        "Stopped",
+        "Finished",
+        job.NO_PHOTOS,
+    }
     return sorted(word for word in found if re.search("[A-Za-z]{2}", word))
