@@ -1,4 +1,4 @@
-"""Compare three ways to keep caustics out of the learned colours.
+"""Compare three ways to keep caustics out of the learned colors.
 
 Run: `python benchmarks/caustics.py`
 Results: benchmarks/results/caustics.json

@@ -37,7 +37,7 @@ FISHY = 0.4
 
 
 def fish_in(shape: tuple[int, ...], random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Draw fish: their mask (H, W) bool and colours (H, W, 3) uint8."""
+    """Draw fish: their mask (H, W) bool and colors (H, W, 3) uint8."""
     height, width = shape[:2]
     mask, colors = np.zeros((height, width), np.uint8), np.zeros((height, width, 3), np.uint8)
     for _ in range(random.integers(1, 4)):

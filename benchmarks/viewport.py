@@ -30,7 +30,7 @@ def steps():
     from mathutils import Quaternion
     from window import install, report, view3d
 
-    install()
+    install(viewport_samples=16)
     yield 1.0
     from bl_ext.user_default.swag_splatting.swag_blender import splats, viewport
     from bl_ext.user_default.swag_splatting.swag_blender.viewport.depth_order import back_to_front
@@ -124,14 +124,15 @@ def main(root: Path) -> None:
     subprocess.run([sys.executable, str(project / ".ci" / "build_extension.py"), str(folder)], check=True)
     next(folder.glob("*.zip")).rename(folder / "extension.zip")
     shutil.copy(project / "tests" / "blender" / "window.py", folder)
-    tools = project.parent / "shared" / "real-blender" / "gui"
+    shutil.copy(__file__, folder / "script.py")
+    start = project / "tests" / "blender" / "window.sh"
     environment = {
         "SWAG_ZIP": "/gui/benchmark/extension.zip",
         "SWAG_OUT": "/gui/benchmark",
         "BLENDER_USER_RESOURCES": "/gui/benchmark/user",
     }
     subprocess.run(
-        ["bash", str(tools), str(root), __file__, str(folder / "last.png")], env=os.environ | environment, check=True
+        ["bash", str(start), str(root), folder.name, "1280", "800"], env=os.environ | environment, check=True
     )
     report = json.loads((folder / "report.json").read_text())
     if "traceback" in report:

@@ -13,7 +13,7 @@ class SWAG_OT_forecast(SceneJob):
     bl_label = "Forecast"
     job = "Forecast"
 
-    def request(self, swag: SwagScene) -> dict[str, Any]:
+    def question(self, swag: SwagScene) -> dict[str, Any]:
         """The request with the scene's settings."""
         self._asked = swag.forecast_question()
         return {"request": "forecast", "settings": swag.train_settings()}

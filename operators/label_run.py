@@ -6,7 +6,6 @@ import bpy
 
 from ..swag_blender import labels
 from ..swag_blender.blender_types import present, with_properties
-from ..swag_blender.engine_process import Engine
 from ..swag_blender.job import Job
 from ..swag_blender.labelling import label_request, take_run_labels
 from ..swag_blender.operator_base import splats_are_active
@@ -30,14 +29,12 @@ class SWAG_OT_label_run(Job):
         """Whether the active object has splats and no job runs."""
         return super().poll(context) and splats_are_active(cls, context)
 
-    def start(self, context: bpy.types.Context) -> Engine:
-        """Start the engine."""
+    def request(self, context: bpy.types.Context) -> dict[str, Any]:
+        """The request for the run of the splats."""
         obj = present(context.active_object)
         request = label_request(context, obj, self.source, self.words, self.masks, self.download)
         self._object, self._run = obj.name, request["run"]
-        engine = Engine()
-        engine.send(request)
-        return engine
+        return request
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Give the splats their labels."""

@@ -13,7 +13,7 @@ class SWAG_OT_plan(SceneJob):
     bl_label = "Plan Effects"
     job = "Plan"
 
-    def request(self, swag: SwagScene) -> dict[str, Any]:
+    def question(self, swag: SwagScene) -> dict[str, Any]:
         """The request for a plan."""
         return {"request": "plan"}
 

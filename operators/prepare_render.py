@@ -1,4 +1,4 @@
-"""Set up the scene so that a render shows the splats completely and in their own colours."""
+"""Set up the scene so that a render shows the splats completely and in their own colors."""
 
 from typing import Annotated
 
@@ -16,7 +16,7 @@ DIALOG_WIDTH = 420
 
 @with_properties
 class SWAG_OT_prepare_render(bpy.types.Operator):
-    """Set up Cycles or EEVEE for splats: transparency, colours, the background of the training, image size"""
+    """Set up Cycles or EEVEE for splats: transparency, colors, the background of the training, image size"""
 
     bl_idname = "swag.prepare_render"
     bl_label = "Set Up Render"
@@ -38,7 +38,7 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
         BoolProperty(
             name="As Trained",
             description="Blend sRGB values under the view transform Raw, as training does, to compare renders with "
-            "photos; other objects get wrong colours. Off: blend linear light, right beside other objects",
+            "photos; other objects get wrong colors. Off: blend linear light, right beside other objects",
         ),
     ]
     samples: Annotated[

@@ -8,7 +8,6 @@ import bpy
 
 from ..swag_blender import edit_score
 from ..swag_blender.blender_types import present
-from ..swag_blender.engine_process import Engine
 from ..swag_blender.job import Job
 from ..swag_blender.operator_base import splats_are_active
 
@@ -25,13 +24,10 @@ class SWAG_OT_score_selection(Job):
         """Whether the active object has splats and no job runs."""
         return super().poll(context) and splats_are_active(cls, context)
 
-    def start(self, context: bpy.types.Context) -> Engine:
-        """Start the engine."""
+    def request(self, context: bpy.types.Context) -> dict[str, Any]:
+        """The request with the selected splats."""
         self._folder = tempfile.TemporaryDirectory()  # until the operator ends
-        request = edit_score.request(present(context.scene), present(context.active_object), Path(self._folder.name))
-        engine = Engine()
-        engine.send(request)
-        return engine
+        return edit_score.request(present(context.scene), present(context.active_object), Path(self._folder.name))
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Say how it changes."""

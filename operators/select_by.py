@@ -14,7 +14,7 @@ from ..swag_blender.splat_selection import Mode, change_selection, edited_object
 
 @with_properties
 class SWAG_OT_select_by(SplatsOperator):
-    """Select splats by their size, opacity, colour, label or distance; the threshold can be changed afterwards"""
+    """Select splats by their size, opacity, color, label or distance; the threshold can be changed afterwards"""
 
     bl_idname = "swag.select_by"
     bl_label = "Select By"
@@ -43,14 +43,14 @@ class SWAG_OT_select_by(SplatsOperator):
     fraction: Annotated[
         float,
         FloatProperty(
-            name="Threshold", description="Opacity or difference of colour to compare with", subtype="FACTOR",
+            name="Threshold", description="Opacity or difference of color to compare with", subtype="FACTOR",
             default=0.1, min=0, max=1,
         ),
     ]  # fmt: skip
     color: Annotated[
         Sequence[float],
         FloatVectorProperty(
-            name="Colour", description="Colour that splats are compared with; at first that of the selected splats",
+            name="Color", description="Color that splats are compared with; at first that of the selected splats",
             subtype="COLOR_GAMMA", size=3, min=0, max=1, default=(0.5, 0.5, 0.5), options={"SKIP_SAVE"},
         ),
     ]  # fmt: skip

@@ -6,7 +6,6 @@ import bpy
 from bpy.props import BoolProperty
 
 from ..swag_blender.blender_types import present, with_properties
-from ..swag_blender.engine_process import Engine
 from ..swag_blender.job import Job, can_work_on_photos
 from ..swag_blender.training import Training
 
@@ -38,12 +37,10 @@ class SWAG_OT_train(Job):
             return "Continue the run where it stopped, with the settings it was started with"
         return present(cls.__doc__)
 
-    def start(self, context: bpy.types.Context) -> Engine:
-        """Start the training."""
+    def request(self, context: bpy.types.Context) -> dict[str, Any]:
+        """The request for the training."""
         self._training = Training(context, self.resume)
-        engine = Engine()
-        engine.send(self._training.request)
-        return engine
+        return self._training.request
 
     def on_event(self, context: bpy.types.Context, event: dict[str, Any]) -> None:
         """Start to read a preview; without a window nobody would see it."""

@@ -20,7 +20,7 @@ from ..swag_engine.formats.ply import write_ply
 from ..swag_engine.formats.run_folder import RunFolder, write_json
 from ..swag_engine.splats.splats import concatenate
 from ..swag_engine.splats.transform import transformed
-from . import splats, water
+from . import colors, splats, water
 from .blender_types import present, with_properties
 from .cameras import camera_of, render_size
 from .engine_process import Engine
@@ -102,7 +102,8 @@ class FilmEngine(Engine):
 def film_request(context: bpy.types.Context, folder: Path) -> dict[str, Any]:
     """Write splats, water and cameras of a film for the engine, and return the request.
 
-    What is rendered: the splats that are shown, as they are in the first frame, with the amount of water of each frame.
+    What is rendered: the splats that are shown, as they are in the first frame, with the amount of water of each frame,
+    and developed as the scene's colors are now.
     Water, lamp and background are those of the run of the splats; where the run is not on this machine, those that the
     object remembers. The cameras stay in the output folder, for the command `film`.
 
@@ -151,6 +152,7 @@ def film_request(context: bpy.types.Context, folder: Path) -> dict[str, Any]:
         "overwrite": render.use_overwrite,
         "fps": render.fps / render.fps_base,
         "unit": unit,
+        "colors": colors.color_view(scene, colors.find(scene, context.active_object)).to_json(),
     }
     run = _run_of(source)
     if run is not None and list(run.glob("checkpoint-*.safetensors")):

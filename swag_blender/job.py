@@ -1,6 +1,7 @@
 """Base classes of operators that run a child process: modal with a window, blocking and printing without one."""
 
 import contextlib
+import tempfile
 import time
 import traceback
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import bpy
 
 from ..swag_engine.base.errors import InputError
+from . import open_run, scene_import
 from .blender_types import OperatorResult, present
 from .engine_process import Engine, EngineError, engine_problem, stop_all, wait_for_result
 from .properties import SwagScene, status_of, swag_of
@@ -25,7 +27,7 @@ last_log: list[str] = []
 
 
 class Job(bpy.types.Operator):
-    """Operator that gives `job` (a name to show), `start`, `on_event` and `on_result`.
+    """Operator that gives `job` (a name to show), `request`, `on_event` and `on_result`.
 
     One job runs at a time. `window_manager.swag` shows it, and its `stopping` stops it.
     """
@@ -35,9 +37,16 @@ class Job(bpy.types.Operator):
     job: str
     _engine: Engine | None = None
 
+    def request(self, context: bpy.types.Context) -> dict[str, Any]:
+        """The request for the engine. Raises EngineError or InputError."""
+        raise NotImplementedError
+
     def start(self, context: bpy.types.Context) -> Engine:
         """Start the child process and send the request. Raises EngineError or InputError."""
-        raise NotImplementedError
+        request = self.request(context)
+        engine = Engine()
+        engine.send(request)
+        return engine
 
     def on_event(self, context: bpy.types.Context, event: dict[str, Any]) -> None:
         """Handle an event that is neither progress nor result."""
@@ -57,8 +66,10 @@ class Job(bpy.types.Operator):
     # -- without a window ---------------------------------------------------------------------------------------------
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
-        """Run to the end; Blender calls this for scripts."""
-        return self.run_blocking(context)
+        """Run to the end for a script; without blocking the window after a dialog or file browser."""
+        if bpy.app.background or not self.options.is_invoke:
+            return self.run_blocking(context)
+        return self.run_modal(context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Run without blocking the window; Blender calls this for buttons."""
@@ -192,7 +203,7 @@ class Job(bpy.types.Operator):
 
 
 class SceneJob(Job):
-    """Job that sends one request about the chosen images, and gives `job`, `request` and `take`.
+    """Job that sends one request about the chosen images, and gives `job`, `question` and `take`.
 
     The result goes to the Blender scene that was open at the start, even if another one is open by then.
     """
@@ -202,7 +213,7 @@ class SceneJob(Job):
         """Whether photos are chosen, the engine is there and no job runs."""
         return can_work_on_photos(cls, context)
 
-    def request(self, swag: SwagScene) -> dict[str, Any]:
+    def question(self, swag: SwagScene) -> dict[str, Any]:
         """The request without the scene's folder."""
         raise NotImplementedError
 
@@ -210,14 +221,12 @@ class SceneJob(Job):
         """Handle the `result` event; returns what to tell the user."""
         raise NotImplementedError
 
-    def start(self, context: bpy.types.Context) -> Engine:
-        """Start the engine and send the request. Raises InputError when no images are chosen."""
+    def request(self, context: bpy.types.Context) -> dict[str, Any]:
+        """The whole request. Raises InputError when no images are chosen."""
         scene = present(context.scene)
         folder = chosen_scene(swag_of(scene))
         self._scene = scene.name
-        engine = Engine()
-        engine.send({**self.request(swag_of(scene)), "scene": folder})
-        return engine
+        return {**self.question(swag_of(scene)), "scene": folder}
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Give the result to the scene that was open at the start."""
@@ -225,6 +234,36 @@ class SceneJob(Job):
         if not scene:
             raise InputError(f"The scene {self._scene} was removed; start again.")
         return self.take(swag_of(scene), event)
+
+
+class ImportJob(Job):
+    """Job that ends with a scene to import, and gives `job` and `question`.
+
+    The scene is imported to the Blender scene that was open at the start, even if another one is open by then.
+    """
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the engine is there and no job runs."""
+        return can_run_engine(cls, context)
+
+    def question(self) -> dict[str, Any]:
+        """The request without the folder for arrays. Raises EngineError or InputError."""
+        raise NotImplementedError
+
+    def request(self, context: bpy.types.Context) -> dict[str, Any]:
+        """The whole request."""
+        question = self.question()
+        self._scene = present(context.scene).name
+        self._arrays = tempfile.TemporaryDirectory()
+        return question | {"arrays": self._arrays.name}
+
+    def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
+        """Build the objects, and put splats of this scene that were opened before below its root."""
+        with self._arrays:
+            root, message = scene_import.add_to_scene(self._scene, event)
+        open_run.adopt_splats(root, bpy.data.scenes[self._scene])
+        return message
 
 
 def no_job_runs(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:

@@ -47,7 +47,7 @@ def draw_labelling(layout: bpy.types.UILayout, obj: bpy.types.Object) -> None:
 
 
 class SWAG_UL_labels(bpy.types.UIList):
-    """List of labels: colour, name, number of splats, buttons."""
+    """List of labels: color, name, number of splats, buttons."""
 
     def draw_item(
         self,

@@ -1,9 +1,10 @@
 """Labels of splats: which are shown, selecting and searching by them, separating and merging objects.
 
 Point attributes beside those of splats.py, all usable in geometry nodes: `swag:label` (INT, 0 for none),
-`swag:similarity` (FLOAT, -1..1, of the last search), `swag:selected` (BOOLEAN), `swag:masked` (BOOLEAN: hidden by
-the user), `swag:hidden` (BOOLEAN: not drawn, because masked or of a hidden label), `swag:tint` (FLOAT_COLOR: this
-colour is mixed in, by its alpha), and `mask:NAME` (BOOLEAN) for each selection that was saved as a mask.
+`swag:confidence` (FLOAT, 0..1, how well the color without water is known), `swag:similarity` (FLOAT, -1..1, of the
+last search), `swag:selected` (BOOLEAN), `swag:masked` (BOOLEAN: hidden by the user), `swag:hidden` (BOOLEAN: not drawn,
+because masked or of a hidden label), `swag:tint` (FLOAT_COLOR: this color is mixed in, by its alpha), and `mask:NAME`
+(BOOLEAN) for each selection that was saved as a mask.
 """
 
 import colorsys
@@ -36,13 +37,16 @@ from .blender_types import present, with_properties
 from .nodes.splat_preview import HIDDEN, TINT, copy_inputs
 
 LABEL, SIMILARITY = "swag:label", "swag:similarity"
+CONFIDENCE = "swag:confidence"
 SELECTED, MASKED = "swag:selected", "swag:masked"
 MASK_PREFIX = "mask:"
 TABLE, FEATURES = "labels.json", "semantics.safetensors"
 SELECTED_COLOR = (1.0, 0.45, 0.0, 0.6)
 """Tint of selected splats, linear light and alpha: the orange of Blender's own selection."""
 TINT_STRENGTH = 0.65
-"""Alpha of a label's colour where colours are shown."""
+"""Alpha of a label's color where colors are shown."""
+UNCERTAIN_COLOR = (1.0, 0.0, 0.3)
+"""Tint of splats of confidence 0, linear light: a color that no water has."""
 
 Source = Annotated[
     str,
@@ -85,7 +89,7 @@ class SwagLabel(PropertyGroup):
     color: Annotated[
         Sequence[float],
         FloatVectorProperty(
-            name="Colour", subtype="COLOR", size=3, min=0, max=1, update=lambda self, context: show(self.id_data)
+            name="Color", subtype="COLOR", size=3, min=0, max=1, update=lambda self, context: show(self.id_data)
         ),
     ]
 
@@ -99,8 +103,17 @@ class SwagLabels(PropertyGroup):
     tinted: Annotated[
         bool,
         BoolProperty(
-            name="Show Colours",
-            description="Mix the colour of its label into each splat",
+            name="Show Colors",
+            description="Mix the color of its label into each splat",
+            update=lambda self, context: show(self.id_data),
+        ),
+    ]
+    uncertain: Annotated[
+        bool,
+        BoolProperty(
+            name="Show Uncertain Colors",
+            description="Mix pink into splats of which too little light reached the camera to know their color "
+            "without water",
             update=lambda self, context: show(self.id_data),
         ),
     ]
@@ -197,7 +210,7 @@ def names_in(folder: Path) -> dict[int, str]:
 
 
 def show(obj: bpy.types.Object) -> None:
-    """Write the attributes that are drawn: hidden labels and splats, colours of labels, the selection."""
+    """Write the attributes that are drawn: hidden labels and splats, colors of labels, confidence, the selection."""
     values = attribute(obj, LABEL)
     own = labels_of(obj)
     count = splats.count(obj)
@@ -210,6 +223,9 @@ def show(obj: bpy.types.Object) -> None:
         for entry in own.entries:
             if entry.number:
                 tint[values == entry.number] = (*entry.color, TINT_STRENGTH)
+    confidence = attribute(obj, CONFIDENCE)
+    if own.uncertain and confidence is not None:
+        tint[:, :3], tint[:, 3] = UNCERTAIN_COLOR, 1 - confidence
     tint[mask_of(obj, SELECTED)] = SELECTED_COLOR
     set_attribute(obj, HIDDEN, "BOOLEAN", hidden)
     set_attribute(obj, TINT, "FLOAT_COLOR", tint)
@@ -387,7 +403,7 @@ def mask_of(obj: bpy.types.Object, name: str) -> np.ndarray:
 
 
 def color_of(number: int) -> tuple[float, float, float]:
-    """Colour of a label in linear light: hues in steps of the golden ratio, so that neighbours differ."""
+    """Color of a label in linear light: hues in steps of the golden ratio, so that neighbours differ."""
     shown = colorsys.hsv_to_rgb(number * 0.618034 % 1, 0.75, 0.95) if number else (0.5, 0.5, 0.5)
     red, green, blue = Color(shown).from_srgb_to_scene_linear()[:]
     return red, green, blue
@@ -407,7 +423,8 @@ def _copy_settings(source: bpy.types.Object, target: bpy.types.Object) -> None:
         copied = labels_of(target).entries.add()
         copied.number, copied.name = entry.number, entry.name
         copied["visible"], copied["color"] = entry.visible, tuple(entry.color)
-    labels_of(target)["tinted"] = labels_of(source).tinted
+    for name in ("tinted", "uncertain"):
+        labels_of(target)[name] = getattr(labels_of(source), name)
     for key in source.keys():  # noqa: SIM118 (an ID, not a dict)
         if key.startswith("swag_") and key not in {"swag_labels", "swag_display"}:
             target[key] = source[key]

@@ -9,7 +9,17 @@ import bpy
 from ..swag_engine.formats.registry import FORMATS
 from ..swag_engine.settings.presets import SIZES
 from ..swag_engine.settings.recipes import RECIPES
-from . import EXTENSION, effect_pictures, engine_process, find_cameras, label_list, run_list, splats
+from . import (
+    EXTENSION,
+    camera_import,
+    effect_pictures,
+    engine_process,
+    find_cameras,
+    label_list,
+    run_list,
+    scale,
+    splats,
+)
 from .blender_types import present, set_button
 from .properties import IN_TIME, OWN_WATER, status_of, swag_of
 from .sidebar import SwagPanel, draw_job, draw_outcome, draw_wrapped
@@ -46,12 +56,25 @@ class SWAG_PT_scene(SwagPanel):
         elif swag.scene_folder:
             for number, line in enumerate(swag.found.splitlines()):
                 draw_wrapped(layout, line, width, icon="ERROR" if number else "NONE")
+            find_cameras.draw_camera_page(layout, context)
         elif not problem:
             draw_wrapped(layout, "Choose the folder with the photos, or open a run in Result.", width, icon="INFO")
         layout.separator()
         layout.label(text="Photos or Video without Cameras")
         find_cameras.draw_find_cameras(layout, context)
         find_cameras.draw_sparse_points(layout, context)
+
+
+class SWAG_PT_other_cameras(SwagPanel):
+    """Panel that imports cameras which another program has found."""
+
+    bl_label = "Cameras of Another Program"
+    bl_parent_id = "SWAG_PT_scene"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel; Blender calls this."""
+        camera_import.draw_import_cameras(present(self.layout), context)
 
 
 class SWAG_PT_train_later(SwagPanel):
@@ -183,10 +206,10 @@ class SWAG_PT_train_more(SwagPanel):
         if swag.water_type == OWN_WATER:
             column.prop(swag, "attenuation")
         column.prop(swag, "metres_per_unit")
-        if swag.water_type != "auto" and not swag.metres_per_unit:
+        if swag.water_type != "auto" and not swag.metres_per_unit and not scale.is_measured(context):
             draw_wrapped(
                 layout,
-                "This water is per metre: set the scale in the panel Water, or Metres per Unit.",
+                "This water is per metre: set the scale in the panel Scale, or Metres per Unit.",
                 present(context.region).width,
                 icon="ERROR",
             )
@@ -304,6 +327,7 @@ class SWAG_PT_export(SwagPanel):
 
 _CLASSES = (
     SWAG_PT_scene,
+    SWAG_PT_other_cameras,
     SWAG_PT_train_later,
     SWAG_PT_train,
     SWAG_PT_effects,

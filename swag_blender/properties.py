@@ -100,6 +100,30 @@ class SwagScene(PropertyGroup):
             subtype="DIR_PATH",
         ),
     ]
+    cameras_file: Annotated[
+        str,
+        StringProperty(
+            name="Cameras",
+            description="File with the cameras, such as the XML of Metashape or transforms.json",
+            subtype="FILE_PATH",
+        ),
+    ]
+    cameras_photos: Annotated[
+        str,
+        StringProperty(
+            name="Photos",
+            description="Folder with the photos of these cameras; empty: the folder of the file",
+            subtype="DIR_PATH",
+        ),
+    ]
+    cameras_points: Annotated[
+        str,
+        StringProperty(
+            name="Points",
+            description="PLY file of points in the coordinates of the cameras; empty: those of the file or the photos",
+            subtype="FILE_PATH",
+        ),
+    ]
     run_folder: Annotated[
         str,
         StringProperty(

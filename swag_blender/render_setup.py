@@ -5,7 +5,7 @@ from typing import Any
 import bpy
 import gpu
 
-from . import scene_import, water
+from . import colors, scene_import, water
 from .cameras import render_size
 from .nodes import splat_preview
 
@@ -19,7 +19,7 @@ same for 2 000 and for 20 000 splats."""
 
 
 def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str, samples: int = SAMPLES) -> None:
-    """Set up render engine, world and image size of a scene, so that renders show its splats as in training.
+    """Set up render engine, world, development and image size of a scene, so that its splats look as in the engine.
 
     Args:
         scene: a scene with splats.
@@ -31,6 +31,7 @@ def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str, sa
     own: Any = scene
     own.cycles.samples = own.eevee.taa_render_samples = samples
     water.set_world(scene, display_values)
+    colors.set_up_render(scene, display_values)
     if scene.camera and scene.camera.get(scene_import.SIZE_KEY) is not None:
         scene_import.look_through(scene, scene.camera)
 

@@ -1,7 +1,6 @@
 """The runs of a scene in panels: a list, the figures of one or of two beside each other, their reports."""
 
 import functools
-import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -20,6 +19,7 @@ from .effects import NO_WATER
 from .properties import time_text
 from .runs import RUN_KEY
 from .sidebar import draw_wrapped
+from .web_page import open_page
 
 REPORT = "report.html"
 """Name of the report in a run's folder."""
@@ -123,8 +123,7 @@ def open_report(context: bpy.types.Context, folder: str) -> None:
     page = run / REPORT
     if not page.is_file():
         raise InputError(f"{run} has no {REPORT}: `report {run}` on the command line writes it again.")
-    if not webbrowser.open(page.absolute().as_uri()):
-        raise InputError(f"No web browser can be started; open {page} yourself.")
+    open_page(page)
 
 
 def draw_runs(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -7,7 +7,7 @@ import bpy
 
 from ..swag_engine.formats.run_folder import RunFolder
 from ..swag_engine.splats.splats import Splats
-from . import scene_import, splats, water
+from . import colors, scene_import, splats, water
 from .nodes import splat_preview
 
 RUN_KEY = "swag_run"
@@ -24,7 +24,7 @@ def free_run_folder(folder: Path) -> Path:
 
 
 def remember_training(obj: bpy.types.Object, run: RunFolder, metrics: dict[str, Any]) -> None:
-    """Store with the splats what renders need to look as in training: pixel size, background color, water.
+    """Store with the splats what renders need to look as in the engine: pixel size, background, water, development.
 
     Args:
         obj: the object of the run's splats.
@@ -36,6 +36,12 @@ def remember_training(obj: bpy.types.Object, run: RunFolder, metrics: dict[str, 
     pixel_size = scene_import.pixel_size(root, settings.width) if root else 0.0
     splat_preview.remember_training(obj, pixel_size, metrics["background"])
     water.remember_water(obj, run.read_water(), settings.metres_per_unit)
+    colors.remember_developments(obj, run.read_developments())
+
+
+def shown_splats(scene: bpy.types.Scene, run: str) -> bpy.types.Object | None:
+    """The object of the scene that shows the splats of a run, None where there is none."""
+    return next((o for o in scene.objects if o.get(RUN_KEY) == run and splats.is_splats(o)), None)
 
 
 def show_splats(scene: bpy.types.Scene, loaded: Splats, run: str, images: str) -> bpy.types.Object:
@@ -50,7 +56,7 @@ def show_splats(scene: bpy.types.Scene, loaded: Splats, run: str, images: str) -
         run: the run's folder.
         images: the folder of the images.
     """
-    obj = next((o for o in scene.objects if o.get(RUN_KEY) == run and splats.is_splats(o)), None)
+    obj = shown_splats(scene, run)
     if obj:
         splats.replace_splats(obj, loaded)
         return obj

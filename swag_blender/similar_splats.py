@@ -1,4 +1,4 @@
-"""Find splats by what they are like: size, opacity, colour, label, distance."""
+"""Find splats by what they are like: size, opacity, color, label, distance."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +15,7 @@ from .cameras import cameras_of
 KINDS: Any = [
     ("SIZE", "Size", "By the largest standard deviation of the splat"),
     ("OPACITY", "Opacity", "By the opacity of the splat"),
-    ("COLOR", "Colour", "By the difference from a colour"),
+    ("COLOR", "Color", "By the difference from a color"),
     ("LABEL", "Label", "By the name of the label"),
     ("CAMERA", "Distance to Camera", "By the distance to the nearest camera of the photos"),
     ("OTHERS", "Distance to Others", "Splats with fewer than six others within a distance"),
@@ -29,7 +29,7 @@ SAMPLE = 500
 
 
 def similar_colors(obj: bpy.types.Object, color: Sequence[float], distance: float) -> np.ndarray:
-    """Mask (N,) bool of the splats whose colour differs from `color` (sRGB 0..1) by at most a distance, 0..1."""
+    """Mask (N,) bool of the splats whose color differs from `color` (sRGB 0..1) by at most a distance, 0..1."""
     return np.linalg.norm(splat_selection.colors(obj) - np.array(color[:3]), axis=1) / np.sqrt(3) <= distance
 
 
@@ -161,7 +161,7 @@ def usual_length(context: bpy.types.Context, obj: bpy.types.Object, kind: str) -
 
 
 def selected_color(obj: bpy.types.Object) -> tuple[float, float, float]:
-    """Mean colour, sRGB values, of the selected splats; grey where none are."""
+    """Mean color, sRGB values, of the selected splats; grey where none are."""
     chosen = labels.mask_of(obj, labels.SELECTED)
     red, green, blue = splat_selection.colors(obj)[chosen].mean(axis=0).tolist() if chosen.any() else (0.5, 0.5, 0.5)
     return red, green, blue

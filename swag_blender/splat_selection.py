@@ -65,7 +65,7 @@ def opacities(obj: bpy.types.Object) -> np.ndarray:
 
 
 def colors(obj: bpy.types.Object) -> np.ndarray:
-    """Colours (N, 3), sRGB values 0..1, of the splats without what depends on the direction of view."""
+    """Colors (N, 3), sRGB values 0..1, of the splats without what depends on the direction of view."""
     return np.clip(splats.base(obj)[:, :3] * SH_0 + 0.5, 0, 1)
 
 

@@ -188,7 +188,7 @@ def read_modified_splats(obj: bpy.types.Object, *masks: str) -> tuple[Splats, li
     """The splats of the object in its own frame with its modifiers applied, except the preview; and masks of them.
 
     Modifiers that are off in the viewport do not count. A modifier that moves points moves splats; sizes, rotations
-    and colours are those of the attributes.
+    and colors are those of the attributes.
 
     Args:
         obj: a splat object.
@@ -233,6 +233,13 @@ def has_other_modifiers(obj: bpy.types.Object) -> bool:
 def _is_preview(modifier: bpy.types.Modifier) -> bool:
     group = modifier.node_group if isinstance(modifier, bpy.types.NodesModifier) else None
     return group is not None and group.name.startswith(splat_preview.NAME)
+
+
+def find_with(scene: bpy.types.Scene, active: bpy.types.Object | None, key: str) -> bpy.types.Object | None:
+    """The active object if it has a custom property of that name, else the scene's first splat object that has it."""
+    if active is not None and active.get(key) is not None:
+        return active
+    return next((obj for obj in scene.objects if obj.get(key) is not None and is_splats(obj)), None)
 
 
 def splats_of(pointcloud: bpy.types.PointCloud) -> Splats:

@@ -16,7 +16,7 @@ from . import kept_through_undo, splats, water
 from .blender_types import present
 from .job import chosen_scene
 from .properties import swag_of
-from .runs import free_run_folder, remember_training, show_splats
+from .runs import free_run_folder, remember_training, show_splats, shown_splats
 
 _reader = ThreadPoolExecutor(1)
 
@@ -60,13 +60,18 @@ class Training:
             self._preview = _reader.submit(read_ply, Path(event["path"])), event.get("water")
 
     def show_preview(self, context: bpy.types.Context) -> None:
-        """Show the splats of the preview in the scene once they are read."""
+        """Show the splats of the preview in the scene once they are read.
+
+        The user may undo or delete a preview: no other is shown then, because its own step of undo would come between
+        the user and what they want to undo. Redo shows the previews again, and the result is shown in any case.
+        """
         if self._preview is None or not self._preview[0].done():
             return
         (reading, values), self._preview = self._preview, None
         # A window that was busy reads late: the run has ended and its preview file is gone.
         with contextlib.suppress(InputError):
-            if scene := bpy.data.scenes.get(self._scene):
+            scene = bpy.data.scenes.get(self._scene)
+            if scene and not self._is_undone(scene):
                 obj = show_splats(scene, reading.result(), self._run, self._images)
                 water.remember_water(obj, values, 0.0)
                 self._remember_step(obj)
@@ -89,6 +94,11 @@ class Training:
         quality = f", {metrics['test_psnr']:.1f} dB on held-out photos" if metrics.get("test_psnr") else ""
         how = "Stopped; kept" if event["interrupted"] else "Trained"
         return f"{how} {metrics['gaussians']} Gaussians in {time_text(metrics['seconds'])}{quality}."
+
+    def _is_undone(self, scene: bpy.types.Scene) -> bool:
+        """Whether the user undid or deleted the last preview."""
+        obj = shown_splats(scene, self._run)
+        return bool(self._cloud) and (obj is None or present(obj.data).session_uid != self._cloud)
 
     def _remember_step(self, obj: bpy.types.Object) -> None:
         """Make a step of undo where the preview has made data: Blender crashes on undo of steps that do not have it."""

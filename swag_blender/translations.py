@@ -22,6 +22,25 @@ GERMAN = {
         "Neuer Ordner für Kopien der Fotos und ihr COLMAP-Modell; leer: neben den Fotos oder dem Video"
     ),
     "Sparse Points": "Dünne Punktwolke",
+    "Import Cameras": "Kameras importieren",
+    "Cameras of Another Program": "Kameras eines anderen Programms",
+    "Cameras of Another Program (.xml/.json/.csv)": "Kameras eines anderen Programms (.xml/.json/.csv)",
+    "Make a scene of cameras that Metashape, RealityScan, nerfstudio or another program has found, and import it": (
+        "Aus Kameras, die Metashape, RealityScan, nerfstudio oder ein anderes Programm bestimmt hat, eine Szene machen "
+        "und importieren"
+    ),
+    "File with the cameras, such as the XML of Metashape or transforms.json": (
+        "Datei mit den Kameras, etwa das XML von Metashape oder transforms.json"
+    ),
+    "Folder with the photos of these cameras; empty: the folder of the file": (
+        "Ordner mit den Fotos dieser Kameras; leer: der Ordner der Datei"
+    ),
+    "PLY file of points in the coordinates of the cameras; empty: those of the file or the photos": (
+        "PLY-Datei mit Punkten in den Koordinaten der Kameras; leer: Punkte der Datei oder der Fotos"
+    ),
+    "New folder for copies of the photos and their COLMAP model; empty: beside the file": (
+        "Neuer Ordner für Kopien der Fotos und ihr COLMAP-Modell; leer: neben der Datei"
+    ),
     "Import": "Importieren",
     "Import COLMAP Scene": "COLMAP-Szene importieren",
     "Effects": "Effekte",
@@ -72,7 +91,7 @@ GERMAN = {
     "Click two points of the splats whose distance you know; the scene is then scaled by it": (
         "Zwei Punkte der Splats anklicken, deren Abstand bekannt ist; danach wird die Szene skaliert"
     ),
-    "Colour": "Farbe",
+    "Color": "Farbe",
     "Cost": "Kosten",
     "Crop Box": "Ausschnitt",
     "Delete the engine's Python environment with all its packages; runs and splats stay": (
@@ -111,7 +130,7 @@ GERMAN = {
     "Milliseconds that the effect adds to an iteration here": (
         "Millisekunden, die der Effekt hier zu einem Schritt hinzufügt"
     ),
-    "Mix the colour of its label into each splat": "Jedem Splat die Farbe seines Etiketts beimischen",
+    "Mix the color of its label into each splat": "Jedem Splat die Farbe seines Etiketts beimischen",
     "Name": "Name",
     "Node Groups as Assets": "Knotengruppen als Assets",
     "Objects": "Objekte",
@@ -143,9 +162,59 @@ GERMAN = {
     "Selected": "Gewählte",
     "Separate": "Trennen",
     "Separate Splats": "Splats trennen",
+    "50 targets of 4 x 4 cells: few cells, so that they are read from far away and in murky water": (
+        "50 Zielmarken mit 4 x 4 Feldern: wenige Felder, sodass sie von weitem und in trübem Wasser gelesen werden"
+    ),
+    "100 targets of 4 x 4 cells": "100 Zielmarken mit 4 x 4 Feldern",
+    "250 targets of 4 x 4 cells": "250 Zielmarken mit 4 x 4 Feldern",
+    "1000 targets of 4 x 4 cells": "1000 Zielmarken mit 4 x 4 Feldern",
+    "50 targets of 5 x 5 cells": "50 Zielmarken mit 5 x 5 Feldern",
+    "100 targets of 5 x 5 cells": "100 Zielmarken mit 5 x 5 Feldern",
+    "250 targets of 5 x 5 cells": "250 Zielmarken mit 5 x 5 Feldern",
+    "1000 targets of 5 x 5 cells": "1000 Zielmarken mit 5 x 5 Feldern",
+    "50 targets of 6 x 6 cells": "50 Zielmarken mit 6 x 6 Feldern",
+    "100 targets of 6 x 6 cells": "100 Zielmarken mit 6 x 6 Feldern",
+    "250 targets of 6 x 6 cells": "250 Zielmarken mit 6 x 6 Feldern",
+    "1000 targets of 6 x 6 cells": "1000 Zielmarken mit 6 x 6 Feldern",
+    "50 targets of 7 x 7 cells": "50 Zielmarken mit 7 x 7 Feldern",
+    "100 targets of 7 x 7 cells": "100 Zielmarken mit 7 x 7 Feldern",
+    "250 targets of 7 x 7 cells": "250 Zielmarken mit 7 x 7 Feldern",
+    "1000 targets of 7 x 7 cells": "1000 Zielmarken mit 7 x 7 Feldern",
+    "1024 targets of the first ArUco library": "1024 Zielmarken der ersten ArUco-Bibliothek",
+    "250 targets of 6 x 6 cells that are hard to confuse": (
+        "250 Zielmarken mit 6 x 6 Feldern, die schwer zu verwechseln sind"
+    ),
+    "30 AprilTags of 4 x 4 cells": "30 AprilTags mit 4 x 4 Feldern",
+    "35 AprilTags of 5 x 5 cells": "35 AprilTags mit 5 x 5 Feldern",
+    "2320 AprilTags of 6 x 6 cells": "2320 AprilTags mit 6 x 6 Feldern",
+    "587 AprilTags of 6 x 6 cells, the most common ones": "587 AprilTags mit 6 x 6 Feldern, die üblichsten",
+    "Scale from Targets": "Maßstab aus Zielmarken",
+    "Find coded targets (ArUco, AprilTag) of known size in the photos, and scale the scene to metres by them": (
+        "Kodierte Zielmarken (ArUco, AprilTag) bekannter Größe in den Fotos finden und die Szene danach auf Meter "
+        "skalieren"
+    ),
+    "Targets": "Zielmarken",
+    "Family that the targets belong to": "Familie, zu der die Zielmarken gehören",
+    "Edge Length (m)": "Kantenlänge (m)",
+    "Length of an edge of the black square of a target, in metres": (
+        "Länge einer Kante des schwarzen Quadrats einer Zielmarke in Metern"
+    ),
+    "Georeferenced": "Georeferenziert",
+    "Metric frame of the measured scale: metres with z up, with offset and coordinate reference system": (
+        "Metrisches System des gemessenen Maßstabs: Meter, z nach oben, mit Versatz und Koordinatenreferenzsystem"
+    ),
+    "The length of a unit is not known.": "Die Länge einer Einheit ist nicht bekannt.",
+    "Import the scene first; where there are several, select one of them": (
+        "Zuerst die Szene importieren; wo es mehrere gibt, eine davon auswählen"
+    ),
+    "Scale": "Maßstab",
     "Set Scale": "Maßstab setzen",
     "Show All": "Alle zeigen",
-    "Show Colours": "Farben zeigen",
+    "Show Colors": "Farben zeigen",
+    "Show Uncertain Colors": "Unsichere Farben zeigen",
+    "Mix pink into splats of which too little light reached the camera to know their color without water": (
+        "Splats rosa färben, von denen zu wenig Licht die Kamera erreichte, um ihre Farbe ohne Wasser zu kennen"
+    ),
     "Show all labels": "Alle Etiketten zeigen",
     "Show the splats with this label": "Die Splats mit diesem Etikett zeigen",
     "Splats of the last run": "Splats des letzten Laufs",
@@ -194,8 +263,10 @@ GERMAN = {
         "Ordner mit Maskenbildern statt Worten; ohne beides gelten Masken im Ordner labels der Szene, sonst die "
         "Auffälligkeit"
     ),
-    "Length in metres of one unit of the scene's coordinates; 0: unknown": (
-        "Länge einer Einheit der Szenenkoordinaten in Metern; 0: unbekannt"
+    "Length in metres of one unit of the scene's coordinates; 0: that of the scene's scale.json, unknown without the "
+    "file": (
+        "Länge einer Einheit der Szenenkoordinaten in Metern; 0: die aus der scale.json der Szene, ohne die Datei "
+        "unbekannt"
     ),
     "Degree of the spherical harmonics, which let color change with the viewing direction": (
         "Grad der Kugelflächenfunktionen, durch die sich Farbe mit der Blickrichtung ändern kann"
@@ -232,7 +303,7 @@ GERMAN = {
     "As Trained": "Wie trainiert",
     (
         "Blend sRGB values under the view transform Raw, as training does, to compare renders with photos; "
-        "other objects get wrong colours. Off: blend linear light, right beside other objects"
+        "other objects get wrong colors. Off: blend linear light, right beside other objects"
     ): (
         "sRGB-Werte unter der Ansichtstransformation Raw mischen, wie das Training, um Bilder mit Fotos zu "
         "vergleichen; andere Objekte bekommen falsche Farben. Aus: lineares Licht mischen, richtig neben "
@@ -285,7 +356,7 @@ GERMAN = {
         "Höchster Grad der Kugelflächenfunktionen; mit 0 sind Farben aus jedem Blick gleich und die Datei am kleinsten"
     ),
     (
-        "Highest degree of spherical harmonics; a lower one takes less memory, and 0 makes colours the same "
+        "Highest degree of spherical harmonics; a lower one takes less memory, and 0 makes colors the same "
         "from every view"
     ): (
         "Höchster Grad der Kugelflächenfunktionen; ein kleinerer braucht weniger Speicher, und mit 0 sind "
@@ -379,7 +450,7 @@ GERMAN = {
     "Select the splats of this label; with Shift in addition to the selection": (
         "Die Splats dieses Etiketts wählen; mit Umschalt zusätzlich zur Auswahl"
     ),
-    ("Set up Cycles or EEVEE for splats: transparency, colours, the background of the training, image size"): (
+    ("Set up Cycles or EEVEE for splats: transparency, colors, the background of the training, image size"): (
         "Cycles oder EEVEE für Splats vorbereiten: Transparenz, Farben, der Hintergrund des Trainings, Bildgröße"
     ),
     "Show the selected objects through the water of the splats, by nodes in their materials": (
@@ -433,13 +504,12 @@ GERMAN = {
     ),
     "Above": "Darüber",
     "Action": "Aktion",
-    "A coloured point for each splat, which any graphics card draws fast": (
+    "A colored point for each splat, which any graphics card draws fast": (
         "Ein farbiger Punkt für jeden Splat, den jede Grafikkarte schnell zeichnet"
     ),
-    "Brightness of the splats in viewports, in stops": "Helligkeit der Splats in Viewports, in Blendenstufen",
     "Density": "Dichte",
     "Display As": "Anzeigen als",
-    "Highest degree of spherical harmonics in viewports and renders; 0 makes colours the same from every view": (
+    "Highest degree of spherical harmonics in viewports and renders; 0 makes colors the same from every view": (
         "Höchster Grad der Kugelflächenfunktionen in Viewports und Renderbildern; bei 0 sind die Farben von überall"
         " gleich"
     ),
@@ -448,7 +518,7 @@ GERMAN = {
     ),
     "Photos or Video without Cameras": "Fotos oder Video ohne Kameras",
     "Points": "Punkte",
-    "The splats as trained, with view-dependent colours": "Die Splats wie trainiert, mit blickabhängigen Farben",
+    "The splats as trained, with view-dependent colors": "Die Splats wie trainiert, mit blickabhängigen Farben",
     "What viewports show, except in Rendered shading": "Was Viewports zeigen, außer in der Schattierung Gerendert",
     "Add Crop Box": "Ausschnitt hinzufügen",
     "Add a box around the splats that limits what is shown, rendered and exported; move, rotate and scale it": (
@@ -458,7 +528,7 @@ GERMAN = {
     "Below": "Darunter",
     "Box": "Rechteck",
     "Circle": "Kreis",
-    "By the difference from a colour": "Nach dem Unterschied zu einer Farbe",
+    "By the difference from a color": "Nach dem Unterschied zu einer Farbe",
     "By the distance to the nearest camera of the photos": "Nach dem Abstand zur nächsten Kamera der Fotos",
     "By the largest standard deviation of the splat": "Nach der größten Standardabweichung des Splats",
     "By the name of the label": "Nach dem Namen des Etiketts",
@@ -469,7 +539,7 @@ GERMAN = {
     "Click two points to measure their distance; Escape: end": (
         "Zwei Punkte anklicken, um ihren Abstand zu messen; Escape: beenden"
     ),
-    "Colour that splats are compared with; at first that of the selected splats": (
+    "Color that splats are compared with; at first that of the selected splats": (
         "Farbe, mit der Splats verglichen werden; anfangs die der ausgewählten Splats"
     ),
     "Compute how the PSNR on the held-out photos changes when the selected splats are deleted; Escape stops": (
@@ -517,7 +587,7 @@ GERMAN = {
         "Objekt, dessen Kasten begrenzt, welche Splats gezeigt, gerendert und exportiert werden"
     ),
     "Opacity": "Deckkraft",
-    "Opacity or difference of colour to compare with": "Deckkraft oder Farbunterschied, mit dem verglichen wird",
+    "Opacity or difference of color to compare with": "Deckkraft oder Farbunterschied, mit dem verglichen wird",
     "PSNR Without Selection": "PSNR ohne Auswahl",
     "Paint over splats; wheel: size, Shift: extend, Ctrl: subtract, Escape or Enter: finish": (
         "Über Splats malen; Mausrad: Größe, Umschalt: erweitern, Strg: abziehen, Escape oder Enter: fertig"
@@ -551,7 +621,7 @@ GERMAN = {
     "Select splats by painting with a circle in the viewport; the mouse wheel changes its size": (
         "Splats auswählen, indem man im Viewport mit einem Kreis malt; das Mausrad ändert seine Größe"
     ),
-    "Select splats by their size, opacity, colour, label or distance; the threshold can be changed afterwards": (
+    "Select splats by their size, opacity, color, label or distance; the threshold can be changed afterwards": (
         "Splats nach Größe, Deckkraft, Farbe, Etikett oder Abstand auswählen; die Schwelle lässt sich danach ändern"
     ),
     "Select splats in front of the surfaces that the photos show, and splats that few photos see": (
@@ -678,6 +748,38 @@ GERMAN = {
     ),
     "BIC gain": "BIC-Gewinn",
     "Exposure": "Belichtung",
+    "Development": "Entwicklung",
+    "Exposure and white point of restored colors; they fade as the slider Water adds water": (
+        "Belichtung und Weißpunkt wiederhergestellter Farben; sie verschwinden, wie der Regler Wasser Wasser hinzufügt"
+    ),
+    "Automatic": "Automatisch",
+    "Exposure and white point that training found in near, bright, neutral parts": (
+        "Belichtung und Weißpunkt, die das Training in nahen, hellen, neutralen Stellen fand"
+    ),
+    "Color Chart": "Farbtafel",
+    "From a color chart in the photos": "Nach einer Farbtafel auf den Fotos",
+    "The photos have no color chart.": "Auf den Fotos ist keine Farbtafel.",
+    "Colors as restored, which may be dark or clipped": (
+        "Farben, wie sie wiederhergestellt wurden; sie können dunkel oder überstrahlt sein"
+    ),
+    "Further exposure of the splats, in stops": "Zusätzliche Belichtung der Splats in Blendenstufen",
+    "Temperature": "Farbtemperatur",
+    "White balance between blue (below 0) and orange (above 0)": (
+        "Weißabgleich zwischen Blau (unter 0) und Orange (über 0)"
+    ),
+    "Tint": "Tönung",
+    "White balance between green (below 0) and magenta (above 0)": (
+        "Weißabgleich zwischen Grün (unter 0) und Magenta (über 0)"
+    ),
+    "Contrast": "Kontrast",
+    "Contrast about middle grey; 1 changes nothing": "Kontrast um mittleres Grau; 1 ändert nichts",
+    "Reset Colors": "Farben zurücksetzen",
+    "Go back to the automatic development, without own exposure, white balance and contrast": (
+        "Zurück zur automatischen Entwicklung ohne eigene Belichtung, eigenen Weißabgleich und Kontrast"
+    ),
+    "Develop the colors as the panel Color says; highlights are not rolled off": (
+        "Farben entwickeln, wie es im Bereich Farbe steht; helle Stellen werden nicht abgeflacht"
+    ),
     "Exposure varies": "Die Belichtung schwankt",
     "Color fading": "Farbverlust",
     "Fall-off": "Abfall",
@@ -739,12 +841,16 @@ GERMAN = {
     ),
     "Number of optimisation steps, each on one image": "Zahl der Optimierungsschritte, jeder mit einem Bild",
     "Observations": "Beobachtungen",
+    "Open Camera Report": "Kamerabericht öffnen",
     "Open Report": "Bericht öffnen",
     "Open Run": "Lauf öffnen",
     "Open a training run: its splats, water, labels and figures, and the cameras of its photos": (
         "Einen Trainingslauf öffnen: seine Splats, Wasser, Etiketten und Zahlen, und die Kameras seiner Fotos"
     ),
     "Open ocean": "Offener Ozean",
+    "Open the report of the cameras in the web browser: their path, the points that photos share, doubtful places": (
+        "Den Bericht der Kameras im Browser öffnen: ihr Weg, die Punkte, die Fotos teilen, zweifelhafte Stellen"
+    ),
     "Open the report of the run in the web browser: images beside photos, curves, settings": (
         "Den Bericht des Laufs im Browser öffnen: Bilder neben Fotos, Kurven, Einstellungen"
     ),
@@ -793,6 +899,9 @@ GERMAN = {
     "The photos cannot show whether it is so.": "Die Fotos können nicht zeigen, ob es so ist.",
     "The plan does not model it.": "Der Plan modelliert es nicht.",
     "The plan models it.": "Der Plan modelliert es.",
+    "The chosen photos have no camera report: Find Cameras writes it": (
+        "Die gewählten Fotos haben keinen Kamerabericht: Kameras finden schreibt ihn"
+    ),
     "The run has no report yet: it is written at the end of the training": (
         "Der Lauf hat noch keinen Bericht: er wird am Ende des Trainings geschrieben"
     ),
@@ -810,8 +919,8 @@ GERMAN = {
     "This method has its own effects: the plan is not followed.": (
         "Dieses Verfahren hat eigene Effekte: Dem Plan wird nicht gefolgt."
     ),
-    "This water is per metre: set the scale in the panel Water, or Metres per Unit.": (
-        "Dieses Wasser gilt je Meter: unter Wasser den Maßstab setzen, oder „Meter je Einheit“."
+    "This water is per metre: set the scale in the panel Scale, or Metres per Unit.": (
+        "Dieses Wasser gilt je Meter: unter Maßstab den Maßstab setzen, oder „Meter je Einheit“."
     ),
     "Time": "Zeit",
     "Time that the whole run may take": "Zeit, die der ganze Lauf brauchen darf",
@@ -841,6 +950,16 @@ GERMAN = {
     ),
     "Your own attenuation of red, green and blue": "Eigene Dämpfung von Rot, Grün und Blau",
     "Stop Early": "Vorzeitig enden",
+    "Find Color Chart": "Farbtafel finden",
+    "Look for a 24-patch color chart in the photos of the run, and compare its patches with their known colors": (
+        "In den Fotos des Laufs eine Farbtafel mit 24 Feldern suchen und die Felder mit bekannten Farben vergleichen"
+    ),
+    "Delta E of the patches:": "Delta E der Felder:",
+    "Without Water": "Ohne Wasser",
+    "Corrected": "Korrigiert",
+    "Patch Left Out": "Feld ausgelassen",
+    "From Chart": "Aus der Tafel",
+    "Found in these photos:": "Gefunden in diesen Fotos:",
 }
 
 

@@ -58,9 +58,7 @@ def water_of(obj: bpy.types.Object | None) -> WaterValues | None:
 
 def find(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.Object | None:
     """The active object if it has a water, else the scene's first splat object that has one."""
-    if active is not None and active.get(KEY) is not None:
-        return active
-    return next((obj for obj in scene.objects if obj.get(KEY) is not None and splats.is_splats(obj)), None)
+    return splats.find_with(scene, active, KEY)
 
 
 def node_group(obj: bpy.types.Object) -> bpy.types.NodeTree:
@@ -107,7 +105,7 @@ def _materials(objects: Iterable[bpy.types.Object]) -> set[bpy.types.Material]:
 
 
 class SWAG_PT_water(SwagPanel):
-    """Panel of the fitted water: slider, coefficients, water for other objects, scale."""
+    """Panel of the fitted water: slider, coefficients, water for other objects."""
 
     bl_label = "Water"
     bl_order = 40
@@ -135,9 +133,6 @@ class SWAG_PT_water(SwagPanel):
             column = layout.column(align=True)
             set_button(column.operator("swag.water_objects", icon="MOD_OCEAN"), remove=False)
             set_button(column.operator("swag.water_objects", text="Remove Water from Objects"), remove=True)
-        row = layout.row(align=True)
-        row.operator("swag.pick_scale", icon="EYEDROPPER")
-        row.operator("swag.set_scale", text="From Selection", icon="CON_DISTLIMIT")
 
 
 register, unregister = bpy.utils.register_classes_factory((SWAG_PT_water,))

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from generated import ROOT, update
 
-from swag_engine.app.cli import COMMANDS, DESCRIPTION
+from swag_engine.app.cli import COMMANDS, DESCRIPTION, command_name
 from swag_engine.settings.field import settings_of
 from swag_engine.settings.settings import TrainSettings
 
@@ -108,7 +108,7 @@ def section(title: str, description: str, options: type) -> str:
 
 def page() -> str:
     """Return the whole page."""
-    commands = [section(c.__name__.lower(), inspect.cleandoc(c.__doc__ or ""), c) for c in COMMANDS]
+    commands = [section(command_name(c), inspect.cleandoc(c.__doc__ or ""), c) for c in COMMANDS]
     settings = section("Training settings", "Options of `train` and `forecast`.", TrainSettings)
     return "\n".join([START, *commands, settings])
 

@@ -194,6 +194,19 @@ def raster() -> str:
 
 
 @table
+def raster_prototypes() -> str:
+    """Processor time of the CPU kernels and of the prototypes that they are compared with."""
+    times = results("raster")["processor ms on 1 thread, kernels and prototypes, 50 000 at 640x360"]
+    return markdown(
+        ["code", "1 thread, ms", "speed relative to raster2"],
+        [
+            [name, f"{times[name]:.1f}", f"{times['raster2'] / times[name]:.2f}"]
+            for name in sorted(times, key=times.get)
+        ],
+    )
+
+
+@table
 def raster_sizes() -> str:
     """Time of the CPU kernels by number of Gaussians, width and threads."""
     document = results("raster")
@@ -208,6 +221,24 @@ def raster_sizes() -> str:
             [words.format(size).replace(" 1 threads", " 1 thread"), times["rasterise"], times["iteration"]]
             for name, words in groups
             for size, times in document[name].items()
+        ],
+    )
+
+
+@table
+def step() -> str:
+    """Processor time of a training step and of its rasterising."""
+    document = results("step")
+
+    def with_ratio(row: dict, name: str) -> str:
+        return f"{row[name]:.1f} ({row[name] / row['rasterise']:.2f})"
+
+    return markdown(
+        ["recipe and effects", "Gaussians", "threads", "rasterise, ms", "native step, ms", "autograd step, ms"],
+        [
+            [row["case"], row["gaussians"], row["threads"], row["rasterise"], with_ratio(row, "native")]
+            + [with_ratio(row, "autograd")]
+            for row in document["rows"]
         ],
     )
 
@@ -299,6 +330,131 @@ def long_runs() -> str:
             *("restored color: mean change in stage two", "largest mean shift of a channel"),
         ],
         rows,
+    )
+
+
+# Cameras
+
+CAMERA_CASES = {
+    "orbit": "around a coral head",
+    "lawn-mower": "survey straight down, four lanes",
+    "forward video": "video forward by 1 m, little parallax",
+    "wall": "along a wall and back",
+    "two heights": "two loops, at two heights",
+    "lamp": "survey with a lamp, moving shadows",
+    "turbid": "survey in dim and turbid water",
+    "fisheye": "survey with a fisheye lens of 120°",
+}
+"""Generated scenes of benchmarks/cameras.py that are for accuracy, and what they are called."""
+TIMED_CASES = {
+    "large photos": "wall, 1500x1000 pixels (generated)",
+    "japanese_gardens": SCENES["japanese_gardens"] + ", 1280x845 pixels",
+    "aqualoc_amphorae": SCENES["aqualoc_amphorae"] + ", 968x608 pixels",
+}
+"""Those that are for processor time."""
+EARLIER = "dff4305"
+"""Commit that the cameras are compared with: one hypothesis, from all pairs."""
+
+
+def camera_runs(case: str, version: str) -> list[dict[str, Any]]:
+    """Return the runs of benchmarks/cameras.py on a case that placed cameras."""
+    runs = results("cameras")["runs"]
+    return [run for run in runs if (run["case"], run["version"]) == (case, version) and "error" not in run]
+
+
+def worst(runs: Sequence[Mapping[str, Any]], name: str, form: str) -> str:
+    """Return the figure of the run with the largest one, "not measured" where there is none."""
+    values = [run[name] for run in runs]
+    return format(max(values, key=abs), form).replace("%", " %") if values else "not measured"
+
+
+def with_pose(runs: Sequence[Mapping[str, Any]]) -> str:
+    """Return how many photos have a pose, in the run with the fewest."""
+    fewest = min(runs, key=lambda run: run["registered"], default=None)
+    return of(fewest["registered"], fewest["images"]) if fewest else "not measured"
+
+
+def focal_error(runs: Sequence[Mapping[str, Any]]) -> str:
+    """Return the largest error of the focal length, and whether the result said that it is doubtful."""
+    if not runs:
+        return "not measured"
+    run = max(runs, key=lambda run: abs(run["focal_error"]))
+    said = any("focal length" in warning for warning in run["warnings"])
+    return f"{100 * run['focal_error']:+.1f} %" + (", said to be doubtful" if said else "")
+
+
+@table
+def camera_accuracy() -> str:
+    """Errors of the cameras of generated photos, in this version and an earlier one."""
+    rows = []
+    for case, words in CAMERA_CASES.items():
+        now, earlier = camera_runs(case, "current"), camera_runs(case, EARLIER)
+        rows.append(
+            [
+                words,
+                with_pose(now),
+                worst(now, "position_error", ".2%"),
+                worst(now, "rotation_error", ".2f"),
+                focal_error(now),
+                ", ".join((with_pose(earlier), worst(earlier, "position_error", ".2%"), focal_error(earlier)))
+                if earlier
+                else "not measured",
+            ]
+        )
+    return markdown(
+        [
+            *("scene", "photos with a pose", "position error", "rotation error, degrees", "error of the focal length"),
+            f"the same in {EARLIER}: poses, position, focal length",
+        ],
+        rows,
+    )
+
+
+@table
+def camera_time() -> str:
+    """Processor time for cameras, in this version and an earlier one."""
+    rows = []
+    for case, words in (CAMERA_CASES | TIMED_CASES).items():
+        now, earlier = camera_runs(case, "current"), camera_runs(case, EARLIER)
+        times = [[run["processor_seconds"] for run in runs] for runs in (now, earlier)]
+        rows.append(
+            [
+                words,
+                *(f"{sum(each) / len(each):.0f} s" if each else "not measured" for each in times),
+                percent(sum(times[0]) / len(now) / (sum(times[1]) / len(earlier))) if now and earlier else "-",
+                *(
+                    f"{with_pose(runs)}, {worst(runs, 'position_error', '.2%')}" if runs else "-"
+                    for runs in (now, earlier)
+                ),
+            ]
+        )
+    return markdown(
+        [
+            *("photos", "processor time", f"in {EARLIER}", "fraction"),
+            *("poses, position error", f"in {EARLIER}"),
+        ],
+        rows,
+    )
+
+
+@table
+def camera_pairs() -> str:
+    """Pairs of a large survey that are matched."""
+    return markdown(
+        [
+            *("photos", "matched pairs for each photo", "processor time to choose and match, for each photo"),
+            *("photos matched with a neighbouring lane", "verified pairs that cannot overlap"),
+        ],
+        [
+            [
+                row["images"],
+                f"{row['pairs'] / row['images']:.1f}",
+                f"{1000 * row['processor_seconds'] / row['images']:.0f} ms",
+                percent(row["lane_neighbours"]),
+                of(row["wrong"], row["verified"]),
+            ]
+            for row in results("camera_pairs")["rows"]
+        ],
     )
 
 
@@ -483,7 +639,6 @@ def effects_volume() -> str:
     for row in results("effects_volume")["rows"]:
         truth, states, found = row["truth"], row["states"], row.get("fit")
         beam = [a + b for a, b in zip(truth["absorption"], truth["scattering"], strict=True)]
-        delta_e = row.get("delta_e")
         rows.append(
             [
                 row["scene"],
@@ -492,19 +647,33 @@ def effects_volume() -> str:
                 triple(beam),
                 triple(found and found["beta_D"]),
                 *(STATES.get(state, state) for state in states.values()),
-                f"{delta_e['seen']:.1f}" if delta_e else "-",
-                f"{delta_e['restored']:.1f}" if delta_e else "-",
             ]
         )
     states = results("effects_volume")["rows"][0]["states"]
-    return markdown(
+    return markdown(["water", "cameras", "absorption", "beam attenuation", "beta_D found", *states], rows)
+
+
+@table
+def effects_volume_colors() -> str:
+    """Color difference in scattering water: photos, restored colors, and the best that laws of range can reach."""
+    titles = {
+        "seen": "as taken",
+        "best gain": "best gain",
+        "restored": "restored",
+        "exponential": "best exponential",
+        "two exponentials": "best two exponentials",
+        "any law": "best law of range",
+    }
+    rows = [
         [
-            *("water", "cameras", "absorption", "beam attenuation", "beta_D found"),
-            *states,
-            *("delta E as taken", "delta E restored"),
-        ],
-        rows,
-    )
+            row["scene"],
+            row["pattern"],
+            *(f"{row['delta_e'][name]:.1f}" if name in row["delta_e"] else "-" for name in titles),
+        ]
+        for row in results("effects_volume")["rows"]
+        if "delta_e" in row
+    ]
+    return markdown(["water", "cameras", *titles.values()], rows)
 
 
 def decisions(states: Mapping[str, Mapping[str, str]], effects: Sequence[str]) -> str:
@@ -630,6 +799,76 @@ def moving_objects() -> str:
         ],
         rows,
     )
+
+
+@table
+def restoration_limit() -> str:
+    """Restored colors as trained and limited."""
+    rows = []
+    for scene, figures in results("restoration_limit")["scenes"].items():
+        trained, limited = figures["as trained"], figures["limited"]
+        change = limited["psnr"] - trained["psnr"]
+        delta_e = [f"{of['delta_e']:.1f}" for of in (trained, limited)]
+        clipped = [f"{100 * of['clipped']:.2f} %" for of in (trained, limited)]
+        rows.append([scene, percent(figures["not_restored"]), f"{change:+.3f} dB", *delta_e, *clipped])
+    return markdown(
+        ["scene", "pixels not restored", "PSNR of the photos", "delta E as trained", "limited", "clipped as trained",
+         "limited"],
+        rows,
+    )  # fmt: skip
+
+
+KNOW_TRUTH = ("best gain", "true water")
+"""Methods of restored_colors that know the true colors or the true water."""
+
+
+@table
+def restored_colors() -> str:
+    """Restored colors and methods for single photos: delta E and hue error, means over seeds."""
+    scenes = _color_errors()
+    lines = [[scene, *_colors_of_methods(means)] for scene, means in scenes.items()]
+    overall = _mean_errors(list(scenes.values()))
+    lines.append(["**mean of the scenes**", *_colors_of_methods(overall)])
+    return markdown(["scene (seeds)", *overall, "ours against best gain"], lines)
+
+
+@table
+def restored_colors_short() -> str:
+    """Delta E of the photo, of ours, and of the best other method that does not know the truth."""
+    lines = []
+    for scene, means in _color_errors().items():
+        errors = {method: figures["delta_e"] for method, figures in means.items()}
+        others = [name for name in errors if name not in KNOW_TRUTH and not name.startswith("ours")]
+        best = min(others, key=errors.__getitem__)
+        cells = [f"{errors['photo']:.1f}", f"{best}: {errors[best]:.1f}", f"{errors['ours']:.1f}"]
+        lines.append([scene, *cells, f"{100 * (errors['ours'] / errors[best] - 1):+.0f} %"])
+    return markdown(["scene (seeds)", "photo", "next best method", "ours", "ours against it"], lines)
+
+
+def _color_errors() -> dict[str, dict[str, dict[str, float]]]:
+    """Return delta E and hue error of each method, means over the seeds, by scene with its number of seeds."""
+    scenes = results("restored_colors")["scenes"]
+    return {f"{scene} ({len(seeds)})": _mean_errors(list(seeds.values())) for scene, seeds in scenes.items()}
+
+
+def _mean_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """Return the mean delta E and hue error of each method over some rows."""
+    methods = [name for name in rows[0] if name != "seen"]
+    return {m: {key: sum(row[m][key] for row in rows) / len(rows) for key in ("delta_e", "hue")} for m in methods}
+
+
+def _colors_of_methods(means: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Return the cells of all methods, and how much lower the delta E of ours is than that of the best gain.
+
+    Bold is the least delta E of the methods that do not know the truth.
+    """
+    least = min(figures["delta_e"] for method, figures in means.items() if method not in KNOW_TRUTH)
+    cells = []
+    for figures in means.values():
+        delta_e = f"{figures['delta_e']:.1f}"
+        delta_e = f"**{delta_e}**" if figures["delta_e"] == least else delta_e
+        cells.append(f"{delta_e}, {figures['hue']:.0f}°")
+    return [*cells, f"{100 * (means['ours']['delta_e'] / means['best gain']['delta_e'] - 1):+.0f} %"]
 
 
 @table

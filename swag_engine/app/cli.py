@@ -3,6 +3,7 @@
 import functools
 import operator
 import os
+import re
 import sys
 import time
 from collections.abc import Sequence
@@ -18,6 +19,8 @@ from ..experiments.grid import Grid
 from ..formats.export import ExportOptions, export_run
 from ..formats.export import describe as describe_export
 from ..formats.registry import FormatName
+from ..georeference.families import FAMILIES
+from ..georeference.papers import PAPERS
 from ..settings.field import settings_of
 from ..settings.settings import TrainSettings
 from .answers import refuse, refuse_missing, show
@@ -54,17 +57,33 @@ class Inspect:
 
     scene: tyro.conf.Positional[Path]
     """Folder of the scene: photos and a COLMAP model."""
+    page: Path | None = None
+    """HTML file to write too: the path of the cameras, the points that photos share, and the doubtful places."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
     def run(self) -> int:
         """Run the command and return its exit code."""
+        from ..scene.camera_page import write_camera_page
         from ..scene.colmap import load_scene
         from ..scene.inspect import describe, inspect_scene
 
-        summary = inspect_scene(load_scene(self.scene))
+        scene = load_scene(self.scene)
+        summary = inspect_scene(scene)
+        if self.page:
+            write_camera_page(scene, self.page)
         show(summary, self.json, describe(summary))
         return 0
+
+
+def _show_new_scene(folder: Path, made: dict[str, Any], first_lines: Sequence[str], as_json: bool) -> None:
+    """Print what a command did to make a scene, and what the scene contains; each warning is printed once."""
+    from ..scene.colmap import load_scene
+    from ..scene.inspect import describe, inspect_scene
+
+    found = inspect_scene(load_scene(folder))
+    document = made | found | {"warnings": list(dict.fromkeys(made["warnings"] + found["warnings"]))}
+    show(document, as_json, "\n".join([*first_lines, describe(document)]))
 
 
 @dataclass(frozen=True)
@@ -80,16 +99,106 @@ class Sfm:
 
     def run(self) -> int:
         """Run the command and return its exit code."""
-        from ..scene.colmap import load_scene
-        from ..scene.inspect import describe, inspect_scene
-        from ..scene.sfm import reconstruct
+        from ..sfm.reconstruct import reconstruct
         from .progress import stage_progress
 
         with stage_progress() as progress:
             made = reconstruct(self.photos, self.out, progress)
-        found = inspect_scene(load_scene(self.out))
-        document = made | found | {"warnings": made["warnings"] + found["warnings"]}
+        _show_new_scene(self.out, made, made["notes"], self.json)
+        return 0
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Measure metres per unit, axes and coordinates of a scene from targets, points, GPS or depths; write scale.json.
+
+    Nothing is trained again: training, export and Blender apply what was measured.
+    """
+
+    scene: tyro.conf.Positional[Path]
+    """Folder of the scene: photos and a COLMAP model."""
+    targets: Literal[tuple(FAMILIES)] | None = None  # type: ignore[valid-type]
+    """Family of coded targets to look for in the photos."""
+    size: float | None = None
+    """Edge length of the targets with their black border, in metres."""
+    distance: tuple[str, ...] = ()
+    """Distances between the middles of two targets in metres, as in --distance 3,7=0.5 7,9=1.25."""
+    points: Path | None = None
+    """CSV table of reference points with the columns name,x,y,z, and photo,u,v where a point is seen (pixels). Without
+    these, a name is the number of a target, or a photo whose position is known."""
+    gps: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Use the GPS positions in the EXIF data of the photos."""
+    depths: Path | None = None
+    """CSV table with the columns name,depth: metres below the surface for each photo."""
+    crs: str | None = None
+    """Coordinate reference system of the reference points, such as EPSG:32633; kept in exported files."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..georeference.measure import Measurements, describe, scale_scene
+        from .progress import stage_progress
+
+        known = Measurements(self.targets, self.size, self.distance, self.points, self.gps, self.depths, self.crs)
+        with stage_progress() as progress:
+            document = scale_scene(self.scene, known, progress)
         show(document, self.json, describe(document))
+        return 0
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Write a PDF of coded targets to print at true size; `scale` finds them in the photos."""
+
+    out: Path
+    """The PDF."""
+    family: Literal[tuple(FAMILIES)] = "aruco_4x4_50"  # type: ignore[valid-type]
+    """Family of the targets."""
+    size: float = 0.15
+    """Edge length of a target with its black border, in metres."""
+    count: int = 6
+    """Number of targets."""
+    first: int = 0
+    """Number of the first target."""
+    paper: Literal[tuple(PAPERS)] = "a4"  # type: ignore[valid-type]
+    """Size of the paper."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..georeference.sheet import Sheet, describe, write_sheet
+
+        document = write_sheet(self.out, Sheet(self.family, self.size, self.count, self.first, self.paper))
+        show(document, self.json, describe(document))
+        return 0
+
+
+@dataclass(frozen=True)
+class ImportCameras:
+    """Make a scene of cameras that another program has found: Metashape, RealityScan, nerfstudio and others."""
+
+    file: tyro.conf.Positional[Path]
+    """File of the cameras; its format is recognised by its content."""
+    out: Path
+    """Folder of the new scene; it must not exist or be empty."""
+    photos: Path | None = None
+    """Folder of the photos; that of the file without it."""
+    points: Path | None = None
+    """PLY file of points in the coordinates of the cameras; without it the points of the file, or of the photos."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..camera_files.import_cameras import import_cameras
+        from .progress import stage_progress
+
+        with stage_progress() as progress:
+            made = import_cameras(self.file, self.out, self.photos, self.points, progress)
+        source = f"{'From:':<13}{made['program']}, {made['registered']} of {made['images']} cameras"
+        _show_new_scene(self.out, made, [source], self.json)
         return 0
 
 
@@ -174,7 +283,7 @@ class Train:
             f"{'Interrupted' if result['interrupted'] else 'Done'} after {metrics['iteration']} iterations, "
             f"{time_text(metrics['seconds'])}, {metrics['gaussians']} Gaussians.",
             quality,
-            metrics["water"] or "No water was modelled: the colours are as photographed.",
+            metrics["water"] or "No water was modelled: the colors are as photographed.",
             *(trial["sentence"] for trial in metrics["trials"]),
             *metrics["notes"],
             f"Result: {result['ply']}",
@@ -219,6 +328,37 @@ class Report:
 
         path = str(write_report(self.run_folder))
         show({"report": path}, self.json, path)
+        return 0
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Find a color chart in the photos, and fit white balance, exposure and a color matrix to its known colors.
+
+    For a run, the chart without water is corrected, its attenuation is compared with the run's, and chart.json is
+    written to the run.
+    """
+
+    folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FOLDER")]]
+    """Folder of a run or of a scene."""
+    chart: Literal["24", "140"] = "24"
+    """Number of the chart's patches."""
+    corners: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Outer corners of the corner patches in a photo where the chart is not found, in pixels, going around the chart:
+    PHOTO:x,y,x,y,x,y,x,y. May be given several times."""
+    out: Path | None = None
+    """File (.json) for the result, instead of the run's chart.json."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..experiments.color_chart import describe, measure_chart
+        from .progress import stage_progress
+
+        with stage_progress() as progress:
+            document = measure_chart(self.folder, self.chart, self.corners, self.out, progress)
+        show(document, self.json, describe(document))
         return 0
 
 
@@ -303,6 +443,10 @@ class Tradeoff:
         return interrupts.exit_code if document["interrupted"] else 0
 
 
+Develop = Annotated[str, tyro.conf.arg(metavar="none|auto|chart|VALUES")]
+"""Option of the commands that render."""
+
+
 @dataclass(frozen=True)
 class Render:
     """Render views of a run to PNG files."""
@@ -315,6 +459,12 @@ class Render:
     """Name of one photo; all test views without it."""
     water: float = 1.0
     """Amount of water, from 0 (removed) to 1 (as photographed)."""
+    develop: Develop = "auto"
+    """Development of restored colors. auto: exposure and white point that the run found, which fade as water is shown.
+    chart: from a color chart in the photos. none: not at all. Or values at any amount of water, as in
+    exposure=0.5,white=1.1/1/0.9,contrast=1.1,knee=0.8."""
+    exr: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Write linear light without development to half-float OpenEXR files in place of PNG files."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
@@ -322,7 +472,9 @@ class Render:
         """Run the command and return its exit code."""
         from ..experiments.evaluate_run import render_run
 
-        files = [str(path) for path in render_run(self.run_folder, self.out, self.camera, self.water)]
+        files = [
+            str(path) for path in render_run(self.run_folder, self.out, self.camera, self.water, self.develop, self.exr)
+        ]
         show({"files": files}, self.json, "\n".join(files))
         return 0
 
@@ -343,6 +495,12 @@ class Film:
     """Leave the background out: PNG files get an alpha channel, a video gets a second one, NAME_alpha.mp4."""
     depth: tyro.conf.FlagCreatePairsOff[bool] = False
     """Write the depth of each frame to an EXR file, in scene units."""
+    develop: Develop = "auto"
+    """Development of restored colors. auto: exposure and white point that the run found, which fade as water is shown.
+    chart: from a color chart in the photos. none: not at all. Or values at any amount of water, as in
+    exposure=0.5,white=1.1/1/0.9,contrast=1.1,knee=0.8."""
+    exr: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Write linear light without development to half-float OpenEXR files in place of PNG files."""
     overwrite: tyro.conf.FlagCreatePairsOff[bool] = False
     """Render frames whose files exist; without it they are kept."""
     fps: float = 24.0
@@ -357,7 +515,7 @@ class Film:
         from .progress import progress_display
 
         frames = read_camera_path(self.cameras)
-        options = FilmOptions(self.alpha, self.depth, self.overwrite, self.fps)
+        options = FilmOptions(self.alpha, self.depth, self.overwrite, self.fps, exr=self.exr)
         stopping = "Stopping after this frame; press Ctrl-C again to stop at once."
         with interrupts.deferred(stopping), progress_display() as display:
 
@@ -365,7 +523,7 @@ class Film:
                 display("film", f"Frame {done} of {total}", done / total)
 
             result = film_run(
-                self.run_folder, self.out, frames, options,
+                self.run_folder, self.out, frames, options, self.develop,
                 water=self.water, progress=progress, should_stop=interrupts.should_stop,
             )  # fmt: skip
         show(result, self.json, describe(result))
@@ -536,9 +694,14 @@ class Doctor:
 
 
 COMMANDS = (
-    Inspect, Sfm, Plan, Forecast, Train, Evaluate, Report, Ablate, Tradeoff, Render, Film, Label, Search, Extract,
-    Export, Batch, Doctor,
+    Inspect, Sfm, ImportCameras, Scale, Targets, Plan, Forecast, Train, Evaluate, Report, Chart, Ablate, Tradeoff,
+    Render, Film, Label, Search, Extract, Export, Batch, Doctor,
 )  # fmt: skip
+
+
+def command_name(command: type) -> str:
+    """Return the word that calls a command: import-cameras for ImportCameras."""
+    return re.sub("(?<=[a-z])(?=[A-Z])", "-", command.__name__).lower()
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -551,7 +714,7 @@ def main(arguments: list[str] | None = None) -> int:
         The exit code.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
-    named = [Annotated[command, tyro.conf.subcommand(name=command.__name__.lower())] for command in COMMANDS]
+    named = [Annotated[command, tyro.conf.subcommand(name=command_name(command))] for command in COMMANDS]
     union: Any = functools.reduce(operator.or_, named)
     interrupts.install()
     try:

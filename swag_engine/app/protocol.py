@@ -8,6 +8,7 @@ from ..base.errors import InputError
 from ..base.strict_json import from_json
 from ..formats.registry import FormatName
 from ..settings.settings import TrainSettings
+from ..splats.development import AS_RESTORED, ColorView
 
 Color = tuple[float, float, float]
 """Display values, 0..1."""
@@ -39,6 +40,40 @@ class SfmRequest:
     photos: Path
     out: Path
     arrays: Path
+
+
+@dataclass(frozen=True)
+class ScaleRequest:
+    """Measure the scale of a scene from coded targets, as the command `scale` does.
+
+    Attributes:
+        scene: Folder of the scene.
+        targets: Family of the targets.
+        size: Edge length of the targets with their black border, metres.
+    """
+
+    scene: Path
+    targets: str
+    size: float
+
+
+@dataclass(frozen=True)
+class ImportCamerasRequest:
+    """Make a scene of cameras of another program, as the command `import-cameras` does, and read it.
+
+    Attributes:
+        file: File of the cameras.
+        out: Folder of the new scene; it must not exist or be empty.
+        arrays: Folder for the arrays of the answer.
+        photos: Folder of the photos, None for that of the file.
+        points: PLY file of sparse points, None without one.
+    """
+
+    file: Path
+    out: Path
+    arrays: Path
+    photos: Path | None = None
+    points: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -117,6 +152,7 @@ class FilmRequest:
         overwrite: Whether to replace files.
         fps: Frames of a video per second.
         unit: Length of a scene unit in units of the depth.
+        colors: How colors are developed.
     """
 
     cameras: Path
@@ -130,6 +166,7 @@ class FilmRequest:
     overwrite: bool = False
     fps: float = 24.0
     unit: float = 1.0
+    colors: ColorView = AS_RESTORED
 
 
 @dataclass(frozen=True)
@@ -180,6 +217,17 @@ class ScoreEditRequest:
 
 
 @dataclass(frozen=True)
+class ChartRequest:
+    """Find a color chart in the photos of a run, as the command `chart` does.
+
+    Attributes:
+        run: Folder of the run.
+    """
+
+    run: Path
+
+
+@dataclass(frozen=True)
 class CancelRequest:
     """Stop the request at hand; what exists is kept."""
 
@@ -197,6 +245,8 @@ class GoOnRequest:
 Request = (
     InspectRequest
     | SfmRequest
+    | ScaleRequest
+    | ImportCamerasRequest
     | PlanRequest
     | TrainRequest
     | ForecastRequest
@@ -205,6 +255,7 @@ Request = (
     | LabelRequest
     | SearchRequest
     | ScoreEditRequest
+    | ChartRequest
     | CancelRequest
     | PauseRequest
     | GoOnRequest
@@ -212,6 +263,8 @@ Request = (
 REQUESTS: dict[str, type[Request]] = {
     "inspect": InspectRequest,
     "sfm": SfmRequest,
+    "scale": ScaleRequest,
+    "import_cameras": ImportCamerasRequest,
     "plan": PlanRequest,
     "train": TrainRequest,
     "forecast": ForecastRequest,
@@ -220,6 +273,7 @@ REQUESTS: dict[str, type[Request]] = {
     "label": LabelRequest,
     "search": SearchRequest,
     "score_edit": ScoreEditRequest,
+    "chart": ChartRequest,
     "cancel": CancelRequest,
     "pause": PauseRequest,
     "go_on": GoOnRequest,
@@ -283,6 +337,8 @@ def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
         return value
     if kind is TrainSettings and isinstance(value, dict):
         return TrainSettings.from_json(value)
+    if kind is ColorView and isinstance(value, dict):
+        return ColorView.from_json(value)
     if kind is float and is_number(value):
         return float(value)
     if kind is Color and isinstance(value, list) and len(value) == 3 and all(map(is_number, value)):
@@ -304,6 +360,7 @@ def describe(kind: Any) -> str:
         str: "a text",
         bool: "true or false",
         TrainSettings: "an object of settings",
+        ColorView: "an object of developments",
         float: "a number",
         Color: "three numbers",
     }

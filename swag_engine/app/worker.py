@@ -20,15 +20,18 @@ from .answers import missing_package
 from .interrupts import interrupts
 from .protocol import (
     CancelRequest,
+    ChartRequest,
     ExportRequest,
     FilmRequest,
     ForecastRequest,
     GoOnRequest,
+    ImportCamerasRequest,
     InspectRequest,
     LabelRequest,
     PauseRequest,
     PlanRequest,
     Request,
+    ScaleRequest,
     ScoreEditRequest,
     SearchRequest,
     SfmRequest,
@@ -158,6 +161,16 @@ class Worker:
         if isinstance(request, SfmRequest):
             with interrupts.deferred():
                 return self.find_cameras(request)
+        if isinstance(request, ScaleRequest):
+            from ..georeference.measure import Measurements, scale_scene
+
+            with interrupts.deferred():
+                progress = self.stoppable("The measurement was stopped; nothing was written.")
+                known = Measurements(targets=request.targets, size=request.size)
+                return {"event": "result", "request": "scale"} | scale_scene(request.scene, known, progress)
+        if isinstance(request, ImportCamerasRequest):
+            with interrupts.deferred():
+                return self.import_cameras(request)
         if isinstance(request, PlanRequest):
             from ..evidence.observations import FIT_WIDTH
             from ..planning.plan import plan_and_keep
@@ -200,6 +213,13 @@ class Worker:
                 progress = self.stoppable("The comparison was stopped.")
                 scores = score_edit(request.run, request.masks, progress)
             return {"event": "result", "request": "score_edit"} | scores
+        if isinstance(request, ChartRequest):
+            from ..experiments.color_chart import measure_chart
+
+            with interrupts.deferred():
+                progress = self.stoppable("The search for a color chart was stopped; nothing was written.")
+                document = measure_chart(request.run, progress=progress)
+            return {"event": "result", "request": "chart", "run": str(request.run)} | document
         assert isinstance(request, ExportRequest)
         from ..formats.export import export_run
 
@@ -212,12 +232,29 @@ class Worker:
         Raises:
             InputError: As `reconstruct` does, and when the request is cancelled.
         """
-        from ..scene.sfm import reconstruct
+        from ..sfm.reconstruct import reconstruct
 
         progress = self.stoppable("Find Cameras was stopped; nothing was written.")
         made = reconstruct(request.photos, request.out, progress)
         found = inspect(request.out, request.arrays)
-        return found | {"request": "sfm", "warnings": made["warnings"] + found["warnings"]}
+        return found | {
+            "request": "sfm",
+            "notes": made["notes"],
+            "warnings": list(dict.fromkeys(made["warnings"] + found["warnings"])),
+        }
+
+    def import_cameras(self, request: ImportCamerasRequest) -> dict[str, Any]:
+        """Return the `result` event of an `import_cameras` request: that of `inspect`, with all warnings.
+
+        Raises:
+            InputError: As the engine's `import_cameras` does, and when the request is cancelled.
+        """
+        from ..camera_files.import_cameras import import_cameras
+
+        progress = self.stoppable("Import Cameras was stopped; nothing was written.")
+        made = import_cameras(request.file, request.out, request.photos, request.points, progress)
+        found = inspect(request.out, request.arrays)
+        return found | {"request": "import_cameras", "warnings": made["warnings"] + found["warnings"]}
 
     def label(self, request: LabelRequest) -> dict[str, Any]:
         """Return the `result` event of a `label` request.
@@ -254,7 +291,10 @@ class Worker:
             text = f"Frame {done} of {total}"
             self.send({"event": "progress", "stage": "film", "text": text, "iteration": done, "iterations": total})
 
-        result = render_film(model, request.out, frames, options, progress=progress, should_stop=self.should_stop)
+        result = render_film(
+            model, request.out, frames, options,
+            colors=request.colors, progress=progress, should_stop=self.should_stop,
+        )  # fmt: skip
         return {"event": "result", "request": "film", "text": describe(result)} | result
 
     def stoppable(self, sentence: str) -> Callable[[str, float], None]:
@@ -333,6 +373,7 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
         "registered": len(scene.views),
         "points": {name: str(path) for name, path in paths.items()} | {"count": len(scene.points.positions)},
         "up": scene.up.tolist(),
+        "scale": summary["scale"],
         "cameras": cameras,
         "summary": summary,
         "warnings": summary["warnings"],

@@ -1,4 +1,4 @@
-"""Figures as short texts, the same on the command line and in Blender."""
+"""Figures and lists as short texts, the same on the command line and in Blender."""
 
 from collections.abc import Sequence
 
@@ -11,6 +11,11 @@ def time_text(seconds: float) -> str:
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
+
+
+def first_names(names: Sequence[str]) -> str:
+    """List the first three names, and show that there are more."""
+    return f"{', '.join(names[:3])}{' ...' if len(names) > 3 else ''}"
 
 
 def sparkline(values: Sequence[float], bars: str = BLOCKS) -> str:

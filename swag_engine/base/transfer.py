@@ -6,6 +6,8 @@ DISPLAY_TOE = 0.04045
 """Display value below which the curve is a straight line."""
 LINEAR_TOE = 0.0031308
 """Linear light at the same place."""
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Luminance of linear red, green and blue (Rec. 709)."""
 
 
 def srgb_to_linear(display: np.ndarray) -> np.ndarray:

@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from scipy.ndimage import map_coordinates
-from scipy.stats import spearmanr
 
 from ..base.errors import InputError
 from ..scene.cameras import Camera
@@ -161,6 +160,8 @@ def align(prediction: np.ndarray, points_uv: np.ndarray, inverse_range: np.ndarr
     Returns:
         The line, and whether it is accepted.
     """
+    from scipy.stats import spearmanr  # here, because its import would make every start of the engine 0.4 s longer
+
     height, width = prediction.shape
     inside = (points_uv >= 0).all(1) & (points_uv <= (width, height)).all(1) & np.isfinite(inverse_range)
     uv, y = points_uv[inside], np.asarray(inverse_range, np.float64)[inside]

@@ -184,7 +184,7 @@ class Descriptor:
     edges at several scales.
     """
 
-    name = "colour and texture"
+    name = "color and texture"
     key = "descriptor:1"
     AB = 8
     """Classes of a*, and of b*."""

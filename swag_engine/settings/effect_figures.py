@@ -121,5 +121,5 @@ def _text(value: float, figure: Figure) -> str:
     if figure.kind == "light":
         return f"{value:.3f}"
     shown = 100 * value if figure.kind == "fraction" else value
-    text = f"{shown:,.0f}" if abs(shown) >= 10 else f"{round(shown, 2) + 0.0:g}"  # + 0.0: no minus before 0
+    text = f"{shown:,.0f}" if abs(shown) >= 10 else f"{round(shown, 2) + 0.0:g}"  # + 0.0 turns -0 into 0
     return f"{text} %" if figure.kind == "fraction" else text

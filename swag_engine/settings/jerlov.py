@@ -40,8 +40,8 @@ def water_of_type(text: str, metres_per_unit: float | None) -> tuple[np.ndarray,
     values = JERLOV.get(name.upper()) or _numbers(name)
     if metres_per_unit is None or not 0 < metres_per_unit < math.inf:
         raise InputError(
-            f"The water type {name} is in metres, so the scene's scale is needed: set metres per unit to the number of "
-            f"metres that one unit of the scene is."
+            f"The water type {name} is in metres, so the scene's scale is needed: measure it with the command scale, "
+            f"or set metres per unit to the number of metres that one unit of the scene is."
         )
     beta = np.array(values) * metres_per_unit
     return beta, beta.copy()

@@ -104,7 +104,7 @@ class TrainSettings:
         least=1e-9,
         most=1e9,
         unit="m",
-        zero="unknown",
+        zero="that of the scene's scale.json, unknown without the file",
     )
     sh_degree: int = setting(
         3,
@@ -128,7 +128,8 @@ class TrainSettings:
             raise InputError("Give a number of iterations or a time budget, not both.")
         recipe_of(self.recipe, self.effects)
         if self.water_type != "auto":
-            water_of_type(self.water_type, self.metres_per_unit)
+            # Without a scale the scene may have one: that shows when it is read.
+            water_of_type(self.water_type, self.metres_per_unit or 1.0)
 
     def sized(self) -> "TrainSettings":
         """Return the settings with the preset's numbers where none are given; unchanged with a time budget."""
