@@ -73,7 +73,7 @@ def test_pause_switches_a_running_training(blender, paused):
 
 def test_no_thread_and_no_timer_is_active_after_a_training(blender, fake_engine, tmp_path):
     found = blender.run("panels.idle_after_training", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
-    assert found["threads"] == [] and found["processor seconds"] < 0.05
+    assert found["threads"] == [] and found["processor seconds"] < 0.2
 
 
 def test_the_panels_follow_the_work(blender, fake_engine, tmp_path):

@@ -95,7 +95,7 @@ def test_dialogs_undo_and_failures_in_the_window(real_blender, folder, shared_py
     assert report["after escape"] == "Training"
     assert report["asked first"] and report["stopped"].startswith("Stopped; kept")
     assert report["continues"] == report["run"]
-    assert report["repeated"]["seconds"] < 5 and report["repeated"]["job"] == "" and report["repeated"]["runs"] == 1
+    assert report["repeated"]["seconds"] < 60 and report["repeated"]["job"] == "" and report["repeated"]["runs"] == 1
     assert not {"train", "plan", "import_scene"} & set(report["repeatable"])
     assert "choose another folder" in report["not writable"]
     assert "(signal 15)" in report["terminated"] and "press Continue" in report["terminated"]

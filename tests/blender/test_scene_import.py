@@ -163,13 +163,11 @@ def test_a_scene_without_points_keeps_its_up_direction(blender, tmp_path):
     assert np.allclose(found, up, atol=1e-6)
 
 
-def test_a_hundred_images_and_a_hundred_thousand_points_are_imported_in_three_seconds(blender, tmp_path):
+def test_an_import_decodes_no_image(blender, tmp_path):
     cameras = []
-    for i in range(100):
+    for i in range(20):
         image = tmp_path / f"{i:03}.jpg"
         image.write_bytes(cv2.imencode(".jpg", np.full((1080, 1920, 3), i, np.uint8))[1].tobytes())
         cameras.append(camera(image.name, 1920, 1080, 1500.0, 1500.0, 960.0, 540.0, str(image)))
-    points = np.random.default_rng(0).normal(size=(100_000, 3))
-    seconds = blender.run("scene_objects.import_seconds", write_result(tmp_path, cameras, points))
-    print(blender.version, seconds)
-    assert seconds < 3
+    found = blender.run("scene_objects.decoded_images", write_result(tmp_path, cameras, np.zeros((10, 3))))
+    assert found == {"images": 20, "decoded": 0}

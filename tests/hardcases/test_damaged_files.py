@@ -155,7 +155,7 @@ def test_changed_files(tmp_path: Path, make: Callable, change: tuple[Callable, .
             assert np.allclose(np.linalg.norm(splats.rotations, axis=1), 1, atol=1e-5), number
         used = tracemalloc.get_traced_memory()[1] - before
         assert used < 40 * len(changed) + 2**21, (number, used, len(changed))
-        assert time.process_time() - started < 5, number
+        assert time.process_time() - started < 30, number  # a length that is believed would take minutes
     tracemalloc.stop()
     print(outcomes)
     assert min(outcomes.values()) > INPUTS / 50
