@@ -218,8 +218,8 @@ def hue_error(shown: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> float:
         NaN where it is nowhere.
     """
     a, b = (lab(image[valid].astype(np.float64))[..., 1:] for image in (shown, truth))
-    coloured = np.hypot(*b.T) >= GREY_CHROMA
-    if not coloured.any():
+    colored = np.hypot(*b.T) >= GREY_CHROMA
+    if not colored.any():
         return float("nan")
-    hue_a, hue_b = (np.degrees(np.arctan2(ab[coloured, 1], ab[coloured, 0])) for ab in (a, b))
+    hue_a, hue_b = (np.degrees(np.arctan2(ab[colored, 1], ab[colored, 0])) for ab in (a, b))
     return float(np.abs((hue_a - hue_b + 180) % 360 - 180).mean())

@@ -173,14 +173,14 @@ def run_case(case: Case, clean: Path) -> dict:
     """Generate a scene, decide its effects, and return truth and decisions side by side."""
     settings, passes, truth = made(case, clean)
     os.environ["SWAG_CACHE_DIR"] = str(clean / "cache")
-    effects, fit, seconds, sightings = decide_effects(settings.out)
+    effects, fit, seconds, observations = decide_effects(settings.out)
     sizes = effect_sizes(passes, settings, truth)
     row: dict = {
         "scene": case.name,
         "pattern": case.pattern,
         "seed": case.seed,
         "seconds": round(seconds, 2),
-        "sightings": sightings,
+        "observations": observations,
         "truth": case.effects(),
         "sizes": {name: round(size, 2) for name, size in sizes.items()},
         "states": {name: effects[name].state for name in EFFECTS},
@@ -209,7 +209,7 @@ def color_errors(passes, settings, fit) -> dict[str, float]:
     for view in passes.still[::4]:
         z = view.range[::5, ::5]
         solid = np.isfinite(z) & (view.alpha[::5, ::5] > 0.99)
-        J, r = view.colour[::5, ::5][solid].astype(np.float64), z[solid].astype(np.float64)[:, None]
+        J, r = view.color[::5, ::5][solid].astype(np.float64), z[solid].astype(np.float64)[:, None]
         light = J * np.exp(-np.array(settings.water.beta_D) * r)
         light = light + np.array(settings.water.B_inf) * -np.expm1(-np.array(settings.water.beta_B) * r)
         clean.append(J)
@@ -247,7 +247,7 @@ def effect_sizes(passes, settings, truth: dict) -> dict[str, float]:
     for k, (view, pose) in list(enumerate(zip(passes.still, passes.poses, strict=True)))[::4]:
         z = view.range[::5, ::5]
         solid = np.isfinite(z) & (view.alpha[::5, ::5] > 0.99)
-        J, r = view.colour[::5, ::5][solid].astype(np.float64), z[solid].astype(np.float64)
+        J, r = view.color[::5, ::5][solid].astype(np.float64), z[solid].astype(np.float64)
         waves = np.ones_like(r)
         if settings.caustics:
             pattern = caustic_pattern(

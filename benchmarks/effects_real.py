@@ -73,8 +73,8 @@ def curve(axis, ranges: np.ndarray, light: np.ndarray, track: np.ndarray, fit: F
     order = np.linspace(*np.quantile(ranges, (0.01, 0.99)), 100)
     for c in range(3):
         direct = np.exp(-fit.beta_D[c] * ranges) * lamp_light(ranges, fit, unit)
-        veil = fit.B[c] * -np.expm1(-fit.beta_B[c] * ranges)
-        J = np.bincount(track, direct * (light[:, c] - veil)) / np.bincount(track, direct**2)
+        backscattered = fit.B[c] * -np.expm1(-fit.beta_B[c] * ranges)
+        J = np.bincount(track, direct * (light[:, c] - backscattered)) / np.bincount(track, direct**2)
         usual = np.median(J)
         shown = light[:, c] - direct * (J[track] - usual)
         some = np.random.default_rng(0).permutation(len(ranges))[:1500]
@@ -82,7 +82,7 @@ def curve(axis, ranges: np.ndarray, light: np.ndarray, track: np.ndarray, fit: F
         at = usual * np.exp(-fit.beta_D[c] * order) * lamp_light(order, fit, unit)
         axis.plot(order, at - fit.B[c] * np.expm1(-fit.beta_B[c] * order), color=COLORS[c], lw=2)
     axis.set_xlabel("range")
-    axis.set_ylabel("linear light, points at the median colour")
+    axis.set_ylabel("linear light, points at the median color")
     axis.set_ylim(0, None)
     axis.set_title(textwrap.fill(title, 72), fontsize=7, loc="left")
 

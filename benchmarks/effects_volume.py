@@ -86,18 +86,18 @@ def run_case(name: str, pattern: str, seed: int, clean: Path) -> dict:
         still = [renderer.still(pose) for pose in poses]
         volume = renderer.volume(poses, factor, 5 * settings.samples, **water)
         make_scene(settings, Rendered(poses, still, still, volume))
-        half = [(view.colour[::factor, ::factor], view.range[::factor, ::factor]) for view in still]
+        half = [(view.color[::factor, ::factor], view.range[::factor, ::factor]) for view in still]
         np.savez(
             kept, clean=np.stack([c for c, _ in half]), range=np.stack([r for _, r in half]), seen=np.stack(volume)
         )
     os.environ["SWAG_CACHE_DIR"] = str(clean / "cache")
-    effects, fit, seconds, sightings = decide_effects(settings.out)
+    effects, fit, seconds, observations = decide_effects(settings.out)
     row: dict = {
         "scene": name,
         "pattern": pattern,
         "seed": seed,
         "seconds": round(seconds, 2),
-        "sightings": sightings,
+        "observations": observations,
         "truth": water,
     }
     row["states"] = {effect: effects[effect].state for effect in EFFECTS}
@@ -184,7 +184,7 @@ def restored_by_best(
         "depth": torch.full((rows, 3), -1.0 if rows == 1 else -2.0),  # optical depth, softplus
         "far": torch.zeros(3),  # coefficient at the far end over that at the near end, sigmoid
         "fall": torch.zeros(1),  # how fast it falls, log
-        "growth": torch.full((3,), -2.0),  # of the backscatter, softplus
+        "backscatter": torch.full((3,), -2.0),  # of the backscatter, softplus
         "added": (dark if rows == 1 else dark - np.log(rows)).repeat(rows, 1),  # background light, log
     }
     for value in values.values():
@@ -198,7 +198,7 @@ def restored_by_best(
             length, far, fall = z, values["far"].sigmoid(), values["fall"].exp()
             if law == "two exponentials":
                 length = far * z - (1 - far) * torch.expm1(-fall * z) / fall
-            depth, scattered = depths[0] * length, -added[0] * torch.expm1(-softplus(values["growth"]) * z)
+            depth, scattered = depths[0] * length, -added[0] * torch.expm1(-softplus(values["backscatter"]) * z)
         return (light - scattered) * torch.exp(depth + values["gains"])
 
     adam = torch.optim.Adam(values.values(), lr=0.05)

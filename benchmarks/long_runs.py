@@ -1,4 +1,4 @@
-"""Measure long runs: memory over time, drift of the restored colours in stage 2, skipped and rolled back steps.
+"""Measure long runs: memory over time, drift of the restored colors in stage 2, skipped and rolled back steps.
 
 Run: `python benchmarks/long_runs.py [--part default|recipes]` (Linux)
 Results: benchmarks/results/long_runs.json
@@ -90,7 +90,7 @@ def one(scene: Path, recipe: str, iterations: int) -> dict[str, Any]:
         "put_back": skipped[0].rollbacks,
         "MB when the number of Gaussians was settled": settled[0][2],
         "MB at the end": memory[-1][2],
-        "restored colours, change in stage two (display values)": drift,
+        "restored colors, change in stage two (display values)": drift,
         "iteration, Gaussians, MB": memory,
     }
 

@@ -44,7 +44,7 @@ def describe(result: dict[str, Any]) -> str:
         found += f", field of view {most['field_of_view']:.0f}° (focal length {most['focal_length']:.0f} px{sure})"
         found += f", the most frequent of {len(lenses)} lenses" if len(lenses) > 1 else ""
     if drift := result["summary"]["drift"]:
-        found += f", drift {drift['share']:.1%} of the path"
+        found += f", drift {drift['fraction']:.1%} of the path"
     return "\n".join((found, *result["warnings"]))
 
 

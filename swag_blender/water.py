@@ -14,7 +14,7 @@ from .scale import metres_per_unit
 from .sidebar import SwagPanel
 from .water_values import WaterValues
 
-KEY = "swag_water"
+KEY = "swag_medium"
 """Property of a splat object: its water per unit of its own space, as JSON."""
 
 
@@ -30,7 +30,7 @@ def remember_water(obj: bpy.types.Object, water: dict[str, Any] | None, metres_p
     Raises:
         InputError: the water is damaged.
     """
-    if water is not None and "veil_sh" in water:
+    if water is not None and "background_sh" in water:
         values = WaterValues.from_json(water, metres_per_unit)
         obj[KEY] = json.dumps(values.to_json())
     else:

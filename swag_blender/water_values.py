@@ -45,7 +45,7 @@ class WaterValues:
         unit = metres_per_unit if water.get("per") == "metre" else 1.0
         try:
             beta_D, beta_B = (_triples([water[name]], unit)[0] for name in ("beta_D", "beta_B"))
-            background = _triples(water["veil_sh"])
+            background = _triples(water["background_sh"])
             display = {"linear": False, "srgb": True}[water["light"]]
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(DAMAGED) from error
@@ -56,7 +56,13 @@ class WaterValues:
     def to_json(self) -> dict[str, Any]:
         """The contents that from_json takes, per scene unit."""
         light = "srgb" if self.display else "linear"
-        return {"beta_D": self.beta_D, "beta_B": self.beta_B, "veil_sh": self.background, "light": light, "per": "unit"}
+        return {
+            "beta_D": self.beta_D,
+            "beta_B": self.beta_B,
+            "background_sh": self.background,
+            "light": light,
+            "per": "unit",
+        }
 
     def inputs(self) -> dict[str, Triple | bool]:
         """The values by the names of the node groups' inputs."""

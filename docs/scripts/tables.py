@@ -310,7 +310,7 @@ def long_runs() -> str:
             continue
         recipe, rest = name.split(", ", 1)
         scene, length = rest.rsplit(", ", 1)
-        drift = run["restored colours, change in stage two (display values)"]
+        drift = run["restored colors, change in stage two (display values)"]
         rows.append(
             [
                 recipe,

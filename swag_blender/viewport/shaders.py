@@ -72,7 +72,7 @@ vec3 background_light(int object, vec3 direction) {
 _SPLAT_VERTEX = """
 ivec2 texel(int number) { return ivec2(number % view.layout_.x, number / view.layout_.x); }
 
-vec3 colour(int splat, int object, vec3 direction, int degree) {
+vec3 color(int splat, int object, vec3 direction, int degree) {
   int first = splat * view.layout_.y;
   vec3 total = texelFetch(harmonic_data, texel(first), 0).rgb * SH_0;
   if (degree > 0) {
@@ -157,7 +157,7 @@ void main() {
   vec4 eye = object_texel(object, 3);
   vec3 ray = centre.xyz - eye.xyz;
   vec3 direction = orthographic ? -object_texel(object, 5).xyz : normalize(ray);
-  vec3 rgb = colour(number, object, direction, min(int(display.x), view.layout_.y == 1 ? 0 : 3));
+  vec3 rgb = color(number, object, direction, min(int(display.x), view.layout_.y == 1 ? 0 : 3));
   if (object_texel(object, 6).a > 0.0) {
     rgb = through_water(object, rgb, direction, orthographic ? max(0.0, -v.z) : length(ray));
   }

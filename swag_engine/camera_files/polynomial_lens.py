@@ -81,9 +81,9 @@ class _Projection:
         x, y = plane[:, 0], plane[:, 1]
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)))
-        growth = 1 + r2 * (p3 + r2 * p4)
-        distorted_x = x * radial + (2 * p1 * x * y + p2 * (r2 + 2 * x * x)) * growth
-        distorted_y = y * radial + (2 * p2 * x * y + p1 * (r2 + 2 * y * y)) * growth
+        tangential = 1 + r2 * (p3 + r2 * p4)
+        distorted_x = x * radial + (2 * p1 * x * y + p2 * (r2 + 2 * x * x)) * tangential
+        distorted_y = y * radial + (2 * p2 * x * y + p1 * (r2 + 2 * y * y)) * tangential
         return np.stack([fx * distorted_x + skew * distorted_y + cx, fy * distorted_y + cy], -1)
 
 

@@ -27,21 +27,21 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
     pairs = neighbour_pairs(names, split_views(names).train)
     seen = {view.name: view.point_indices for view in views}
     shared = [len(np.intersect1d(seen[a], seen[b])) / max(min(len(seen[a]), len(seen[b])), 1) for a, b in pairs]
-    share = float(np.median(shared)) if shared else float("nan")
+    shared_fraction = float(np.median(shared)) if shared else float("nan")
     figures: dict[str, Any] = {
         "images": len(views),
         "images_most": MOST_IMAGES,
-        "shared_points": share,
+        "shared_points": shared_fraction,
         "shared_points_most": MOST_SHARED,
     }
     if not pairs:
         return Decision("off", figures, "No two training photos follow each other.")
     if len(views) > MOST_IMAGES:
         return Decision("off", figures, f"There are {len(views)} photos; up to {MOST_IMAGES} may be too few.")
-    if share >= MOST_SHARED:
-        reason = f"Neighbouring photos share {share:.0%} of their points (threshold {MOST_SHARED:.0%})."
+    if shared_fraction >= MOST_SHARED:
+        reason = f"Neighbouring photos share {shared_fraction:.0%} of their points (threshold {MOST_SHARED:.0%})."
         return Decision("off", figures, reason)
-    sparse = f"Neighbouring photos share only {share:.0%} of their points (threshold {MOST_SHARED:.0%})"
+    sparse = f"Neighbouring photos share only {shared_fraction:.0%} of their points (threshold {MOST_SHARED:.0%})"
     if evidence.interpolator is None:
         return Decision("unknown", figures, f"{sparse}; an interpolation network is needed to judge frames.")
     judged = interpolation_test(evidence.interpolator, {image.camera.name: image for image in evidence.images}, pairs)

@@ -24,18 +24,18 @@ PROBE_LABELS = 8
 def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision:
     """Decide from the user's wish, or from open water, which counts where there is backscatter."""
     backscatter = earlier["backscatter"].state == "on"
-    share = float(np.mean(open_water_cells(evidence.images, evidence.scene))) if backscatter else 0.0
+    covered = float(np.mean(open_water_cells(evidence.images, evidence.scene))) if backscatter else 0.0
     figures: dict[str, Any] = {
         "wanted": evidence.labels_wanted,
-        "open_water": share,
+        "open_water": covered,
         "open_water_least": LEAST_OPEN_WATER,
     }
     if evidence.labels_wanted:
         return Decision("on", figures, "Labels were asked for.")
     return Decision(
-        "on" if share > LEAST_OPEN_WATER else "off",
+        "on" if covered > LEAST_OPEN_WATER else "off",
         figures,
-        f"Open water covers {share:.0%} of the photos (threshold {LEAST_OPEN_WATER:.0%})"
+        f"Open water covers {covered:.0%} of the photos (threshold {LEAST_OPEN_WATER:.0%})"
         + ("." if backscatter else ": there is no backscatter."),
     )
 

@@ -333,8 +333,8 @@ class _Comparison:
         if colorless:  # then water is no alternative, and the lamp is weighed against even light
             lit, gain = falling, bic(even) - bic(falling)
         falloff = 1 - (lit.tau + near**2) / (lit.tau + far**2)
-        share = falloff / max(1 - (near / far) ** 2, 1e-12)
-        needed = LEAST_LAMP_BIC if share >= LEAST_LAMP_SHARE else SURE_LAMP_BIC
+        fraction = falloff / max(1 - (near / far) ** 2, 1e-12)
+        needed = LEAST_LAMP_BIC if fraction >= LEAST_LAMP_SHARE else SURE_LAMP_BIC
         enough = falloff >= LEAST_FALLOFF
         return LampTerm(
             found=bool(enough and gain > needed),
@@ -342,7 +342,7 @@ class _Comparison:
             bic_gain=gain,
             bic_needed=needed,
             falloff=float(falloff),
-            inverse_square=float(share),
+            inverse_square=float(fraction),
             grey=grey,
             colorless=bool(colorless),
             beta_D=lit.beta_D,

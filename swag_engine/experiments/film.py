@@ -113,12 +113,14 @@ def read_medium(path: Path) -> Medium:
     """
     water = read_json(path, f"There is no {path}.")
     try:
-        beta_D, beta_B, veil = (torch.tensor(water[name]).float() for name in ("beta_D", "beta_B", "veil_sh"))
+        beta_D, beta_B, background_sh = (
+            torch.tensor(water[name]).float() for name in ("beta_D", "beta_B", "background_sh")
+        )
         if water["per"] != "unit" or water["light"] not in ("linear", "srgb"):
             raise ValueError("another unit or light")
         # The inverse of softplus, log(exp(x) - 1), without its overflow.
         attenuation, backscatter = (beta + torch.log(-torch.expm1(-beta)) for beta in (beta_D, beta_B))
-        return Medium(attenuation, backscatter, veil.reshape(9, 3), 1.0, water["light"])
+        return Medium(attenuation, backscatter, background_sh.reshape(9, 3), 1.0, water["light"])
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise InputError(DAMAGED) from error
 

@@ -131,7 +131,7 @@ def write_similarity(out: Path, similarity: np.ndarray) -> None:
 
 def describe(document: dict[str, Any]) -> str:
     """Format labels as the lines that `label RUN` prints."""
-    lines = [f"{entry['name']}: {entry['count']} Gaussians, {entry['share']:.1%} of the pixels"
+    lines = [f"{entry['name']}: {entry['count']} Gaussians, {entry['fraction']:.1%} of the pixels"
              for entry in document["labels"]]  # fmt: skip
     return "\n".join(lines)
 

@@ -87,8 +87,8 @@ def transform_water(
             changed[name] = (_array(water, name, (3,)) / length).tolist()
         if "ranges" in water:
             changed["ranges"] = (_array(water, "ranges", (len(water["ranges"]),)) * length).tolist()
-        if "veil_sh" in water:
-            changed["veil_sh"] = (sh_rotation(rotation, 2) @ _array(water, "veil_sh", (9, 3))).tolist()
+        if "background_sh" in water:
+            changed["background_sh"] = (sh_rotation(rotation, 2) @ _array(water, "background_sh", (9, 3))).tolist()
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(DAMAGED) from error
     return water | changed | {"per": "metre" if in_metres else "unit"}
@@ -110,8 +110,8 @@ def _through_water(water: dict[str, Any], amount: float, metres_per_unit: float)
     """
     unit = _units(water, metres_per_unit)
     try:
-        if "veil_sh" in water:
-            background_sh = _array(water, "veil_sh", (9, 3))
+        if "background_sh" in water:
+            background_sh = _array(water, "background_sh", (9, 3))
             beta_D, beta_B = (_array(water, name, (3,)) * amount / unit for name in ("beta_D", "beta_B"))
             linear = {"linear": True, "srgb": False}[water["light"]]
         else:
@@ -137,7 +137,7 @@ def _through_water(water: dict[str, Any], amount: float, metres_per_unit: float)
         )
         return color * transmitted**amount + amount * added, transmitted**amount
 
-    return by_coefficients if "veil_sh" in water else by_table
+    return by_coefficients if "background_sh" in water else by_table
 
 
 def _array(water: dict[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarray:

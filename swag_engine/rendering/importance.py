@@ -55,7 +55,7 @@ def scores(
             colors, background = cloud.colors(centre, sh_degree, backend), cloud.background.sigmoid()
             if lamp is not None:
                 colors = lit(colors, offsets.norm(dim=1), lamp)
-            if isinstance(medium, Medium) and medium.veil is None:
+            if isinstance(medium, Medium) and medium.background_sh is None:
                 colors = through_water(colors, offsets, medium, water_degree, 1.0, backend)
             elif isinstance(medium, Medium):
                 # The color of open water is nearly constant over one Gaussian: subtracted from both sides of the

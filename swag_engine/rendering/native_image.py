@@ -44,7 +44,7 @@ class Shading:
             coefficients=medium.coefficients() if medium else None,
             linear=medium is not None and medium.light == "linear",
             water_degree=water_degree,
-            open_water=medium is not None and medium.veil is not None,
+            open_water=medium is not None and medium.background_sh is not None,
             tau=lamp.relative_tau if lamp else None,
             unit_range=lamp.unit_range if lamp else 1.0,
         )

@@ -86,14 +86,14 @@ def render(
     offsets = (cloud.means.detach() - centre).clamp(-FARTHEST, FARTHEST)
     colors = channels = cloud.colors(centre, sh_degree, backend)
     background = cloud.background.sigmoid() if with_background else torch.zeros_like(cloud.background)
-    veiled = isinstance(medium, Medium) and medium.veil is not None
+    has_background_light = isinstance(medium, Medium) and medium.background_sh is not None
     if lamp is not None:
         channels = lit(channels, offsets.norm(dim=1), lamp, amount)
     if medium is not None:
         if isinstance(medium, Medium):
             # Light is the power of 2.4 of a display value: without a limit an unseen Gaussian makes it overflow.
             channels = through_water(channels.clamp(max=DAZZLING), offsets, medium, water_degree, amount, backend)
-            background = torch.zeros_like(background) if veiled else background
+            background = torch.zeros_like(background) if has_background_light else background
         else:
             channels = medium.through(channels, offsets, amount)
             background = amount * background
@@ -120,7 +120,7 @@ def render(
     color, seen = rendering.channels[..., :3], None
     restored = rendering.channels[..., 3:6] if with_restored else None
     behind = None
-    if with_background and isinstance(medium, Medium) and veiled and amount > 0:
+    if with_background and isinstance(medium, Medium) and has_background_light and amount > 0:
         behind = open_water(medium, viewmat, intrinsics, camera.width, camera.height, water_degree, amount, backend)
         color = color + (1 - rendering.alpha[..., None]) * behind
     if with_range:
@@ -149,7 +149,7 @@ def background_color(
     Returns:
         (H, W, 3), or (3,) where it is constant; differentiable.
     """
-    if not isinstance(medium, Medium) or medium.veil is None:
+    if not isinstance(medium, Medium) or medium.background_sh is None:
         return cloud.background.sigmoid()
     viewmat, K = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
     return open_water(medium, viewmat, K, camera.width, camera.height, water_degree, backend=backend)

@@ -103,7 +103,7 @@ def _figures(quality: ModelQuality) -> list[tuple[str, str, str]]:
         )
     drift = quality.drift
     rows.append(
-        ("Drift", f"{drift.share:.2%} ± {drift.error:.2%}", f"of the path, between {drift.first} and {drift.last}")
+        ("Drift", f"{drift.fraction:.2%} ± {drift.error:.2%}", f"of the path, between {drift.first} and {drift.last}")
         if drift
         else ("Drift", number(None, 0), "cannot be determined: no place is visited twice")
     )

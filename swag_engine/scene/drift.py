@@ -23,15 +23,15 @@ class Drift:
     """Disagreement of two visits of a place.
 
     Attributes:
-        share: Distance between the place as triangulated from the first visit and from the last, over the length of
+        fraction: Distance between the place as triangulated from the first visit and from the last, over the length of
             the path; 0..1.
-        error: Standard error of `share`.
+        error: Standard error of `fraction`.
         first: Name of an image of the first visit.
         last: Name of an image of the last visit.
         points: Points that both visits observe.
     """
 
-    share: float
+    fraction: float
     error: float
     first: str
     last: str
@@ -90,7 +90,7 @@ def find_drift(model: pycolmap.Reconstruction, observations: Observations) -> Dr
     error = 1.25 * float(np.linalg.norm(spread)) / np.sqrt(own.sum())
     name = {key: model.image(int(image_id)).name for key, image_id in enumerate(observations.image_ids)}
     return Drift(
-        share=float(np.linalg.norm(offset)) / length,
+        fraction=float(np.linalg.norm(offset)) / length,
         error=error / length,
         first=name[int(np.median(early_image[own]))],
         last=name[int(np.median(late_image[own]))],

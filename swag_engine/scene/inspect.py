@@ -176,7 +176,7 @@ def describe(summary: dict[str, Any]) -> str:
     if summary["scale"]:
         rows.append(("Scale", describe_scale(summary["scale"])))
     if drift is not None:
-        rows.append(("Drift", f"{drift['share']:.2%} of the path, from {drift['first']} to {drift['last']}"))
+        rows.append(("Drift", f"{drift['fraction']:.2%} of the path, from {drift['first']} to {drift['last']}"))
     rows.append(("Views", f"{split['train']} to train, {split['validation']} to validate, {split['test']} to test"))
     rows += [("Warning", warning) for warning in summary["warnings"]]
     return "\n".join(f"{label + ':':<13}{text}" for label, text in rows)

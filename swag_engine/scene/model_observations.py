@@ -20,7 +20,7 @@ class Observations:
         world_to_camera: Their poses (V, 3, 4).
         camera_ids: Ids (V,) of their cameras.
         positions: The points (P, 3).
-        fraction: Share of the model's points that they are, 0..1.
+        fraction: Fraction of the model's points that they are, 0..1.
         image: Row of `image_ids` of each observation (M,), sorted within each point.
         point: Row of `positions` of each observation (M,), sorted.
         pixels: Where it was seen (M, 2), COLMAP's pixels.

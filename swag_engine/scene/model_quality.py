@@ -219,10 +219,10 @@ def _doubts(model: pycolmap.Reconstruction, quality: ModelQuality, focal_priors:
             f"The mean reprojection error is {error:.1f} px (threshold {_LARGE_ERROR:g} px): the poses are doubtful.",
         )
     drift = quality.drift
-    if drift is not None and drift.share > max(_LARGE_DRIFT, 3 * drift.error):
+    if drift is not None and drift.fraction > max(_LARGE_DRIFT, 3 * drift.error):
         doubt(
             "drift",
-            f"The place in {drift.first} and, later, in {drift.last} lies apart by {drift.share:.1%} of the path "
+            f"The place in {drift.first} and, later, in {drift.last} lies apart by {drift.fraction:.1%} of the path "
             f"(threshold {_LARGE_DRIFT:.0%}): the cameras drift. Photos that come back to places seen before, with "
             "more overlap, would help.",
         )

@@ -19,7 +19,7 @@ from .embed import DIMENSIONS, Projection
 from .regions import SceneRegions
 
 TABLE = "labels.json"
-"""File of the labels: id, name, count and share each."""
+"""File of the labels: id, name, count and fraction each."""
 FEATURES = "semantics.safetensors"
 """File of the features."""
 
@@ -49,12 +49,12 @@ def label_table(regions: SceneRegions, labels: np.ndarray) -> list[dict[str, Any
         labels: (N,) labels of the Gaussians.
 
     Returns:
-        For each label `id`, `name`, `count` of Gaussians, and `share`, the fraction of the images' pixels.
+        For each label `id`, `name`, `count` of Gaussians, and `fraction`, the fraction of the images' pixels.
     """
     counts = np.bincount(labels, minlength=len(regions.labels) + 1)
     fractions = regions.pixel_fractions()
     return [
-        {"id": i, "name": name, "count": int(counts[i]), "share": round(float(fractions[i]), 6)}
+        {"id": i, "name": name, "count": int(counts[i]), "fraction": round(float(fractions[i]), 6)}
         for i, name in enumerate(regions.labels, start=1)
     ]
 
@@ -127,7 +127,7 @@ def read_labels(folder: Path) -> list[dict[str, Any]]:
     document = read_json(path, f"The run {folder} has no labels yet: make them with `label`.")
     try:
         return [
-            {"id": int(entry["id"]), "name": str(entry["name"]), "count": entry["count"], "share": entry["share"]}
+            {"id": int(entry["id"]), "name": str(entry["name"]), "count": entry["count"], "fraction": entry["fraction"]}
             for entry in document["labels"]
         ]
     except (KeyError, TypeError, ValueError) as error:

@@ -23,7 +23,7 @@ _UNDETERMINED = frozenset({"focal_error", "focal_held", "plane_solutions", "tria
 _FEWEST_IMAGES = 3
 """Registered images that a model must have: two determine neither the ratio of motions nor the focal length."""
 _SMALLEST_SHARE = 0.1
-"""Share of the images that a model must have to be worth using."""
+"""Fraction of the images that a model must have to be worth using."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from .progress import Progress
 from .video import pick_frames
 
 _MOVING_SHARE = 0.15
-"""Share of contradicting matches from which motion in the scene is suspected: four times that of still scenes."""
+"""Fraction of contradicting matches from which motion in the scene is suspected: four times that of still scenes."""
 
 
 def reconstruct(source: Path, out: Path, progress: Progress | None = None) -> dict[str, Any]:

@@ -103,7 +103,7 @@ class EffectSelection:
     def learning_rates(self, state: RunState) -> dict[str, float]:
         """Return Adam's step size at the start of the run by parameter name, for all parameters of effects."""
         water = {
-            name: state.recipe.B_inf_rate if name == "medium.veil" else state.recipe.water_rate
+            name: state.recipe.B_inf_rate if name == "medium.background_sh" else state.recipe.water_rate
             for name in state.effects.parameters()
             if name.startswith("medium.")
         }

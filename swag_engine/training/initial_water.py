@@ -81,7 +81,7 @@ def initial_water(inputs: RunInputs, recipe: Recipe, plan: Plan | None) -> Initi
     if "separate_backscatter" not in recipe.effects:
         medium.backscatter = None
     if "backscatter" not in recipe.effects:
-        medium.backscatter = medium.veil = None
+        medium.backscatter = medium.background_sh = None
     return InitialWater(f"Water is modelled: {why}", medium, order)
 
 

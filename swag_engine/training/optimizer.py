@@ -53,7 +53,7 @@ class Optimizer:
         }
 
     def parameters(self) -> dict[str, Tensor]:
-        """Return all parameters by name; those of effects begin with the effect's name, as in "medium.veil"."""
+        """Return all parameters by name; those of effects begin with the effect's name: "medium.background_sh"."""
         return self.cloud.parameters() | self.effects.parameters()
 
     def step(self, rates: Mapping[str, float]) -> None:

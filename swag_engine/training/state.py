@@ -128,7 +128,7 @@ class RunState:
         tensors = {f"cloud.{name}": tensor for name, tensor in self.cloud.parameters().items()}
         tensors |= self.effects.parameters() | self.motion.tensors() | self.optimizer.state_tensors()
         tensors |= {f"guard.{name}": tensor for name, tensor in self.guarded.last_good.items()}
-        tensors |= {"growth.gradient": self.statistics.gradient, "growth.views": self.statistics.views}
+        tensors |= {"densification.gradient": self.statistics.gradient, "densification.views": self.statistics.views}
         stored = self.effects.state() | {
             "choices": dict(self.choices),
             "trials": list(self.trials),
@@ -185,7 +185,7 @@ class RunState:
             clock=Clock(**stored["clock"]),
             guarded=GuardedState(GuardRecord.from_json(stored["guard"]), last_good),
             statistics=DensificationStatistics(
-                *(tensors[name].to(device, copy=True) for name in ("growth.gradient", "growth.views"))
+                *(tensors[name].to(device, copy=True) for name in ("densification.gradient", "densification.views"))
             ),
             start_count=stored["start_count"],
             choices=choices,

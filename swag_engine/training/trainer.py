@@ -41,7 +41,7 @@ from .native_step import NativeStep
 from .network_priors import depth_of_images, interpolated_frames
 from .pacing.budget import Budget, fit_budget
 from .pacing.clock import FLAT_DB, FLAT_FRACTION, Clock, is_flat, next_minute
-from .pacing.memory import TOO_LITTLE, fit_memory, free_memory, reduced, within_memory
+from .pacing.memory import TOO_LITTLE, fit_memory, free_memory, none_if_out_of_memory, reduced
 from .pacing.pacer import Pacer
 from .pacing.speed import Extent
 from .run_plan import plan_of_run
@@ -126,7 +126,7 @@ def make_trainer(
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
     try:
-        trainer = within_memory(
+        trainer = none_if_out_of_memory(
             lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud)
         )
         if not trainer:
@@ -278,14 +278,14 @@ class Trainer:
                 saved = time.monotonic()
         self.guard.check_result(self.state.guarded, self.state.optimizer)
         self.save()  # before anything that takes long: whoever stops a run may not wait for it
-        limit = within_memory(self._restoration_limit) if self._restores else None
+        limit = none_if_out_of_memory(self._restoration_limit) if self._restores else None
         if limit:
             self.save(limit)
         return self._finish(loss, interrupted, limit)
 
     def iterate(self) -> float:
         """Make one iteration and return its loss; one that runs out of memory is abandoned and the run reduced."""
-        if (loss := within_memory(self._iterate)) is not None:
+        if (loss := none_if_out_of_memory(self._iterate)) is not None:
             return loss
         state = self.state
         state.optimizer.restart(state.guarded.last_good)
@@ -430,10 +430,10 @@ class Trainer:
         """Score images; on the CPU where the card has too little memory, with NaN where no memory suffices."""
         state, settings = self.state, self.inputs.settings
         degree, backend = settings.sh_degree, settings.backend
-        found = within_memory(lambda: score_views(cloud, images, degree, backend, state.effects))
+        found = none_if_out_of_memory(lambda: score_views(cloud, images, degree, backend, state.effects))
         if found is None:
             on_cpu, effects = cloud.to(CPU), deepcopy(state.effects).to(CPU)
-            found = within_memory(lambda: score_views(on_cpu, images, degree, "auto", effects))
+            found = none_if_out_of_memory(lambda: score_views(on_cpu, images, degree, "auto", effects))
         state.relief.unscored |= found is None
         return found or [ViewScore(image.camera.name, math.nan, math.nan, math.nan, 0) for image in images]
 
@@ -545,7 +545,7 @@ class Trainer:
     def _background(self) -> list[float]:
         """Display color (3,) behind the Gaussians: black where the water that was there has been removed."""
         medium = self.state.effects.medium
-        open_water = isinstance(medium, Medium) and medium.veil is not None
+        open_water = isinstance(medium, Medium) and medium.background_sh is not None
         color = torch.zeros(3) if open_water else self.state.cloud.background.detach().sigmoid()
         return [round(value, 6) for value in color.tolist()]
 

@@ -50,15 +50,15 @@ class Medium:
         attenuation: (3,) raw; beta_D = softplus(attenuation) / unit_range per scene unit, so that it stays positive
             and never loses its gradient.
         backscatter: (3,) raw, the same for beta_B; None where beta_B is beta_D.
-        veil: (9, 3) raw SH coefficients of degree 2 of the background light, B = sigmoid(their sum); None for water
-            that only attenuates, B = 0.
+        background_sh: (9, 3) raw SH coefficients of degree 2 of the background light, B = sigmoid(their sum); None for
+            water that only attenuates, B = 0.
         unit_range: Median range of the scene, scene units.
         light: What the formula works on.
     """
 
     attenuation: Tensor
     backscatter: Tensor | None
-    veil: Tensor | None
+    background_sh: Tensor | None
     unit_range: float
     light: Light = "linear"
 
@@ -87,12 +87,14 @@ class Medium:
             torch.tensor(default) if value is None else value.float() * unit_range
             for value, default in ((beta_D, INITIAL_BETA_D), (beta_B, INITIAL_BETA_B))
         ]
-        veil = torch.zeros(SH_COUNT, 3)
-        veil[0] = torch.logit((torch.full((3,), INITIAL_B) if B is None else B.float()).clamp(1e-3, 1 - 1e-3)) / C0
+        background_sh = torch.zeros(SH_COUNT, 3)
+        background_sh[0] = (
+            torch.logit((torch.full((3,), INITIAL_B) if B is None else B.float()).clamp(1e-3, 1 - 1e-3)) / C0
+        )
         # The inverse of softplus, log(exp(x) - 1), without its overflow.
         scaled = [value.clamp(min=1e-3) for value in scaled]
         attenuation, backscatter = (value + torch.log(-torch.expm1(-value)) for value in scaled)
-        return cls(attenuation, backscatter, veil, unit_range, light)
+        return cls(attenuation, backscatter, background_sh, unit_range, light)
 
     def to(self, device: torch.device) -> "Medium":
         """Return the medium with its tensors on a device."""
@@ -128,17 +130,17 @@ class Medium:
 
         Returns:
             beta_D and beta_B, `per` metre where the scene has a scale and per scene unit otherwise; B_inf in 0..1 of
-            `light`, without its change by direction; each (R, G, B). veil_sh (9, 3): raw SH coefficients of the
+            `light`, without its change by direction; each (R, G, B). background_sh (9, 3): raw SH coefficients of the
             background light, B = sigmoid(their sum).
         """
         scale = metres_per_unit or 1.0
         with torch.no_grad():
-            veil = self._raw_background_light
+            background_sh = self._raw_background_light
             return {
                 "beta_D": _rounded(self.beta_D / scale),
                 "beta_B": _rounded(self.beta_B / scale),
-                "B_inf": _rounded((veil[0] * C0).sigmoid()),
-                "veil_sh": [_rounded(row) for row in veil],
+                "B_inf": _rounded((background_sh[0] * C0).sigmoid()),
+                "background_sh": [_rounded(row) for row in background_sh],
                 "light": self.light,
                 "per": "metre" if metres_per_unit else "unit",
             }
@@ -149,9 +151,9 @@ class Medium:
 
     @property
     def _raw_background_light(self) -> Tensor:
-        """`veil`, or values (9, 3) whose background light is 0."""
-        if self.veil is not None:
-            return self.veil
+        """`background_sh`, or values (9, 3) whose background light is 0."""
+        if self.background_sh is not None:
+            return self.background_sh
         none = self.attenuation.new_zeros(SH_COUNT, 3)
         none[0] = NO_BACKGROUND_LIGHT
         return none
@@ -184,7 +186,7 @@ def through_water(
         (N, 3) display values, differentiable.
     """
     linear = medium.light == "linear"
-    if medium.veil is None:
+    if medium.background_sh is None:
         depth = amount * medium.beta_D * offsets.norm(dim=1, keepdim=True)
         return apply_gain(colors, -depth, backend) if linear else colors * torch.exp(-depth)
     kernels = kernels_for(backend, colors)
@@ -207,7 +209,7 @@ def without_water(seen: Tensor, ranges: Tensor, medium: Medium) -> Tensor:
     """
     r = ranges[:, None]
     B = torch.zeros_like(seen[:1])
-    if medium.veil is not None:
+    if medium.background_sh is not None:
         B = background_light(B, medium.coefficients(), degree=0)
     light = to_light(seen) if medium.light == "linear" else seen
     J = (light + B * torch.expm1(-medium.beta_B * r)).clamp(min=0) * torch.exp((medium.beta_D * r).clamp(max=80.0))

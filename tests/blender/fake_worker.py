@@ -124,7 +124,7 @@ def sfm(request):
     np.save(paths["colors"], np.full((50, 3), 200, np.uint8))
     send(
         event="result", request="sfm", scene=request["out"], images=5, registered=4, points=paths | {"count": 50},
-        up=[0, -1, 0], cameras=cameras, summary=summary(LENS, LENS, drift={"share": 0.012}),
+        up=[0, -1, 0], cameras=cameras, summary=summary(LENS, LENS, drift={"fraction": 0.012}),
         warnings=["The focal length is doubtful."], notes=["Took 5 of 90 frames."],
     )  # fmt: skip
 

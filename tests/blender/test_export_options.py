@@ -169,7 +169,7 @@ def test_water_and_cameras_of_an_imported_scene_are_exported(blender, tmp_path, 
     made = heap()
     write_ply(tmp_path / "heap.ply", made)
     fitted: dict[str, Any] = {"beta_D": [0.3, 0.1, 0.05], "beta_B": [0.1, 0.1, 0.1], "light": "linear", "per": "unit"}
-    fitted["veil_sh"] = np.random.default_rng(0).normal(size=(9, 3)).tolist()
+    fitted["background_sh"] = np.random.default_rng(0).normal(size=(9, 3)).tolist()
     (tmp_path / "water.json").write_text(json.dumps(fitted))
     RunFolder(tmp_path).write_config(tmp_path, TrainSettings(), [0, -1, 0])
     poses = [looking_from(0, 0.5, -4), looking_from(2, -1, -3)]

@@ -12,7 +12,7 @@ import pytest
 @pytest.fixture
 def labels_folder(tmp_path):
     """A run folder whose labels.json names label 1 coral and label 2 wreck."""
-    entries = [{"id": i, "name": name, "count": 1, "share": 0.1} for i, name in enumerate(("coral", "wreck"), 1)]
+    entries = [{"id": i, "name": name, "count": 1, "fraction": 0.1} for i, name in enumerate(("coral", "wreck"), 1)]
     (tmp_path / "labels.json").write_text(json.dumps({"labels": entries}))
     return tmp_path
 

@@ -38,7 +38,7 @@ BACKGROUND = np.array([0.05, 0.1, 0.2])
 """Linear light of the viewport's background in real_window_viewport.py."""
 WATER = {
     "beta_D": [0.09, 0.04, 0.03], "beta_B": [0.07, 0.05, 0.06],
-    "veil_sh": [[-2.0, 1.0, 2.0], *np.random.default_rng(4).normal(size=(8, 3)).round(3).tolist()],
+    "background_sh": [[-2.0, 1.0, 2.0], *np.random.default_rng(4).normal(size=(8, 3)).round(3).tolist()],
     "light": "linear", "per": "unit",
 }  # fmt: skip
 
@@ -119,7 +119,7 @@ def engine_picture(report, name, keep=None, water=False, degree=3, change=lambda
 
 def open_water(directions):
     """Background light (N, 3) along unit directions (N, 3)."""
-    return 1 / (1 + np.exp(-sh_basis(directions, 2) @ np.array(WATER["veil_sh"])))
+    return 1 / (1 + np.exp(-sh_basis(directions, 2) @ np.array(WATER["background_sh"])))
 
 
 @pytest.mark.parametrize(

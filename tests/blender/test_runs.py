@@ -14,7 +14,7 @@ UP = (0.0, -0.6, 0.8)
 WATER = {
     "beta_D": [0.1, 0.05, 0.03],
     "beta_B": [0.1, 0.1, 0.1],
-    "veil_sh": [[0.0] * 3] * 9,
+    "background_sh": [[0.0] * 3] * 9,
     "light": "linear",
     "per": "unit",
 }

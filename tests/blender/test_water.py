@@ -21,7 +21,7 @@ def medium(request):
         4.0, request.param, torch.tensor([0.20, 0.07, 0.04]), torch.tensor([0.15, 0.10, 0.08]),
         torch.tensor([0.05, 0.25, 0.4]),
     )  # fmt: skip
-    medium.veil[1:] = torch.randn(8, 3, generator=torch.Generator().manual_seed(1)) * 0.5
+    medium.background_sh[1:] = torch.randn(8, 3, generator=torch.Generator().manual_seed(1)) * 0.5
     return medium
 
 

@@ -344,7 +344,7 @@ def test_gains_agree_with_torch(shape):
 def test_water_stays_finite(raw, range_):
     colors, offsets = torch.tensor([[0.0, 0.5, 1.3]]), torch.tensor([[0.0, 0.0, range_]])
     medium = Medium(torch.full((3,), raw), torch.full((3,), raw), torch.zeros(9, 3), 1.0)
-    medium.veil[0] = torch.tensor([-300.0, 0.0, 300.0])
+    medium.background_sh[0] = torch.tensor([-300.0, 0.0, 300.0])
     medium = medium.to(torch.device(DEVICE))
     leaves = [t.to(DEVICE).requires_grad_() for t in (colors, offsets)]
     parameters = [t.requires_grad_() for t in medium.parameters().values()]

@@ -111,7 +111,7 @@ def test_photographs_are_clean_images_through_the_water_model(made: Path, name: 
     assert np.abs(np.median(other, axis=0)).max() > 0.02
 
 
-def test_open_water_shows_the_water_colour(made: Path) -> None:
+def test_open_water_shows_the_water_color(made: Path) -> None:
     b_inf = displayed(np.array(truth(made / "base")["water"]["B_inf"]))
     for image, distance in zip(photographs(made / "base"), ranges(made / "base"), strict=True):
         open_water = cv2.erode(np.isinf(distance).astype(np.uint8), np.ones((9, 9))) > 0

@@ -91,7 +91,7 @@ def test_everything_on_is_learned_and_resumes_bit_equal(tiny_scene, tmp_path):
     train(tiny_scene, tmp_path / "parts", chosen, resume=True)
     expected, got = (load_checkpoint(tmp_path / name)[0] for name in ("whole", "parts"))
     assert expected.keys() == got.keys() and all(torch.equal(expected[name], got[name]) for name in expected)
-    learned = {"lamp.log_tau", "exposure.raw", "vignetting.coefficients", "caustics.log_light", "medium.veil"}
+    learned = {"lamp.log_tau", "exposure.raw", "vignetting.coefficients", "caustics.log_light", "medium.background_sh"}
     assert learned <= expected.keys() and expected["vignetting.coefficients"].abs().min() > 0
     assert expected["exposure.raw"].std() > 0 and expected["caustics.log_light"].std() > 0
     assert float(expected["lamp.log_tau"]) != 0
@@ -226,7 +226,7 @@ def test_light_is_scaled_exactly_and_differentiably():
     assert torch.autograd.gradcheck(apply_gain, [value.requires_grad_() for value in inputs])
 
 
-def test_water_that_only_attenuates_has_no_veil():
+def test_water_that_only_attenuates_has_no_background_light():
     raw = torch.tensor([0.1, -0.5, -1.0], dtype=torch.float64)
     colors, offsets = torch.rand(5, 3).double() * 0.8 + 0.1, torch.randn(5, 3).double()
     medium = Medium(raw, None, None, 2.0)

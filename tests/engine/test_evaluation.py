@@ -289,7 +289,7 @@ def test_damaged_weights_are_one_sentence(run, tmp_path, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_colours_without_water_are_compared_where_truth_is_known(tiny_scene, tmp_path, monkeypatch):
+def test_colors_without_water_are_compared_where_truth_is_known(tiny_scene, tmp_path, monkeypatch):
     scene = shutil.copytree(tiny_scene, tmp_path / "scene")
     truth = np.full((48, 64, 3), 128, np.uint8)
     ranges = np.full((48, 64), 90, np.uint16)  # millimetres: less than what is left of it in 8 bits

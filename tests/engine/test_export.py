@@ -61,7 +61,7 @@ def some_medium(light="linear"):
     medium = Medium.starting(
         4.0, light, torch.tensor([0.2, 0.09, 0.05]), torch.tensor([0.1, 0.08, 0.07]), torch.tensor([0.05, 0.2, 0.3])
     )
-    medium.veil[1:] = torch.randn(8, 3, generator=torch.Generator().manual_seed(0)) * 0.5
+    medium.background_sh[1:] = torch.randn(8, 3, generator=torch.Generator().manual_seed(0)) * 0.5
     return medium
 
 
@@ -565,8 +565,8 @@ def test_water_json_fits_the_file(run, tmp_path):
     np.testing.assert_allclose(np.array(ours["beta_D"]) * 2.5, before["beta_D"])
     a, b = some_splats().positions.astype(float), read_ply(tmp_path / "out.ply").positions.astype(float)
     steps = [(p[1:] - p[0]) / np.linalg.norm(p[1:] - p[0], axis=1, keepdims=True) for p in (a, b)]
-    veils = [sh_basis(step, 2) @ np.array(w["veil_sh"]) for step, w in zip(steps, (before, ours), strict=True)]
-    np.testing.assert_allclose(veils[1], veils[0], atol=1e-4)
+    lights = [sh_basis(step, 2) @ np.array(w["background_sh"]) for step, w in zip(steps, (before, ours), strict=True)]
+    np.testing.assert_allclose(lights[1], lights[0], atol=1e-4)
     network = WaterNetwork.starting(4.0, seed=1)
     table = water.transform_water(network.to_json(0.5), np.eye(3), 2.0, 0.5, False)
     np.testing.assert_allclose(table["ranges"], 2 * np.array(network.to_json()["ranges"]), atol=1e-5)

@@ -70,7 +70,7 @@ def test_real_scenes_are_not_doubted(name: str) -> None:
 
 def test_the_example_of_the_repository_is_not_doubted() -> None:
     summary = inspect_scene(load_scene(Path(__file__).resolve().parents[1] / "scenes" / "reef_wreck"))
-    assert summary["warnings"] == [] and summary["drift"]["share"] < 0.001
+    assert summary["warnings"] == [] and summary["drift"]["fraction"] < 0.001
 
 
 def test_the_error_of_the_focal_length_is_that_of_repeated_adjustments() -> None:
@@ -150,7 +150,7 @@ def test_few_registered_images_are_said() -> None:
 
 def test_drift_is_measured_and_said() -> None:
     drift = assess(loop()).drift
-    assert drift is not None and drift.share < 0.0003
+    assert drift is not None and drift.fraction < 0.0003
 
     model = loop()
     for index, image in enumerate(sorted(model.images.values(), key=lambda image: image.name)):
@@ -161,7 +161,7 @@ def test_drift_is_measured_and_said() -> None:
     assert bent.drift is not None
     first, last = (int(name[6:10]) for name in (bent.drift.first, bent.drift.last))
     length = 2 * np.pi * 6 * 1.4 * 39 / 40
-    assert bent.drift.share == pytest.approx((last - first) / 40 / length, rel=0.25) and last - first > 20
+    assert bent.drift.fraction == pytest.approx((last - first) / 40 / length, rel=0.25) and last - first > 20
     sentence = next(doubt.sentence for doubt in bent.doubts if doubt.kind == "drift")
     assert bent.drift.first in sentence and bent.drift.last in sentence
 

@@ -172,8 +172,8 @@ def test_scores_are_the_changes_of_the_image(water):
     medium = None
     if water:
         random = torch.Generator().manual_seed(1)
-        veil = torch.randn(9, 3, generator=random, dtype=torch.float64)
-        medium = Medium(veil[0].clone(), veil[1].clone(), veil, 3.0, water)
+        background_sh = torch.randn(9, 3, generator=random, dtype=torch.float64)
+        medium = Medium(background_sh[0].clone(), background_sh[1].clone(), background_sh, 3.0, water)
     target = torch.rand(2, 3, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 
     def loss(color):

@@ -116,7 +116,7 @@ def test_a_file_that_is_no_vocabulary_is_refused(tmp_path: Path, bert: Path) -> 
 
 
 def clip(folder: Path, merges: Path, words: str = "int32[M,77] input") -> Clip:
-    """Images are embedded as their mean colour, texts as the sum of their tokens' places in a table of colours."""
+    """Images are embedded as their mean color, texts as the sum of their tokens' places in a table of colors."""
     image = write_graph(
         folder / "image.onnx",
         "(float[1,3,224,224] input) => (float[1,3] output) { output = ReduceMean<axes=[2,3], keepdims=0>(input) }",
@@ -292,7 +292,7 @@ def test_captions_name_things() -> None:
 # Embeddings without a network, and their projection -------------------------------------------------------------------
 
 
-def test_descriptors_tell_colours_and_textures_apart() -> None:
+def test_descriptors_tell_colors_and_textures_apart() -> None:
     descriptor = Descriptor()
     random = np.random.default_rng(0)
     smooth, rough = np.full((40, 40, 3), 120, np.uint8), np.full((40, 40, 3), 120, np.uint8)

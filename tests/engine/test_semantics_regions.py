@@ -79,7 +79,7 @@ def test_labels_come_in_the_order_of_the_words_then_by_size() -> None:
     assert np.allclose(np.linalg.norm(asked.prototypes, axis=1), 1, atol=1e-5)
 
 
-def test_regions_without_names_are_put_together_by_looks_and_called_by_colour() -> None:
+def test_regions_without_names_are_put_together_by_looks_and_called_by_color() -> None:
     images = []
     for k in range(4):
         image = photograph(f"{k}.jpg")

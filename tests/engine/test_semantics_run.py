@@ -66,7 +66,7 @@ def test_masks_become_labels_of_gaussians_in_every_file(untouched: Path, labelle
     table = json.loads((labelled / "labels.json").read_text())
     assert {entry["name"] for entry in table["labels"]} == set(NAMES)
     assert [entry["id"] for entry in table["labels"]] == list(range(1, 9))
-    assert sum(entry["share"] for entry in table["labels"]) == pytest.approx(1, abs=1e-4)
+    assert sum(entry["fraction"] for entry in table["labels"]) == pytest.approx(1, abs=1e-4)
     assert table["regions"] == "masks" and table["photographs"] == 18 and table["agreement"] > 0.7
     splats, before = read_ply(labelled / "result.ply"), read_ply(untouched / "result.ply")
     for name in ("positions", "rotations", "scales", "opacities", "sh"):

@@ -201,7 +201,7 @@ def guidance(scene: Path, effects: str = "semantics=on") -> Guidance:
     return found
 
 
-def test_open_water_is_cleared_and_gives_the_tail_its_colour() -> None:
+def test_open_water_is_cleared_and_gives_the_tail_its_color() -> None:
     alpha = torch.tensor([[0.5, 0.5, 0.9]], requires_grad=True)
     behind = torch.zeros(3, requires_grad=True)
     photograph = torch.tensor([[[0.1, 0.2, 0.3]] * 3])

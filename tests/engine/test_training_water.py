@@ -150,5 +150,5 @@ def test_a_resumed_run_keeps_its_water(runs, tmp_path):
     train(REEF, tmp_path / "run", settings, resume=True)
     expected, _ = load_checkpoint(runs / "swag")
     got, _ = load_checkpoint(tmp_path / "run")
-    assert {"medium.veil", "restoration.confidence"} <= set(expected)
+    assert {"medium.background_sh", "restoration.confidence"} <= set(expected)
     assert all(torch.equal(got[name], expected[name]) for name in expected)

@@ -40,7 +40,7 @@ def affine(linear, translation=(0.3, -2.0, 5.0)):
     return matrix
 
 
-def colours(splats, eye):
+def colors(splats, eye):
     basis = sh_basis(unit(splats.positions - eye), splats.degree)
     return np.einsum("nk,nkc->nc", basis, splats.sh)
 
@@ -106,13 +106,13 @@ def test_positions_and_covariances_follow_the_matrix(linear):
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("linear", SIMILARITIES.values(), ids=SIMILARITIES.keys())
-def test_a_camera_moved_along_sees_the_same_colours(linear, degree):
+def test_a_camera_moved_along_sees_the_same_colors(linear, degree):
     matrix, splats, eye = affine(linear()), some_splats(degree=degree), np.array([4.0, 1.0, -3.0])
     moved_eye = matrix[:3, :3] @ eye + matrix[:3, 3]
-    np.testing.assert_allclose(colours(transformed(splats, matrix), moved_eye), colours(splats, eye), atol=2e-5)
+    np.testing.assert_allclose(colors(transformed(splats, matrix), moved_eye), colors(splats, eye), atol=2e-5)
 
 
-def test_colours_under_an_uneven_scale_turn_with_its_rotation():
+def test_colors_under_an_uneven_scale_turn_with_its_rotation():
     turn, splats = orthogonal(False), some_splats()
     stretched = transformed(splats, affine(turn @ np.diag([1.0, 2.0, 3.0])))
     np.testing.assert_allclose(stretched.sh, transformed(splats, affine(turn)).sh, atol=1e-5)
@@ -184,7 +184,7 @@ def test_wrong_shapes_and_dtypes_are_refused(change):
         Splats(**(good | change))
 
 
-def test_concatenated_splats_keep_colours_and_extras():
+def test_concatenated_splats_keep_colors_and_extras():
     low, high = some_splats(3, 1), some_splats(2, 3)
     high.extras = {"similarity": np.full(2, 0.5, np.float32), "label": np.array([70000, 2], np.int64)}
     both = concatenate([low, high])

@@ -52,7 +52,7 @@ def test_no_water_changes_nothing_and_far_colors_become_background_light(light):
 @pytest.mark.parametrize("light", ["linear", "srgb"])
 def test_without_water_is_the_inverse(light):
     colors, offsets, medium = make_water(light=light)
-    medium.veil[1:] = 0
+    medium.background_sh[1:] = 0
     seen = through_water(colors, offsets, medium, 0)
     restored = without_water(seen, offsets.norm(dim=1), medium)
     torch.testing.assert_close(restored, colors)
@@ -88,9 +88,9 @@ def test_gradients_by_finite_differences(light, degree, through_range):
     directions = torch.nn.functional.normalize(offsets, dim=1)
     ranges = offsets.norm(dim=1, keepdim=True)
 
-    def function(colors, ranges, attenuation, backscatter, veil):
+    def function(colors, ranges, attenuation, backscatter, background_sh):
         places = directions * (ranges if through_range else ranges.detach())
-        water = Medium(attenuation, backscatter, veil, medium.unit_range, light)
+        water = Medium(attenuation, backscatter, background_sh, medium.unit_range, light)
         seen = through_water(colors, places, water, degree)
         return torch.cat([seen.reshape(-1), open_water(water, *CAMERA, 3, 2, degree).reshape(-1)])
 

@@ -13,9 +13,11 @@ def make_water(n=40, light="linear", seed=0, dtype=torch.float64):
     generator = torch.Generator().manual_seed(seed)
     colors = torch.rand(n, 3, generator=generator, dtype=torch.float64)
     offsets = torch.randn(n, 3, generator=generator, dtype=torch.float64) * 2
-    attenuation, backscatter, veil = (torch.randn(size, generator=generator).double() for size in ((3,), (3,), (9, 3)))
-    medium = Medium(attenuation, backscatter, veil, 2.5, light)
-    medium.veil *= 0.5
+    attenuation, backscatter, background_sh = (
+        torch.randn(size, generator=generator).double() for size in ((3,), (3,), (9, 3))
+    )
+    medium = Medium(attenuation, backscatter, background_sh, 2.5, light)
+    medium.background_sh *= 0.5
     parameters = {name: t.to(dtype) for name, t in medium.parameters().items()}
     return colors.to(dtype), offsets.to(dtype), Medium(**parameters, unit_range=2.5, light=light)
 

@@ -104,7 +104,7 @@ JSON = {
                 "light": st.sampled_from(["linear", "srgb", "x"]),
                 "per": st.just("unit"),
             },
-            optional={"veil_sh": DOCUMENTS, "B_inf": TRIPLES, "ranges": DOCUMENTS, "transmission": DOCUMENTS},
+            optional={"background_sh": DOCUMENTS, "B_inf": TRIPLES, "ranges": DOCUMENTS, "transmission": DOCUMENTS},
         ),
         lambda path: bake_water(some_splats(), RunFolder(path.parent).read_water(), [SEEN_FROM]),
     ),

@@ -20,7 +20,15 @@ from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import trainer as loop
-from swag_engine.training.pacing.memory import FEWEST, NARROWEST, SHARE, fit_memory, free_memory, is_shortage, needed
+from swag_engine.training.pacing.memory import (
+    FEWEST,
+    NARROWEST,
+    USABLE_FRACTION,
+    fit_memory,
+    free_memory,
+    is_shortage,
+    needed,
+)
 from swag_engine.training.pacing.speed import Extent
 from swag_engine.training.targets import Target
 from tests.scenes.runs import train_with
@@ -34,7 +42,7 @@ EXTENT = Extent(training=90, held_out=10, points=9000, width=1000, height=800)
 def test_a_run_is_reduced_to_what_fits(free):
     asked = replace(SETTINGS, max_gaussians=300_000, width=640)
     settings, note = fit_memory(EXTENT, asked, int(free))
-    assert needed(EXTENT, settings.width, settings.max_gaussians) <= SHARE * free
+    assert needed(EXTENT, settings.width, settings.max_gaussians) <= USABLE_FRACTION * free
     assert settings == asked if free == 4e9 else settings.max_gaussians < asked.max_gaussians
     assert bool(note) == (settings != asked)
     assert settings.width == 640 or settings.max_gaussians == FEWEST  # Gaussians are reduced before images
@@ -53,7 +61,7 @@ def test_free_memory_is_known():
 
 def test_a_run_notes_that_it_was_reduced(tiny_scene, tmp_path):
     asked = replace(SETTINGS, max_gaussians=100_000_000, iterations=10)
-    if SHARE * free_memory(torch.device("cpu")) > needed(EXTENT, asked.width, asked.max_gaussians):
+    if USABLE_FRACTION * free_memory(torch.device("cpu")) > needed(EXTENT, asked.width, asked.max_gaussians):
         pytest.skip("this machine has the 128 GB of memory that the largest run needs")
     metrics = loop.train(tiny_scene, tmp_path / "run", asked)["metrics"]
     (note,) = [note for note in metrics["notes"] if note.startswith("Memory: 100000000 Gaussians")]

@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 320, 200
 
 
 def heap():
-    """2000 splats of every shape and colour in front of the origin; without any symmetry."""
+    """2000 splats of every shape and color in front of the origin; without any symmetry."""
     random = np.random.default_rng(3)
     count = 2000
     rotations = random.normal(size=(count, 4))

@@ -32,23 +32,23 @@ class Place:
 
 
 def texture(random: np.random.Generator, base: np.ndarray, windows: bool) -> list[np.ndarray]:
-    """Mip levels of a repeating surface (TEXELS, TEXELS, 4): linear colour, and how much of it mirrors."""
+    """Mip levels of a repeating surface (TEXELS, TEXELS, 4): linear color, and how much of it mirrors."""
     rough = np.zeros((TEXELS, TEXELS))
     for size in (4, 16, 64, 256):
         noise = random.standard_normal((TEXELS // size + 1,) * 2).astype(np.float32)
         rough += cv2.resize(noise, (TEXELS, TEXELS), interpolation=cv2.INTER_CUBIC)
     blotch = cv2.resize(random.standard_normal((9, 9, 3)).astype(np.float32), (TEXELS, TEXELS))
-    colour = base * np.exp(0.3 * rough[..., None] + 0.25 * blotch)
+    color = base * np.exp(0.3 * rough[..., None] + 0.25 * blotch)
     mirror = np.full((TEXELS, TEXELS), 0.15)
     if windows:
         step = TEXELS // 6
         for row, column in np.ndindex(6, 6):
             y, x = row * step + step // 4, column * step + step // 3
-            colour[y : y + step // 2, x : x + step // 3] = random.uniform(0.01, 0.08, 3)
+            color[y : y + step // 2, x : x + step // 3] = random.uniform(0.01, 0.08, 3)
             mirror[y : y + step // 2, x : x + step // 3] = 1.0
             edge = random.uniform(0.3, 0.8)
-            colour[y : y + step // 2, x : x + 4] = colour[y : y + 4, x : x + step // 3] = edge
-    levels = [np.concatenate([colour.clip(0.005, 0.9), mirror[..., None]], 2).astype(np.float32)]
+            color[y : y + step // 2, x : x + 4] = color[y : y + 4, x : x + step // 3] = edge
+    levels = [np.concatenate([color.clip(0.005, 0.9), mirror[..., None]], 2).astype(np.float32)]
     while len(levels) < LEVELS:
         levels.append(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
     return levels
@@ -119,7 +119,7 @@ def passes_of(place: Place, pose: np.ndarray, width: int, height: int, focal: fl
                 t, side, there = near, enters.argmax(1), (near < far) & (near > 0)
             nearer = there & (t < distance)
             distance[nearer], hit[nearer], axis[nearer] = t[nearer], k, side[nearer]
-    colour, sun_share = np.zeros((len(rays), 3)), np.zeros(len(rays))
+    color, sun_share = np.zeros((len(rays), 3)), np.zeros(len(rays))
     solid = hit >= 0
     points = centre + rays * np.where(solid, distance, 0)[:, None]
     for k, levels in enumerate(place.textures):
@@ -142,11 +142,11 @@ def passes_of(place: Place, pose: np.ndarray, width: int, height: int, focal: fl
             shine = place.shine * surface[:, 3:] * (0.0 if inward else 1.0)
             cosine = np.abs(rays[own, side])[:, None]
             fresnel = (0.04 + 0.96 * (1 - cosine) ** 5) * shine
-            colour[own] = surface[:, :3] * light * (1 - fresnel) + fresnel * mirrored
+            color[own] = surface[:, :3] * light * (1 - fresnel) + fresnel * mirrored
             sun_share[own] = share
     shape = (height, width)
     return Passes(
-        colour.reshape(*shape, 3).astype(np.float32),
+        color.reshape(*shape, 3).astype(np.float32),
         solid.reshape(shape).astype(np.float32),
         distance.reshape(shape).astype(np.float32),
         sun_share.reshape(shape).astype(np.float32),

@@ -28,7 +28,7 @@ _DETAIL_LEVELS = 5
 
 @dataclass(frozen=True)
 class Water:
-    """Water, light and the camera's noise; colours are linear red, green, blue.
+    """Water, light and the camera's noise; colors are linear red, green, blue.
 
     Attributes:
         attenuation: Attenuation, 1/m.
@@ -206,7 +206,7 @@ class _Ground:
         return z <= self.sample(self.heights, x, y)
 
     def albedo(self, points: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-        """Return colours (H, W, 3) of the floor at points (H, W, 3), smoothed over a footprint (H, W) in metres."""
+        """Return colors (H, W, 3) of the floor at points (H, W, 3), smoothed over a footprint (H, W) in metres."""
         # Sheared by the height, so that steep sides have texture too.
         x, y = points[..., 0] + 0.7 * points[..., 2], points[..., 1] + 0.5 * points[..., 2]
         level = np.clip(np.log2(footprint / self.texel), 0, _DETAIL_LEVELS - 1.001)

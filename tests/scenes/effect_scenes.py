@@ -100,7 +100,7 @@ def _small_passes(pattern: str, seed: int) -> Rendered:
     return Rendered(poses, still, still, None)
 
 
-PASSES = {"colour": "f2", "alpha": "f2", "range": "f4", "sun_share": "f2", "fish": "f2"}
+PASSES = {"color": "f2", "alpha": "f2", "range": "f4", "sun_share": "f2", "fish": "f2"}
 
 
 def render_clean(folder: Path, seed: int) -> None:

@@ -43,7 +43,7 @@ class Water:
     beta_B: RGB = (0.13, 0.08, 0.068)
     """Build-up of backscatter, per metre."""
     B_inf: RGB = (0.03, 0.175, 0.255)
-    """Colour of open water, in the values that `light` names."""
+    """Color of open water, in the values that `light` names."""
     light: Literal["linear", "srgb"] = "linear"
     """The values the model holds in: linear light, as physics asks, or displayed sRGB values."""
 
@@ -162,7 +162,7 @@ def through_water(clean: np.ndarray, alpha: np.ndarray, distance: np.ndarray, wa
 
 
 def lamp_light(distance: np.ndarray, fraction: float, tau: float, reference: float) -> np.ndarray:
-    """Factor on the clean colour: an ambient part and a lamp's, together 1 at the reference range."""
+    """Factor on the clean color: an ambient part and a lamp's, together 1 at the reference range."""
     return (1 - fraction) + fraction * (tau + reference**2) / (tau + distance**2)
 
 
@@ -220,7 +220,7 @@ def photograph(
         pattern = caustic_pattern(world_points(passes.range, focal, pose), rng)
         light = light * (1 + settings.caustics * passes.sun_share * (pattern - 1))
     gain = gain * (1 - settings.vignetting * squared_radius(passes.alpha.shape))[..., None]
-    clean = passes.colour * light[..., None]
+    clean = passes.color * light[..., None]
     if settings.water.light == "linear":
         seen = through_water(clean, passes.alpha, passes.range, settings.water) * gain
         return srgb(averaged(seen, settings.supersample))
@@ -280,7 +280,7 @@ def write_model(
         model="PINHOLE", width=width, height=height, params=[focal, focal, width / 2, height / 2], camera_id=1
     )
     model.add_camera_with_trivial_rig(camera)
-    tracks: list[tuple[np.ndarray, list[int], np.ndarray, np.ndarray]] = []  # point, views, observations, colour
+    tracks: list[tuple[np.ndarray, list[int], np.ndarray, np.ndarray]] = []  # point, views, observations, color
     for view in range(len(names)):
         chance = contrast[view].ravel().astype(np.float64)
         if not chance.any():
@@ -326,8 +326,8 @@ def write_model(
             name=name, camera_id=1, image_id=k + 1, keypoints=np.array(observations[k]).reshape(-1, 2)
         )
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
-    for (point, _, _, colour), track in zip(tracks, elements, strict=True):
-        model.add_point3D(point, pycolmap.Track(track), colour)
+    for (point, _, _, color), track in zip(tracks, elements, strict=True):
+        model.add_point3D(point, pycolmap.Track(track), color)
     model.update_point_3d_errors()
     folder.mkdir(parents=True)
     model.write_binary(str(folder))
@@ -399,7 +399,7 @@ def make_scene(settings: Settings, rendered: Rendered | None = None) -> dict:
         png = Path(name).with_suffix(".png").name
         cv2.imwrite(str(settings.out / "labels" / png), majority(seen.label, factor), PNG)
         if settings.truth == "all" or k % HELD_OUT == 0:
-            clean = to_8bit(srgb(averaged(still.colour, factor)))[..., ::-1]
+            clean = to_8bit(srgb(averaged(still.color, factor)))[..., ::-1]
             cv2.imwrite(str((settings.out / "clean" / png).with_suffix(".webp")), clean, LOSSLESS_WEBP)
             distance = nearest_range(still.range, still.alpha, factor)
             millimetres = np.where(np.isinf(distance), 0, distance * 1000).round().clip(0, 65535)
@@ -419,7 +419,7 @@ def make_scene(settings: Settings, rendered: Rendered | None = None) -> dict:
         "volume": VOLUME if volume else None,
         "units": "1 unit of the COLMAP model is 1 metre; ranges are Euclidean, camera centre to surface; z is up",
         "range": {"p2": float(low), "median": reference, "p98": float(high)},
-        "lamp": {"share": settings.lamp, "tau": settings.lamp_tau, "reference_range": reference}
+        "lamp": {"fraction": settings.lamp, "tau": settings.lamp_tau, "reference_range": reference}
         if settings.lamp
         else None,
         "exposure": {"sd_log_gain": settings.exposure, "gains": dict(zip(names, gains.tolist(), strict=True))},

@@ -151,7 +151,7 @@ def ball(rings: int, shape: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray 
 
 def material(
     name: str,
-    colours: list[tuple[float, float, float]],
+    colors: list[tuple[float, float, float]],
     *,
     scale: float,
     stretch: tuple[float, float, float] = (1, 1, 1),
@@ -165,9 +165,9 @@ def material(
 ) -> bpy.types.Material:
     """A diffuse material of noise at several scales.
 
-    `colours` are a ramp over noise of `scale` features per metre; `fine` times finer noise darkens and lightens;
-    `cells` Voronoi cells per metre dot the surface as polyps or pebbles do; `tip` is the colour where the mesh's tint
-    is 1; each of `growth` is a colour, a scale and a share of the surface it covers; `vary` moves hue by object;
+    `colors` are a ramp over noise of `scale` features per metre; `fine` times finer noise darkens and lightens;
+    `cells` Voronoi cells per metre dot the surface as polyps or pebbles do; `tip` is the color where the mesh's tint
+    is 1; each of `growth` is a color, a scale and a share of the surface it covers; `vary` moves hue by object;
     `wave` ripples per metre.
     """
     result = bpy.data.materials.new(name)
@@ -190,8 +190,8 @@ def material(
         n = node("ValToRGB", {0: factor})
         while len(n.color_ramp.elements) < len(stops):
             n.color_ramp.elements.new(0.5)
-        for element, (position, colour) in zip(n.color_ramp.elements, stops, strict=True):
-            element.position, element.color = position, (*colour, 1)
+        for element, (position, color) in zip(n.color_ramp.elements, stops, strict=True):
+            element.position, element.color = position, (*color, 1)
         return n.outputs[0]
 
     def mixed(factor: object, a: object, b: object, blend: str = "MIX") -> bpy.types.NodeSocket:
@@ -207,41 +207,41 @@ def material(
     grain = node("VectorMath", {0: where, 1: stretch}, operation="MULTIPLY").outputs[0]
 
     coarse = noisy(scale, 3, grain)
-    stops = np.linspace(0.33, 0.67, len(colours))
-    colour = ramp(coarse, [(s, c) for s, c in zip(stops, colours, strict=True)])
+    stops = np.linspace(0.33, 0.67, len(colors))
+    color = ramp(coarse, [(s, c) for s, c in zip(stops, colors, strict=True)])
     detail = noisy(scale * fine, 4, grain)
-    colour = mixed(1.0, colour, ramp(detail, [(0.3, (0.42,) * 3), (0.5, (1.0,) * 3), (0.72, (1.55,) * 3)]), "MULTIPLY")
+    color = mixed(1.0, color, ramp(detail, [(0.3, (0.42,) * 3), (0.5, (1.0,) * 3), (0.72, (1.55,) * 3)]), "MULTIPLY")
     height = detail
     if tip:
         tint = node("Attribute", attribute_name="tint").outputs["Fac"]
-        colour = mixed(
-            tint, colour, mixed(1.0, (*tip, 1), ramp(detail, [(0.3, (0.7,) * 3), (0.6, (1.1,) * 3)]), "MULTIPLY")
+        color = mixed(
+            tint, color, mixed(1.0, (*tip, 1), ramp(detail, [(0.3, (0.7,) * 3), (0.6, (1.1,) * 3)]), "MULTIPLY")
         )
-    for index, (growth_colour, size, share) in enumerate(growth):
+    for index, (growth_color, size, share) in enumerate(growth):
         patch = noisy(size, 3, node("VectorMath", {0: where, 1: (index * 7.7, 3.1, 5.3)}).outputs[0])
         edge = 0.5 + (0.5 - share) * 0.5
         mask = ramp(patch, [(edge - 0.02, (0,) * 3), (edge + 0.03, (1,) * 3)])
-        coat = mixed(1.0, (*growth_colour, 1), ramp(detail, [(0.3, (0.5,) * 3), (0.7, (1.4,) * 3)]), "MULTIPLY")
-        colour = mixed(mask, colour, coat)
+        coat = mixed(1.0, (*growth_color, 1), ramp(detail, [(0.3, (0.5,) * 3), (0.7, (1.4,) * 3)]), "MULTIPLY")
+        color = mixed(mask, color, coat)
     if cells:
         dots = node("TexVoronoi", {"Vector": where, "Scale": cells}).outputs["Distance"]
-        colour = mixed(1.0, colour, ramp(dots, [(0.15, (1.3,) * 3), (0.65, (0.5,) * 3)]), "MULTIPLY")
+        color = mixed(1.0, color, ramp(dots, [(0.15, (1.3,) * 3), (0.65, (0.5,) * 3)]), "MULTIPLY")
         height = node("Math", {0: height, 1: dots}, operation="SUBTRACT").outputs[0]
     if wave:
         bent = node("VectorMath", {0: where, 1: (0.9, 1.0, 0.3)}, operation="MULTIPLY").outputs[0]
         ripple = node(
             "TexWave", {"Vector": bent, "Scale": wave, "Distortion": 5.0, "Detail": 2.0, "Detail Scale": 0.7}
         ).outputs["Fac"]
-        colour = mixed(1.0, colour, ramp(ripple, [(0.0, (0.72,) * 3), (1.0, (1.12,) * 3)]), "MULTIPLY")
+        color = mixed(1.0, color, ramp(ripple, [(0.0, (0.72,) * 3), (1.0, (1.12,) * 3)]), "MULTIPLY")
         height = node("Math", {0: height, 1: ripple}, operation="ADD").outputs[0]
     if vary:
         hue = node("Math", {0: random, 1: 2 * vary, 2: 0.5 - vary}, operation="MULTIPLY_ADD").outputs[0]
         value = node("Math", {0: random, 1: 7.31}, operation="MULTIPLY").outputs[0]
         value = node("Math", {0: value}, operation="FRACT").outputs[0]
         value = node("Math", {0: value, 1: 0.5, 2: 0.75}, operation="MULTIPLY_ADD").outputs[0]
-        colour = node("HueSaturation", {"Hue": hue, "Value": value, "Color": colour}).outputs[0]
+        color = node("HueSaturation", {"Hue": hue, "Value": value, "Color": color}).outputs[0]
     normal = node("Bump", {"Strength": bump, "Distance": 0.03, "Height": height}).outputs[0]
-    shader = node("BsdfDiffuse", {"Color": colour, "Normal": normal})
+    shader = node("BsdfDiffuse", {"Color": color, "Normal": normal})
     tree.links.new(shader.outputs[0], node("OutputMaterial").inputs[0])
     return result
 
@@ -905,11 +905,11 @@ def _materials() -> dict[str, bpy.types.Material]:
     green, pink, rust = (0.10, 0.16, 0.04), (0.42, 0.13, 0.20), (0.42, 0.14, 0.04)
 
     def coral(base: tuple, other: tuple, tip: tuple, cells: float = 70) -> dict:
-        return {"colours": [base, other], "scale": 5, "tip": tip, "cells": cells, "bump": 0.5}
+        return {"colors": [base, other], "scale": 5, "tip": tip, "cells": cells, "bump": 0.5}
 
     looks = {
         "sand": dict(
-            colours=[(0.34, 0.27, 0.18), (0.56, 0.47, 0.33), (0.66, 0.57, 0.42)],
+            colors=[(0.34, 0.27, 0.18), (0.56, 0.47, 0.33), (0.66, 0.57, 0.42)],
             scale=0.7,
             fine=14,
             wave=1.1,
@@ -918,7 +918,7 @@ def _materials() -> dict[str, bpy.types.Material]:
             bump=0.5,
         ),
         "rock": dict(
-            colours=[(0.13, 0.11, 0.09), (0.31, 0.25, 0.2), (0.48, 0.4, 0.32)],
+            colors=[(0.13, 0.11, 0.09), (0.31, 0.25, 0.2), (0.48, 0.4, 0.32)],
             scale=2.2,
             fine=7,
             growth=[
@@ -931,7 +931,7 @@ def _materials() -> dict[str, bpy.types.Material]:
             bump=0.7,
         ),
         "wood": dict(
-            colours=[(0.10, 0.062, 0.036), (0.27, 0.17, 0.095), (0.44, 0.31, 0.19)],
+            colors=[(0.10, 0.062, 0.036), (0.27, 0.17, 0.095), (0.44, 0.31, 0.19)],
             scale=1.4,
             stretch=(0.5, 5, 5),
             fine=5,
@@ -941,7 +941,7 @@ def _materials() -> dict[str, bpy.types.Material]:
             bump=0.6,
         ),
         "rust": dict(
-            colours=[(0.10, 0.035, 0.018), (0.34, 0.11, 0.03), (0.52, 0.23, 0.06)],
+            colors=[(0.10, 0.035, 0.018), (0.34, 0.11, 0.03), (0.52, 0.23, 0.06)],
             scale=4,
             fine=6,
             growth=[((0.16, 0.17, 0.12), 3, 0.3), (pink, 5, 0.18)],
@@ -949,7 +949,7 @@ def _materials() -> dict[str, bpy.types.Material]:
             bump=0.9,
         ),
         "clay": dict(
-            colours=[(0.34, 0.13, 0.06), (0.52, 0.23, 0.11), (0.6, 0.34, 0.2)],
+            colors=[(0.34, 0.13, 0.06), (0.52, 0.23, 0.11), (0.6, 0.34, 0.2)],
             scale=2.5,
             fine=8,
             growth=[(green, 3, 0.3), ((0.55, 0.48, 0.4), 6, 0.28)],
@@ -971,10 +971,10 @@ def _materials() -> dict[str, bpy.types.Material]:
         "red": coral((0.55, 0.04, 0.03), (0.66, 0.09, 0.05), (0.82, 0.22, 0.1), 50),
         "magenta": coral((0.5, 0.06, 0.3), (0.6, 0.12, 0.38), (0.82, 0.35, 0.6), 50),
         "pale": coral((0.4, 0.36, 0.25), (0.5, 0.46, 0.34), (0.9, 0.75, 0.8)),
-        "leaf": dict(colours=[(0.05, 0.14, 0.02), (0.12, 0.25, 0.04)], scale=6, tip=(0.34, 0.42, 0.1), bump=0.1),
-        "black": dict(colours=[(0.02, 0.015, 0.025), (0.06, 0.04, 0.07)], scale=8, tip=(0.12, 0.08, 0.14), bump=0.1),
+        "leaf": dict(colors=[(0.05, 0.14, 0.02), (0.12, 0.25, 0.04)], scale=6, tip=(0.34, 0.42, 0.1), bump=0.1),
+        "black": dict(colors=[(0.02, 0.015, 0.025), (0.06, 0.04, 0.07)], scale=8, tip=(0.12, 0.08, 0.14), bump=0.1),
         "fish": dict(
-            colours=[(0.85, 0.3, 0.02), (0.95, 0.55, 0.05)], scale=7, fine=5, tip=(0.1, 0.2, 0.75), vary=0.03, bump=0.1
+            colors=[(0.85, 0.3, 0.02), (0.95, 0.55, 0.05)], scale=7, fine=5, tip=(0.1, 0.2, 0.75), vary=0.03, bump=0.1
         ),
     }
     return {name: material(name, **settings) for name, settings in looks.items()}
@@ -1021,7 +1021,7 @@ def camera_path(views: int) -> list[np.ndarray]:
 class Passes:
     """What one camera sees without water, linear light, float32. Sizes are the supersampled image's."""
 
-    colour: np.ndarray  # (H,W,3) multiplied by alpha
+    color: np.ndarray  # (H,W,3) multiplied by alpha
     alpha: np.ndarray  # (H,W) 1 where there is a surface, 0 in open water
     range: np.ndarray  # (H,W) metres from the camera's centre along the ray, inf in open water
     sun_share: np.ndarray  # (H,W) fraction of the light that comes straight from the sun
@@ -1085,7 +1085,7 @@ class Renderer:
         for collection in (self.model.still, self.model.moving):
             collection.hide_render = collection != shown
         shot = self._shot(world_to_camera)
-        colour, alpha = shot["Image"][..., :3].clip(0), shot["Image"][..., 3].clip(0, 1)
+        color, alpha = shot["Image"][..., :3].clip(0), shot["Image"][..., 3].clip(0, 1)
         depth = shot["Depth"][..., 0].astype(np.float64)
         # Cycles' depth is along the optical axis; the water lies along the ray.
         x = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal
@@ -1098,12 +1098,12 @@ class Renderer:
                 near = np.minimum(near, np.roll(distance, (dy, dx), (0, 1)))
         distance = np.where(np.isinf(distance) & (alpha > 0), near, distance)
         alpha = np.where(np.isinf(distance), 0, alpha)
-        luminance = colour.mean(-1)
+        luminance = color.mean(-1)
         share = (shot["Combined_sun"][..., :3].mean(-1) / np.maximum(luminance, 1e-4)).clip(0, 1)
         label = shot["Object Index"][..., 0].round().astype(np.uint8)
         label = np.where(np.isinf(distance), 1, np.maximum(label, 1)).astype(np.uint8)
-        colour = colour * (alpha > 0)[..., None]
-        return Passes(colour, alpha, distance.astype(np.float32), share, np.zeros_like(alpha), label)
+        color = color * (alpha > 0)[..., None]
+        return Passes(color, alpha, distance.astype(np.float32), share, np.zeros_like(alpha), label)
 
     def with_fish(self, passes: Passes, world_to_camera: np.ndarray, rng: np.random.Generator) -> Passes:
         """`passes` with one to three fish swimming before the camera; they cast no shadow."""
@@ -1123,7 +1123,7 @@ class Renderer:
         front = np.where(own.range < passes.range, own.alpha, 0)
         keep = (1 - front)[..., None]
         return Passes(
-            own.colour * (front > 0)[..., None] + passes.colour * keep,
+            own.color * (front > 0)[..., None] + passes.color * keep,
             front + passes.alpha * (1 - front),
             np.where(front > 0.5, own.range, passes.range),
             np.where(front > 0.5, own.sun_share, passes.sun_share),
@@ -1160,7 +1160,7 @@ class Renderer:
         tree.nodes.clear()
         both, output = tree.nodes.new("ShaderNodeAddShader"), tree.nodes.new("ShaderNodeOutputMaterial")
         absorb, scatter = tree.nodes.new("ShaderNodeVolumeAbsorption"), tree.nodes.new("ShaderNodeVolumeScatter")
-        # The coefficient is density * (1 - colour) in the one, density * colour in the other.
+        # The coefficient is density * (1 - color) in the one, density * color in the other.
         absorb.inputs["Density"].default_value = max(absorption)
         absorb.inputs["Color"].default_value = (*(1 - a / max(absorption) for a in absorption), 1)
         scatter.inputs["Density"].default_value = max(scattering)

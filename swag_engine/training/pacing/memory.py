@@ -21,7 +21,7 @@ BYTES_PER_GAUSSIAN = 1280
 """Memory of one Gaussian with its moments, gradients and copies."""
 BYTES_PER_PIXEL = 24
 """Memory of one pixel of a training image at all sizes."""
-SHARE = 0.8
+USABLE_FRACTION = 0.8
 """Fraction of the free memory that a run may take."""
 FEWEST = 5_000
 """Gaussians that a run is reduced to, at least."""
@@ -81,7 +81,7 @@ def fit_memory(extent: Extent, settings: TrainSettings, free: int | None) -> tup
     Raises:
         InputError: If even the smallest run does not fit.
     """
-    limit = SHARE * free if free else float("inf")
+    limit = USABLE_FRACTION * free if free else float("inf")
     gaussians, width = settings.max_gaussians, settings.width
     while needed(extent, width, gaussians) > limit and gaussians > FEWEST:
         gaussians = max(FEWEST, int(0.9 * gaussians))
@@ -164,7 +164,7 @@ def is_shortage(error: Exception) -> bool:
     )
 
 
-def within_memory(compute: Callable[[], T]) -> T | None:
+def none_if_out_of_memory(compute: Callable[[], T]) -> T | None:
     """Return what `compute` returns, None where it runs out of memory."""
     try:
         return compute()

@@ -15,7 +15,7 @@ BACKGROUND = [[0.1 * k, 0.2, -0.1] for k in range(9)]
 WATER = {
     "beta_D": [0.4, 0.2, 0.1],
     "beta_B": [0.3, 0.2, 0.1],
-    "veil_sh": BACKGROUND,
+    "background_sh": BACKGROUND,
     "light": "linear",
     "per": "unit",
 }

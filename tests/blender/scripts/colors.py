@@ -69,7 +69,7 @@ def render_follows_sliders_and_water():
     new_camera().location = (0, 0, 6)
     scene.render.resolution_x = scene.render.resolution_y = 24
     obj = new_splats(random_splats(20, 1))
-    values = {"beta_D": [0.1, 0.05, 0.03], "beta_B": [0.1] * 3, "veil_sh": [[0.3] * 3] * 9, "light": "linear"}
+    values = {"beta_D": [0.1, 0.05, 0.03], "beta_B": [0.1] * 3, "background_sh": [[0.3] * 3] * 9, "light": "linear"}
     water.remember_water(obj, values | {"per": "unit"}, 0.0)
     own = scene.swag_colors
     plain = {}

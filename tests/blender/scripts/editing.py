@@ -127,12 +127,12 @@ def select_in_perspective():
 
 
 def select_what_is_in_front():
-    """A wall hides what is behind it where Select Through is off; a faint veil does not."""
+    """A wall hides what is behind it where Select Through is off; a faint haze does not."""
     grid = np.stack(np.meshgrid(np.linspace(-1.5, 1.5, 61), np.linspace(-0.9, 0.9, 37)), -1).reshape(-1, 2)
     wall = np.column_stack([grid, np.zeros(len(grid))])
-    veil, hidden = wall + (0, 0, 1), wall + (0, 0, -1)
+    haze, hidden = wall + (0, 0, 1), wall + (0, 0, -1)
     opacity = np.repeat([0.95, 0.02, 0.95], len(wall))
-    obj = new_object(splats_at(np.concatenate([wall, veil, hidden]), 0.04, opacity))
+    obj = new_object(splats_at(np.concatenate([wall, haze, hidden]), 0.04, opacity))
     for matrix in (orthographic(), perspective(50, location=(0, 0, 5))):
         view = {"matrix": matrix, "size": SIZE, "path": path((0, 0), SIZE)}
         bpy.ops.swag.select_box(**view)

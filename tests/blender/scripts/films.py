@@ -186,7 +186,7 @@ def request_of_scene(out):
     medium: dict[str, Any] = {
         "beta_D": [0.5, 0.2, 0.1],
         "beta_B": [0.3, 0.2, 0.1],
-        "veil_sh": [[0.1] * 3] * 9,
+        "background_sh": [[0.1] * 3] * 9,
         "light": "srgb",
     }
     water.remember_water(obj, medium | {"per": "unit"}, 0.0)
@@ -238,7 +238,13 @@ def several_objects(out):
     new_camera()
     scene.frame_end = 1
     scene.swag_film.output = out
-    medium = {"beta_D": [0.5] * 3, "beta_B": [0.3] * 3, "veil_sh": [[0.1] * 3] * 9, "light": "srgb", "per": "unit"}
+    medium = {
+        "beta_D": [0.5] * 3,
+        "beta_B": [0.3] * 3,
+        "background_sh": [[0.1] * 3] * 9,
+        "light": "srgb",
+        "per": "unit",
+    }
     water.remember_water(second, medium, 0.0)
     active(first)
     _, frames, sent, _ = request()

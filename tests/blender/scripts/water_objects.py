@@ -15,7 +15,7 @@ scene = bpy.context.scene
 WATER = {
     "beta_D": [0.2, 0.1, 0.05],
     "beta_B": [0.1] * 3,
-    "veil_sh": [[0.1] * 3] * 9,
+    "background_sh": [[0.1] * 3] * 9,
     "light": "linear",
     "per": "unit",
 }
