@@ -34,6 +34,8 @@ def timed(function, seconds):
 def steps():
     install()
     window, area, region = view3d()
+    # Blender writes there whether it still compiles shaders, which changes between two pictures.
+    area.spaces.active.overlay.show_text = False
     # The pointer's way over the sidebar then redraws no viewport, which takes long without a graphics card.
     bpy.context.preferences.system.use_region_overlap = False
     yield from open_sidebar()
@@ -59,14 +61,20 @@ def steps():
             frames = drawn().frames
             yield 2.0
 
+    def uploaded():
+        """What is on the graphics card: its version, and how often it was numbered and drawn."""
+        return {"version": drawn().store.version, "numbering": drawn().store.splats_version, "frames": drawn().frames}
+
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.swag.train("INVOKE_DEFAULT")
     yield from until(lambda: not status.job)
     yield from draw_all()
+    report["uploaded at the end of training"] = uploaded()
     photograph("trained.bmp")
     drawn().store.mark_stale(None)
     area.tag_redraw()
     yield from draw_all()
+    report["uploaded anew"] = uploaded()
     photograph("trained, drawn anew.bmp")
     bpy.data.objects.remove(clouds()[0])
     swag.iterations = 100_000

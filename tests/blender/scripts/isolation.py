@@ -2,7 +2,6 @@
 
 import os
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -47,7 +46,6 @@ def found_state():
         "module": engine_process.CANCEL_SECONDS,
         "process": [os.environ.get("LEFT"), os.getcwd(), "/left" in sys.path],
         "files": [Path(bpy.app.tempdir, "left").exists(), (user / "left").exists()],
-        "threads": threading.active_count(),
     }
 
 
