@@ -25,6 +25,8 @@ Channel = Literal["ROT_X", "ROT_Y", "ROT_Z", "SCALE_AVG"]
 NAME = "SWAG Water"
 GROUP_KEY = "swag_water_group"
 """Property of a splat object: the node group of its water."""
+SAMPLE_MAP_COLUMNS = 64
+"""Columns of the map by which Cycles samples the background light."""
 MIDDLE_GREY = 0.21404114
 """Linear light of the sRGB value 0.5."""
 _COLOR_INPUTS = {"Color", "Base Color", "Emission Color", "Specular Tint", "Sheen Tint"}
@@ -137,6 +139,11 @@ def set_world(scene: bpy.types.Scene, group: bpy.types.NodeTree, display_values:
         water.outputs["Background Light sRGB" if display_values else "Background Light"], background.inputs["Color"]
     )
     cast(Any, background.inputs["Strength"]).default_value = 1.0
+    # Cycles evaluates the nodes once for each pixel of its map of the world, which takes minutes at its own size. The
+    # background light changes slowly with direction.
+    settings: Any = getattr(scene.world, "cycles", None)
+    if settings is not None:  # Blender without Cycles
+        settings.sampling_method, settings.sample_map_resolution = "MANUAL", SAMPLE_MAP_COLUMNS
 
 
 def background_node(scene: bpy.types.Scene) -> bpy.types.Node:
