@@ -2,7 +2,7 @@
 
 White point: the gains that make near, bright and nearly grey parts of the restored training views grey; sand and coral
 that are clearly colored stay so. Exposure: the one that makes the brightest near parts almost white, unless highlights
-would be lost elsewhere.
+would be lost elsewhere, or a dark place would be made brighter than a photographer would expose it.
 """
 
 from pathlib import Path
@@ -33,6 +33,9 @@ BRIGHT_QUANTILE = 0.98
 """Quantile of the near parts' luminance that exposure is measured at."""
 BRIGHT_LIGHT = 0.8
 """Linear light that it becomes: white paint and fresh snow reflect 0.8 to 0.9."""
+MEDIAN_LIGHT = 0.13
+"""Linear light of the median surface up to which exposure is raised: exposure meters make the mean of a scene 0.12 to
+0.14 (ISO 2720, K = 12.5 to 14). A room without anything bright would otherwise be shown far too bright."""
 MOST_STOPS = 2.0
 """Largest change of exposure, stops."""
 NEARLY_GREY = 0.35
@@ -122,7 +125,9 @@ def find_development(colors: np.ndarray, weights: np.ndarray) -> tuple[Developme
     white, neutral = _white_point(light, weights)
     bright = _weighted_quantile(light @ (LUMINANCE * white), weights, BRIGHT_QUANTILE)
     highlights = np.quantile((light * white).max(axis=1), 1 - MOST_CLIPPED)
-    stops = min(np.clip(np.log2(BRIGHT_LIGHT / bright), -MOST_STOPS, MOST_STOPS), np.log2(HEADROOM / highlights))
+    median = _weighted_quantile(light @ (LUMINANCE * white), weights, 0.5)
+    raised = min(np.log2(BRIGHT_LIGHT / bright), max(0.0, np.log2(MEDIAN_LIGHT / median)))
+    stops = min(np.clip(raised, -MOST_STOPS, MOST_STOPS), np.log2(HEADROOM / highlights))
     red, green, blue = white.tolist()
     return Development(round(float(stops), 3), (red, green, blue), knee=KNEE), neutral
 

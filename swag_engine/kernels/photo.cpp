@@ -6,7 +6,7 @@
 namespace {
 
 constexpr int TERMS = 3;         // of the vignetting's polynomial
-constexpr int SUMS = 3 + TERMS;  // gradients by the logs of the gains (3) and by the polynomial's coefficients
+constexpr int SUMS = 4 + TERMS;  // gradients by the logs of the gains (3) and by the polynomial's coefficients; open surface
 
 // What a camera does to linear light (effects/exposure.py, effects/vignetting.py): a gain for each channel times
 // 1 + k1 r^2 + k2 r^4 + k3 r^6 within bounds, r from the principal point over half of the image's diagonal.
@@ -69,6 +69,17 @@ inline void for_invalid(const uint8_t *valid, int64_t width, Visit visit) {
         if (!valid[x]) visit(x);
 }
 
+// How sure it is that pixels of a training image show a surface, 0..1: 0 where they differ from the open water behind by
+// less than `least` in all channels, 1 from `most` on.
+inline Vec surface_seen(const Vec *wanted, const Vec *water, float least, float most) {
+    Vec apart = {};
+    for (int c = 0; c < 3; c++) {
+        Vec difference = wanted[c] - water[c];
+        apart = larger(apart, larger(difference, -difference));
+    }
+    return larger(smaller((apart - least) / (most - least), splat(1.f)), splat(0.f));
+}
+
 }  // namespace
 
 // Rows [begin, end): photo (H, W, 3) = the blended image over the open water `behind` (H, W, 3) with the gain applied, and
@@ -106,13 +117,15 @@ API void photo_forward(int64_t begin, int64_t end, int64_t height, int64_t width
     }
 }
 
-// Rows [begin, end) of the gradients by the blended image, by alpha and by what is behind, and each row's sums (H, 6) of
-// those by the logs of the gains and the polynomial's coefficients. The gradient by the photo is `by_photo` (H, W, 3), if it
-// is not null, plus `absolute` sign(error) plus `square` error.
+// Rows [begin, end) of the gradients by the blended image, by alpha and by what is behind, and each row's sums (H, 7) of
+// those by the logs of the gains and the polynomial's coefficients, and of what Gaussians leave open of the surfaces seen
+// (losses.uncovered_surface), (1 - alpha) times how sure it is that the target shows a surface. The gradient by the photo is
+// `by_photo` (H, W, 3), if it is not null, plus `absolute` sign(error) plus `square` error; that by what is left open of
+// one pixel's surface is `open`.
 API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t width, const float *blended,
                         const float *transmittance, const float *behind, const float *gain_numbers, const uint8_t *valid,
                         const float *photo, const float *target, const float *by_photo, float absolute, float square,
-                        float *by_blended, float *by_alpha, float *by_behind, double *sums) {
+                        float open, float least, float most, float *by_blended, float *by_alpha, float *by_behind, double *sums) {
     const Gain gain(gain_numbers, height, width);
     for (int64_t y = begin; y < end; y++) {
         int64_t first = 3 * y * width, floats = 3 * width;
@@ -156,6 +169,14 @@ API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t widt
                 for (int c = 0; c < 3; c++) {
                     through_alpha -= by[c] * water[c];
                     by[c] *= T;
+                }
+                if (open) {
+                    load_rows(wanted + 3 * x, count, color);
+                    Vec surface = surface_seen(color, water, least, most);
+                    for (int l = 0; l < VW; l++)
+                        if (l >= count || !valid[pixel + l]) surface[l] = 0.f;
+                    through_alpha -= open * surface;
+                    total[3 + TERMS] += surface * T;
                 }
                 if (count == VW)
                     memcpy(by_alpha + pixel, &through_alpha, sizeof through_alpha);

@@ -90,7 +90,7 @@ class Recipe:
     grey_world_target: Literal["mean", "middle"] = "mean"
     """Grey of the restored image's own mean, or middle grey."""
     coverage: float = 0.0
-    """Weight of the term that makes surfaces opaque in front of open water, in stage two."""
+    """Weight of the term that makes surfaces opaque in front of open water."""
     smoothness: float = 0.0
     """Weight of the term that makes range smooth where the image is smooth."""
     smoothness_edges: Literal["image", "render"] = "image"
@@ -135,7 +135,7 @@ RECIPES: dict[str, Recipe] = {
         B_inf_rate=1e-2,
         stage_two_from=0.9,
         dropout=0.2,
-        coverage=0.01,
+        coverage=0.3,
     ),
     "3dgs": Recipe("Plain Gaussian splatting: the scene as photographed"),
     "seasplat": Recipe(

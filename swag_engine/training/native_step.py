@@ -21,7 +21,7 @@ from .densification import strategy_of
 from .dropout import opacity_factors
 from .effect_selection import EffectSelection
 from .inputs import RunInputs
-from .losses import uncovered_surface
+from .losses import LIKE_WATER, UNLIKE_WATER
 from .objective import Objective
 from .state import RunState
 from .step import AutogradStep, StepConfig, StepResult, update_parameters
@@ -61,10 +61,7 @@ class NativeStep:
             kernels, cloud, target.camera, config.sh_degree, medium, config.water_degree, state.effects.lamp, factors
         )
         weights = objective.photometric_weights(fraction)
-        loss, gradients = compare(kernels.library, image, state.effects, target, weights)
-        if (weight := objective.coverage_weight(fraction)) and image.behind is not None:
-            with part("losses"):
-                loss = loss + add_coverage(image, target, weight, gradients[1])
+        loss, gradients = compare(kernels.library, image, state.effects, target, weights, state.recipe.coverage)
         by_means2d = image.backward(*gradients, with_geometry=not config.stage_two)
         penalty = strategy_of(state.recipe).regularisation(cloud, self.inputs.median_range)
         if penalty is not None:
@@ -142,7 +139,12 @@ class Gain:
 
 
 def compare(
-    library: CpuLibrary, image: NativeImage, effects: SceneEffects, target: Target, weights: tuple[float, float, float]
+    library: CpuLibrary,
+    image: NativeImage,
+    effects: SceneEffects,
+    target: Target,
+    weights: tuple[float, float, float],
+    coverage: float,
 ) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
     """Compare the photo of a rendered image with its target, and set the gradients of the image effects.
 
@@ -152,6 +154,7 @@ def compare(
         effects: The effects that are modelled; their image effects make the photo.
         target: The training image.
         weights: Of L1, 1 - SSIM and L2, as `losses.photometric` has them.
+        coverage: Weight of `losses.uncovered_surface`, which counts where open water is modelled.
 
     Returns:
         The loss, a scalar, and its gradients by `image.blended`, by alpha and by `image.behind`.
@@ -177,22 +180,16 @@ def compare(
         with part("loss L1 and SSIM backward"):
             factors = 0.0, -ssim / count
             library.run("l1_ssim_backward", height, *size, photo, wanted, derivatives, *factors, by_photo)
-    by_blended, by_alpha, sums = torch.empty(*size, 3), torch.empty(size), doubles(height, 3 + TERMS)
+    by_blended, by_alpha, sums = torch.empty(*size, 3), torch.empty(size), doubles(height, 4 + TERMS)
     by_behind = torch.empty(0 if image.behind is None else (*size, 3))
     compared = valid, photo, wanted, by_photo, l1 / count, 2 * l2 / count
+    surface = coverage / valid.numel(), LIKE_WATER, UNLIKE_WATER
     with part("photo backward"):
-        library.run("photo_backward", height, *sources, *compared, by_blended, by_alpha, by_behind, sums)
-    gain.backward(sums.sum(0).float())
+        library.run("photo_backward", height, *sources, *compared, *surface, by_blended, by_alpha, by_behind, sums)
+    *by_gain, uncovered = sums.sum(0)
+    gain.backward(torch.stack(by_gain).float())
+    loss += surface[0] * float(uncovered)
     return torch.tensor(loss), (by_blended, by_alpha, by_behind)
-
-
-def add_coverage(image: NativeImage, target: Target, weight: float, by_alpha: Tensor) -> Tensor:
-    """Return the weighted loss of surfaces that are left open, and add its gradient to that by alpha in place."""
-    assert image.behind is not None
-    alpha = (1 - image.transmittance).requires_grad_()
-    loss = weight * uncovered_surface(alpha, target.color, image.behind, target.valid)
-    by_alpha += torch.autograd.grad(loss, alpha)[0]
-    return loss.detach()
 
 
 def doubles(*size: int) -> Tensor:

@@ -47,7 +47,7 @@ class Objective:
         return self.recipe.grey_world > 0 and medium is not None and not self.in_stage_two(fraction)
 
     def is_photometric(self, target: Target, medium: Medium | WaterNetwork | None, fraction: float) -> bool:
-        """Return whether a target's loss is `photometric` with equal weights, and `coverage_weight` times coverage."""
+        """Return whether a target's loss is `photometric` with equal weights and `uncovered_surface`."""
         recipe = self.recipe
         if target.interpolated or target.emphasis is not None or recipe.relative or recipe.open_water:
             return False
@@ -55,10 +55,6 @@ class Objective:
         consistency = recipe.range_consistency and isinstance(medium, WaterNetwork)
         others = self.needs_range(target, fraction) or self.needs_restored(medium, fraction) or hinge or consistency
         return self.in_stage_two(fraction) or not others
-
-    def coverage_weight(self, fraction: float) -> float:
-        """Return the weight of surfaces that Gaussians leave open, `fraction` (0..1) of the way through the run."""
-        return self.recipe.coverage if self.in_stage_two(fraction) else 0.0
 
     def photometric_weights(self, fraction: float) -> tuple[float, float, float]:
         """Return the weights of L1, 1 - SSIM and L2, `fraction` (0..1) of the way through the run."""
@@ -100,8 +96,8 @@ class Objective:
         loss = self.reconstruction(picture.color, target, fraction)
         if target.interpolated:
             return target.weight * loss
-        if (weight := self.coverage_weight(fraction)) and picture.behind is not None:
-            loss = loss + weight * uncovered_surface(picture.alpha, target.color, picture.behind, target.valid)
+        if recipe.coverage and picture.behind is not None:
+            loss = loss + recipe.coverage * uncovered_surface(picture.alpha, target.color, picture.behind, target.valid)
         if two:
             return loss
         if "depth_prior" in recipe.effects and target.inverse_range is not None and picture.range is not None:
