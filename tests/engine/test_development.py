@@ -155,12 +155,21 @@ def scene(cast, gain, neutral):
 
 def test_grey_parts_give_the_white_point_and_bright_ones_the_exposure():
     cast = 2.0 ** np.array([-0.2, 0.0, 0.25])
-    development, neutral = find_development(scene(cast, 0.5, 0.2), np.ones(5000))
+    development, neutral = find_development(scene(cast, 0.25, 0.2), np.ones(5000))
     assert neutral > 0.05 and 0.5 < development.exposure < 1.5
     grey = srgb_to_linear(development.apply(linear_to_srgb(0.3 * cast)))
     np.testing.assert_allclose(grey / grey.mean(), 1, atol=0.03)
     without, neutral = find_development(scene(cast, 0.5, 0.0), np.ones(5000))
     assert neutral < 0.02 and without.white == (1.0, 1.0, 1.0)
+
+
+def test_exposure_is_raised_until_the_bright_parts_or_the_median_are_bright_enough():
+    without_bright_parts = np.full((1000, 3), 0.06)
+    with_few = without_bright_parts.copy()
+    with_few[:50] = 0.4
+    for light, expected in ((without_bright_parts, 0.13 / 0.06), (with_few, 0.8 / 0.4), (without_bright_parts * 3, 1)):
+        development, _ = find_development(linear_to_srgb(light), np.ones(1000))
+        assert 2**development.exposure == pytest.approx(expected, rel=0.01)
 
 
 def test_at_most_one_percent_is_clipped_however_bright_the_colors_are():
