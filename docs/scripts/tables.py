@@ -881,7 +881,8 @@ def readme_colors() -> str:
     sentences = (
         f"Without water, the test views of the demo differ from the truth by delta E {errors['ours']:.1f}; as "
         f"photographed, by {errors['photo']:.1f}. [Colors](docs/colors.md) has other scenes and other methods; some "
-        f"are nearer to the truth. [Accuracy and time](docs/accuracy.md) has all figures and the commands that repeat them."
+        "are nearer to the truth. [Accuracy and time](docs/accuracy.md) has all figures and the commands that repeat "
+        "them."
     )
     return fill(sentences, 120, break_long_words=False, break_on_hyphens=False)
 
