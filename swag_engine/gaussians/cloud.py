@@ -100,6 +100,19 @@ class GaussianCloud:
             (N, 3) display values.
         """
         directions = torch.nn.functional.normalize(self.means.detach() - camera_centre, dim=-1)
+        return self.colors_along(directions, degree, backend)
+
+    def colors_along(self, directions: Tensor, degree: int, backend: str = "auto") -> Tensor:
+        """Evaluate the colors seen in given directions.
+
+        Args:
+            directions: (N, 3) unit vectors from the camera to the Gaussians.
+            degree: SH degree that is used, where the cloud has as many.
+            backend: What computes, as in `kernels_for`.
+
+        Returns:
+            (N, 3) display values.
+        """
         degree = min(degree, isqrt(1 + self.shN.shape[1]) - 1)
         return evaluate_sh(self.sh0, self.shN, directions, degree, backend)
 

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..base.camera_kind import CameraKind
 from ..base.timing import part
 from . import elementwise
 from .cpu_library import CpuLibrary, load_library
@@ -76,10 +77,11 @@ class CpuKernels:
         K: Tensor,
         width: int,
         height: int,
+        kind: CameraKind = "perspective",
     ) -> Projection:
         """See `Kernels.project`."""
         gaussians = means, quats, scales, opacities, channels
-        return elementwise.project(self.library.run, torch.float32, *gaussians, viewmat, K, width, height)
+        return elementwise.project(self.library.run, torch.float32, *gaussians, viewmat, K, width, height, kind)
 
     def blend(
         self, projected: Projection, opacities: Tensor, channels: Tensor, background: Tensor, width: int, height: int

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..base.camera_kind import CameraKind
 from ..base.timing import part
 from . import elementwise
 from .cuda_driver import Argument, CudaUnavailable, Driver, Launcher
@@ -135,10 +136,11 @@ class CudaKernels:
         K: Tensor,
         width: int,
         height: int,
+        kind: CameraKind = "perspective",
     ) -> Projection:
         """See `Kernels.project`."""
         gaussians = means, quats, scales, opacities, channels
-        return elementwise.project(self.run_each, torch.float64, *gaussians, viewmat, K, width, height)
+        return elementwise.project(self.run_each, torch.float64, *gaussians, viewmat, K, width, height, kind)
 
     def tile_pairs(self, projected: Projection, opacities: Tensor, width: int, height: int) -> TilePairs:
         """List the Gaussians of each tile in depth order.

@@ -9,11 +9,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..base.camera_kind import CameraKind
 from ..base.timing import part
 from .protocol import Projection
 from .reference.kernels import REFERENCE
 
 Run = Callable[..., None]
+KERNELS: dict[CameraKind, str] = {"perspective": "project", "orthographic": "project_orthographic"}
+"""First part of the names of the kernels that project Gaussians, by the kind of camera."""
 
 
 class _Project(torch.autograd.Function):
@@ -30,6 +33,7 @@ class _Project(torch.autograd.Function):
         K: Tensor,
         width: int,
         height: int,
+        kind: CameraKind,
         run: Run,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         n = len(means)
@@ -37,9 +41,10 @@ class _Project(torch.autograd.Function):
         means2d, conics, depths, radii = (means.new_empty(n, *shape) for shape in ((2,), (3,), (), ()))
         limits = opacities.contiguous(), channels.contiguous()
         inputs = width, height, channels.shape[1], viewmat, K, means, quats, scales, *limits
-        run("project_forward", n, *inputs, means2d, conics, depths, radii)
+        kernel = KERNELS[kind]
+        run(f"{kernel}_forward", n, *inputs, means2d, conics, depths, radii)
         ctx.save_for_backward(viewmat, K, means, quats, scales, radii)
-        ctx.size, ctx.run = (width, height), run
+        ctx.size, ctx.kernel, ctx.run = (width, height), kernel, run
         ctx.mark_non_differentiable(depths, radii)
         return means2d, conics, depths, radii
 
@@ -50,8 +55,8 @@ class _Project(torch.autograd.Function):
         saved = ctx.saved_tensors
         results = [torch.empty_like(tensor) for tensor in saved[2:5]]
         incoming = by_means2d.contiguous(), by_conics.contiguous()
-        ctx.run("project_backward", len(results[0]), *ctx.size, *saved, *incoming, *results)
-        return *results, None, None, None, None, None, None, None
+        ctx.run(f"{ctx.kernel}_backward", len(results[0]), *ctx.size, *saved, *incoming, *results)
+        return *results, None, None, None, None, None, None, None, None
 
 
 def project(
@@ -66,6 +71,7 @@ def project(
     K: Tensor,
     width: int,
     height: int,
+    kind: CameraKind,
 ) -> Projection:
     """Project Gaussians by a native kernel, or by torch where a gradient by the camera is needed.
 
@@ -81,14 +87,15 @@ def project(
         K: (3, 3) intrinsics, pixels.
         width: Width of the image, pixels.
         height: Height of the image, pixels.
+        kind: The kind of camera.
 
     Returns:
         The projected Gaussians, as `Kernels.project` describes them.
     """
     if viewmat.requires_grad or K.requires_grad:
-        return REFERENCE.project(means, quats, scales, opacities, channels, viewmat, K, width, height)
+        return REFERENCE.project(means, quats, scales, opacities, channels, viewmat, K, width, height, kind)
     viewmat = viewmat.to(camera_dtype)
-    return Projection(*_Project.apply(means, quats, scales, opacities, channels, viewmat, K, width, height, run))
+    return Projection(*_Project.apply(means, quats, scales, opacities, channels, viewmat, K, width, height, kind, run))
 
 
 class _Colors(torch.autograd.Function):

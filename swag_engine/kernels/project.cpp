@@ -1,5 +1,6 @@
 // 3D Gaussians to 2D Gaussians, forward and backward, with the formulas of reference/projection.py: LANES Gaussians at a
-// time, in double so that needles and distant cameras keep their digits.
+// time, in double so that needles and distant cameras keep their digits. What differs between perspective and orthographic
+// cameras is chosen when this is compiled.
 #include "simd.h"
 
 #include <math.h>
@@ -80,9 +81,10 @@ struct Camera {
 };
 
 // Gaussians as the camera sees them, with what the backward pass needs again.
+template <bool ORTHOGRAPHIC>
 struct Projected {
     Truth in_front;              // of the near plane, and finite; the other values count only there
-    Real z, u, v;                // u = x/z, v = y/z
+    Real z, u, v;                // u = x/z, v = y/z; orthographic: u = x, v = y
     Truth u_held, v_held;        // beyond the guard band
     Real row[2][3];              // J R
     Real inverse_norm, w, x, y, q;  // of the quaternion; unit w, x, y, q (for z)
@@ -102,14 +104,19 @@ struct Projected {
         in_front = (p[2] > NEAR) & finite(p[0] + p[1] + p[2] + scale[0] + scale[1] + scale[2]) & finite(norm);
         if (!any(in_front)) return false;
         z = select(in_front, p[2], real(1));
-        u = p[0] / z, v = p[1] / z;
-        Real held_u = smaller(larger(u, real(camera.left)), real(camera.right));
-        Real held_v = smaller(larger(v, real(camera.top)), real(camera.bottom));
-        u_held = held_u != u, v_held = held_v != v;
-        Real fx = camera.fx / z, fy = camera.fy / z;
-        for (int i = 0; i < 3; i++) {
-            row[0][i] = fx * (camera.r[0][i] - held_u * camera.r[2][i]);
-            row[1][i] = fy * (camera.r[1][i] - held_v * camera.r[2][i]);
+        if constexpr (ORTHOGRAPHIC) {
+            u = p[0], v = p[1];
+            for (int i = 0; i < 3; i++) row[0][i] = real(camera.fx * camera.r[0][i]), row[1][i] = real(camera.fy * camera.r[1][i]);
+        } else {
+            u = p[0] / z, v = p[1] / z;
+            Real held_u = smaller(larger(u, real(camera.left)), real(camera.right));
+            Real held_v = smaller(larger(v, real(camera.top)), real(camera.bottom));
+            u_held = held_u != u, v_held = held_v != v;
+            Real fx = camera.fx / z, fy = camera.fy / z;
+            for (int i = 0; i < 3; i++) {
+                row[0][i] = fx * (camera.r[0][i] - held_u * camera.r[2][i]);
+                row[1][i] = fy * (camera.r[1][i] - held_v * camera.r[2][i]);
+            }
         }
         inverse_norm = 1. / root(larger(norm, real(1e-12)));
         w = quat[0] * inverse_norm, x = quat[1] * inverse_norm, y = quat[2] * inverse_norm, q = quat[3] * inverse_norm;
@@ -118,7 +125,7 @@ struct Projected {
         axis[2][0] = 2. * (x * q + w * y), axis[2][1] = 2. * (y * q - w * x), axis[2][2] = 1. - 2. * (x * x + y * y);
         Real m[2][3];
         for (int k = 0; k < 3; k++) {
-            sigma[k] = smaller(scale[k], camera.max_sigma * z);
+            sigma[k] = smaller(scale[k], ORTHOGRAPHIC ? real(camera.max_sigma) : camera.max_sigma * z);
             for (int d = 0; d < 2; d++) {
                 along[d][k] = row[d][0] * axis[k][0] + row[d][1] * axis[k][1] + row[d][2] * axis[k][2];
                 m[d][k] = along[d][k] * sigma[k];
@@ -153,17 +160,14 @@ inline Truth finite_channels(const float *channels, int64_t channel_count, int c
     return finite(total);
 }
 
-}  // namespace
-
-// Gaussians [begin, end): means2d (N, 2), conics (N, 3), depths (N,), radii (N,); zeros where nothing is to be drawn.
-API void project_forward(int64_t begin, int64_t end, int64_t width, int64_t height, int64_t channel_count,
-                         const float *viewmat, const float *K, const float *means, const float *quats,
-                         const float *scales, const float *opacities, const float *channels, float *means2d,
-                         float *conics, float *depths, float *radii) {
+template <bool ORTHOGRAPHIC>
+void forward(int64_t begin, int64_t end, int64_t width, int64_t height, int64_t channel_count, const float *viewmat,
+             const float *K, const float *means, const float *quats, const float *scales, const float *opacities,
+             const float *channels, float *means2d, float *conics, float *depths, float *radii) {
     const Camera camera(viewmat, K, width, height);
     for (int64_t i = begin; i < end; i += LANES) {
         int count = (int)smaller<int64_t>(LANES, end - i);
-        Projected p;
+        Projected<ORTHOGRAPHIC> p;
         Real extent = extents(opacities + i, count), center[2] = {}, conic[3] = {}, radius = {};
         Truth drawn = (extent > 0.) & (extent < MAX_EXTENT) & finite_channels(channels + i * channel_count, channel_count, count);
         if (p.from(camera, count, means + 3 * i, quats + 4 * i, scales + 3 * i)) {
@@ -184,15 +188,14 @@ API void project_forward(int64_t begin, int64_t end, int64_t width, int64_t heig
     }
 }
 
-// From gradients by means2d and conics to those by means (N, 3), quats (N, 4) and scales (N, 3).
-API void project_backward(int64_t begin, int64_t end, int64_t width, int64_t height, const float *viewmat, const float *K,
-                          const float *means, const float *quats, const float *scales, const float *radii,
-                          const float *by_means2d, const float *by_conics, float *by_means, float *by_quats,
-                          float *by_scales) {
+template <bool ORTHOGRAPHIC>
+void backward(int64_t begin, int64_t end, int64_t width, int64_t height, const float *viewmat, const float *K,
+              const float *means, const float *quats, const float *scales, const float *radii, const float *by_means2d,
+              const float *by_conics, float *by_means, float *by_quats, float *by_scales) {
     const Camera camera(viewmat, K, width, height);
     for (int64_t i = begin; i < end; i += LANES) {
         int count = (int)smaller<int64_t>(LANES, end - i);
-        Projected p;
+        Projected<ORTHOGRAPHIC> p;
         Real radius, by_center[2], by_conic[3], by_mean[3] = {}, by_quat[4] = {}, by_scale[3] = {};
         load<1>(radii + i, count, &radius);
         Truth drawn = radius > 0.;
@@ -222,17 +225,21 @@ API void project_backward(int64_t begin, int64_t end, int64_t width, int64_t hei
             }
         }
 
-        Real per_z = 1. / p.z, by_u = camera.fx * by_center[0], by_v = camera.fy * by_center[1];
-        Real by_z = -(by_u * p.u + by_v * p.v);
-        for (int j = 0; j < 3; j++) {
-            Real held_u = masked(~p.u_held, -camera.fx * camera.r[2][j] * per_z * by_row[0][j]);
-            Real held_v = masked(~p.v_held, -camera.fy * camera.r[2][j] * per_z * by_row[1][j]);
-            by_u += held_u;
-            by_v += held_v;
-            by_z -= by_row[0][j] * p.row[0][j] + by_row[1][j] * p.row[1][j] + held_u * p.u + held_v * p.v;
+        Real by_u = camera.fx * by_center[0], by_v = camera.fy * by_center[1];
+        if constexpr (ORTHOGRAPHIC) {  // the covariance does not depend on the place
+            for (int j = 0; j < 3; j++) by_mean[j] = by_u * camera.r[0][j] + by_v * camera.r[1][j];
+        } else {
+            Real per_z = 1. / p.z, by_z = -(by_u * p.u + by_v * p.v);
+            for (int j = 0; j < 3; j++) {
+                Real held_u = masked(~p.u_held, -camera.fx * camera.r[2][j] * per_z * by_row[0][j]);
+                Real held_v = masked(~p.v_held, -camera.fy * camera.r[2][j] * per_z * by_row[1][j]);
+                by_u += held_u;
+                by_v += held_v;
+                by_z -= by_row[0][j] * p.row[0][j] + by_row[1][j] * p.row[1][j] + held_u * p.u + held_v * p.v;
+            }
+            for (int j = 0; j < 3; j++)
+                by_mean[j] = (by_u * camera.r[0][j] + by_v * camera.r[1][j] + by_z * camera.r[2][j]) * per_z;
         }
-        for (int j = 0; j < 3; j++)
-            by_mean[j] = (by_u * camera.r[0][j] + by_v * camera.r[1][j] + by_z * camera.r[2][j]) * per_z;
 
         // s(i, j) and d(i, j): sums and differences of the gradient by the rotation matrix's entries (row, column).
         auto s = [&](int a, int b) { return by_axis[b][a] + by_axis[a][b]; };
@@ -251,4 +258,42 @@ API void project_backward(int64_t begin, int64_t end, int64_t width, int64_t hei
         store<4>(by_quat, drawn, count, by_quats + 4 * i);
         store<3>(by_scale, drawn, count, by_scales + 3 * i);
     }
+}
+
+}  // namespace
+
+// Gaussians [begin, end): means2d (N, 2), conics (N, 3), depths (N,), radii (N,); zeros where nothing is to be drawn.
+API void project_forward(int64_t begin, int64_t end, int64_t width, int64_t height, int64_t channel_count,
+                         const float *viewmat, const float *K, const float *means, const float *quats,
+                         const float *scales, const float *opacities, const float *channels, float *means2d,
+                         float *conics, float *depths, float *radii) {
+    forward<false>(begin, end, width, height, channel_count, viewmat, K, means, quats, scales, opacities, channels, means2d,
+                   conics, depths, radii);
+}
+
+// The same for an orthographic camera.
+API void project_orthographic_forward(int64_t begin, int64_t end, int64_t width, int64_t height, int64_t channel_count,
+                                      const float *viewmat, const float *K, const float *means, const float *quats,
+                                      const float *scales, const float *opacities, const float *channels,
+                                      float *means2d, float *conics, float *depths, float *radii) {
+    forward<true>(begin, end, width, height, channel_count, viewmat, K, means, quats, scales, opacities, channels, means2d,
+                  conics, depths, radii);
+}
+
+// From gradients by means2d and conics to those by means (N, 3), quats (N, 4) and scales (N, 3).
+API void project_backward(int64_t begin, int64_t end, int64_t width, int64_t height, const float *viewmat, const float *K,
+                          const float *means, const float *quats, const float *scales, const float *radii,
+                          const float *by_means2d, const float *by_conics, float *by_means, float *by_quats,
+                          float *by_scales) {
+    backward<false>(begin, end, width, height, viewmat, K, means, quats, scales, radii, by_means2d, by_conics, by_means,
+                    by_quats, by_scales);
+}
+
+// The same for an orthographic camera.
+API void project_orthographic_backward(int64_t begin, int64_t end, int64_t width, int64_t height, const float *viewmat,
+                                       const float *K, const float *means, const float *quats, const float *scales,
+                                       const float *radii, const float *by_means2d, const float *by_conics,
+                                       float *by_means, float *by_quats, float *by_scales) {
+    backward<true>(begin, end, width, height, viewmat, K, means, quats, scales, radii, by_means2d, by_conics, by_means,
+                   by_quats, by_scales);
 }

@@ -1,6 +1,7 @@
 // 3D Gaussians to 2D Gaussians, forward and backward, with the formulas of reference/projection.py: one thread per
 // Gaussian. Double is slow on consumer cards, so only what would lose digits in float has it: camera coordinates (distant
-// origins) and, for needles, the covariance, its determinant and their gradients.
+// origins) and, for needles, the covariance, its determinant and their gradients. What differs between perspective and
+// orthographic cameras is chosen when this is compiled.
 #include "common.cuh"
 
 // As in reference/projection.py, which has the reasons.
@@ -26,8 +27,9 @@ struct Camera {
 };
 
 // One Gaussian as the camera sees it, with what the backward pass needs again.
+template <bool ORTHOGRAPHIC>
 struct Projected {
-    float z, u, v;                   // u = x/z, v = y/z
+    float z, u, v;                   // u = x/z, v = y/z; orthographic: u = x, v = y
     bool u_held, v_held;             // beyond the guard band
     float row[2][3];                 // J R
     float inverse_norm, w, x, y, q;  // of the quaternion; unit w, x, y, q (for z)
@@ -51,12 +53,18 @@ struct Projected {
             largest = fmaxf(largest, fabsf(quat[i]));
         }
         if (!(z > NEAR && zero == 0)) return false;
-        u = p[0] / z, v = p[1] / z;
-        float held_u = fminf(fmaxf(u, camera.left), camera.right), held_v = fminf(fmaxf(v, camera.top), camera.bottom);
-        u_held = held_u != u, v_held = held_v != v;
-        for (int i = 0; i < 3; i++) {
-            row[0][i] = camera.fx / z * (camera.r[0][i] - held_u * camera.r[2][i]);
-            row[1][i] = camera.fy / z * (camera.r[1][i] - held_v * camera.r[2][i]);
+        if constexpr (ORTHOGRAPHIC) {
+            u = p[0], v = p[1];
+            for (int i = 0; i < 3; i++) row[0][i] = camera.fx * camera.r[0][i], row[1][i] = camera.fy * camera.r[1][i];
+        } else {
+            u = p[0] / z, v = p[1] / z;
+            float held_u = fminf(fmaxf(u, camera.left), camera.right);
+            float held_v = fminf(fmaxf(v, camera.top), camera.bottom);
+            u_held = held_u != u, v_held = held_v != v;
+            for (int i = 0; i < 3; i++) {
+                row[0][i] = camera.fx / z * (camera.r[0][i] - held_u * camera.r[2][i]);
+                row[1][i] = camera.fy / z * (camera.r[1][i] - held_v * camera.r[2][i]);
+            }
         }
         float shrink = largest > 1e15f ? 1e-20f : 1.f;  // so that the squares stay below infinity
         w = quat[0] * shrink, x = quat[1] * shrink, y = quat[2] * shrink, q = quat[3] * shrink;
@@ -68,7 +76,7 @@ struct Projected {
         axis[2][0] = 2 * (x * q + w * y), axis[2][1] = 2 * (y * q - w * x), axis[2][2] = 1 - 2 * (x * x + y * y);
         double m[2][3];
         for (int k = 0; k < 3; k++) {
-            sigma[k] = fminf(scale[k], camera.max_sigma * z);
+            sigma[k] = fminf(scale[k], ORTHOGRAPHIC ? camera.max_sigma : camera.max_sigma * z);
             for (int d = 0; d < 2; d++) {
                 along[d][k] = row[d][0] * axis[k][0] + row[d][1] * axis[k][1] + row[d][2] * axis[k][2];
                 m[d][k] = along[d][k] * sigma[k];
@@ -87,16 +95,15 @@ struct Projected {
     }
 };
 
-// Of n Gaussians: means2d (N, 2), conics (N, 3), depths (N,), radii (N,); zeros where nothing is to be drawn. viewmat
-// is double.
-KERNEL(3)
-project_forward(Index n, Index width, Index height, Index channel_count, const double *viewmat, const float *K,
-                const float *means, const float *quats, const float *scales, const float *opacities,
-                const float *channels, float *means2d, float *conics, float *depths, float *radii) {
+template <bool ORTHOGRAPHIC>
+__device__ inline void project_one(Index n, Index width, Index height, Index channel_count, const double *viewmat,
+                                   const float *K, const float *means, const float *quats, const float *scales,
+                                   const float *opacities, const float *channels, float *means2d, float *conics,
+                                   float *depths, float *radii) {
     Index i = thread_index();
     if (i >= n) return;
     const Camera camera(viewmat, K, width, height);
-    Projected p;
+    Projected<ORTHOGRAPHIC> p;
     float extent = opacities[i] > 0 ? 2 * logf(255 * opacities[i]) : 0, zero = 0;
     for (Index c = 0; c < channel_count; c++) zero += 0.f * channels[i * channel_count + c];
     bool drawn =
@@ -118,15 +125,15 @@ project_forward(Index n, Index width, Index height, Index channel_count, const d
     radii[i] = drawn ? radius : 0;
 }
 
-// From gradients by means2d and conics to those by means (N, 3), quats (N, 4) and scales (N, 3).
-KERNEL(3)
-project_backward(Index n, Index width, Index height, const double *viewmat, const float *K, const float *means,
-                 const float *quats, const float *scales, const float *radii, const float *by_means2d,
-                 const float *by_conics, float *by_means, float *by_quats, float *by_scales) {
+template <bool ORTHOGRAPHIC>
+__device__ inline void project_one_backward(Index n, Index width, Index height, const double *viewmat, const float *K,
+                                            const float *means, const float *quats, const float *scales,
+                                            const float *radii, const float *by_means2d, const float *by_conics,
+                                            float *by_means, float *by_quats, float *by_scales) {
     Index i = thread_index();
     if (i >= n) return;
     const Camera camera(viewmat, K, width, height);
-    Projected p;
+    Projected<ORTHOGRAPHIC> p;
     if (!(radii[i] > 0 && p.from(camera, means + 3 * i, quats + 4 * i, scales + 3 * i))) {
         for (int k = 0; k < 3; k++) by_means[3 * i + k] = by_scales[3 * i + k] = 0;
         for (int k = 0; k < 4; k++) by_quats[4 * i + k] = 0;
@@ -152,22 +159,26 @@ project_backward(Index n, Index width, Index height, const double *viewmat, cons
     }
 
     float by_u = camera.fx * by_means2d[2 * i], by_v = camera.fy * by_means2d[2 * i + 1];
-    float by_z = -(by_u * p.u + by_v * p.v) / p.z;
-    for (int j = 0; j < 3; j++) {
-        by_z -= (by_row[0][j] * p.row[0][j] + by_row[1][j] * p.row[1][j]) / p.z;
-        if (!p.u_held) {
-            float held = -camera.fx / p.z * by_row[0][j] * camera.r[2][j];
-            by_u += held;
-            by_z -= held * p.u / p.z;
+    if constexpr (ORTHOGRAPHIC) {  // the covariance does not depend on the place
+        for (int j = 0; j < 3; j++) by_means[3 * i + j] = by_u * camera.r[0][j] + by_v * camera.r[1][j];
+    } else {
+        float by_z = -(by_u * p.u + by_v * p.v) / p.z;
+        for (int j = 0; j < 3; j++) {
+            by_z -= (by_row[0][j] * p.row[0][j] + by_row[1][j] * p.row[1][j]) / p.z;
+            if (!p.u_held) {
+                float held = -camera.fx / p.z * by_row[0][j] * camera.r[2][j];
+                by_u += held;
+                by_z -= held * p.u / p.z;
+            }
+            if (!p.v_held) {
+                float held = -camera.fy / p.z * by_row[1][j] * camera.r[2][j];
+                by_v += held;
+                by_z -= held * p.v / p.z;
+            }
         }
-        if (!p.v_held) {
-            float held = -camera.fy / p.z * by_row[1][j] * camera.r[2][j];
-            by_v += held;
-            by_z -= held * p.v / p.z;
-        }
+        for (int j = 0; j < 3; j++)
+            by_means[3 * i + j] = (by_u * camera.r[0][j] + by_v * camera.r[1][j]) / p.z + by_z * camera.r[2][j];
     }
-    for (int j = 0; j < 3; j++)
-        by_means[3 * i + j] = (by_u * camera.r[0][j] + by_v * camera.r[1][j]) / p.z + by_z * camera.r[2][j];
 
     // s(i, j) and d(i, j): sums and differences of the gradient by the rotation matrix's entries (row, column).
     auto s = [&](int a, int b) { return by_axis[b][a] + by_axis[a][b]; };
@@ -182,4 +193,41 @@ project_backward(Index n, Index width, Index height, const double *viewmat, cons
     by_quats[4 * i + 1] = p.inverse_norm * (gx - radial * p.x);
     by_quats[4 * i + 2] = p.inverse_norm * (gy - radial * p.y);
     by_quats[4 * i + 3] = p.inverse_norm * (gq - radial * p.q);
+}
+
+// Of n Gaussians: means2d (N, 2), conics (N, 3), depths (N,), radii (N,); zeros where nothing is to be drawn. viewmat
+// is double.
+KERNEL(3)
+project_forward(Index n, Index width, Index height, Index channel_count, const double *viewmat, const float *K,
+                const float *means, const float *quats, const float *scales, const float *opacities,
+                const float *channels, float *means2d, float *conics, float *depths, float *radii) {
+    project_one<false>(n, width, height, channel_count, viewmat, K, means, quats, scales, opacities, channels, means2d,
+                        conics, depths, radii);
+}
+
+// The same for an orthographic camera.
+KERNEL(3)
+project_orthographic_forward(Index n, Index width, Index height, Index channel_count, const double *viewmat, const float *K,
+                             const float *means, const float *quats, const float *scales, const float *opacities,
+                             const float *channels, float *means2d, float *conics, float *depths, float *radii) {
+    project_one<true>(n, width, height, channel_count, viewmat, K, means, quats, scales, opacities, channels, means2d,
+                       conics, depths, radii);
+}
+
+// From gradients by means2d and conics to those by means (N, 3), quats (N, 4) and scales (N, 3).
+KERNEL(3)
+project_backward(Index n, Index width, Index height, const double *viewmat, const float *K, const float *means,
+                 const float *quats, const float *scales, const float *radii, const float *by_means2d,
+                 const float *by_conics, float *by_means, float *by_quats, float *by_scales) {
+    project_one_backward<false>(n, width, height, viewmat, K, means, quats, scales, radii, by_means2d, by_conics, by_means,
+                                 by_quats, by_scales);
+}
+
+// The same for an orthographic camera.
+KERNEL(3)
+project_orthographic_backward(Index n, Index width, Index height, const double *viewmat, const float *K, const float *means,
+                              const float *quats, const float *scales, const float *radii, const float *by_means2d,
+                              const float *by_conics, float *by_means, float *by_quats, float *by_scales) {
+    project_one_backward<true>(n, width, height, viewmat, K, means, quats, scales, radii, by_means2d, by_conics, by_means,
+                                by_quats, by_scales);
 }

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from ..base.camera_kind import CameraKind
 from ..base.errors import InputError
 
 MAX_PAIRS = 2**27
@@ -80,11 +81,13 @@ class Kernels(Protocol):
         K: Tensor,
         width: int,
         height: int,
+        kind: CameraKind = "perspective",
     ) -> Projection:
         """Project 3D Gaussians to 2D Gaussians on the image plane (EWA splatting, Zwicker et al. 2001).
 
         Gaussians behind the near plane, off screen, with alpha below 1/255 everywhere or with values that are not
-        finite get radius 0 and no gradient. The camera is a pinhole; the projection is linearised at the centre.
+        finite get radius 0 and no gradient. The projection of a perspective camera is linearised at the centre; that
+        of an orthographic one is exact.
 
         Args:
             means: (N, 3) centres, scene units.
@@ -96,6 +99,7 @@ class Kernels(Protocol):
             K: (3, 3) intrinsics, pixels.
             width: Width of the image, pixels.
             height: Height of the image, pixels.
+            kind: The kind of camera; for an orthographic one fx and fy in K are pixels per scene unit.
 
         Returns:
             The projected Gaussians, differentiable in means, quats, scales and the camera; depths without gradient in

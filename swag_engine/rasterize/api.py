@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..base.camera_kind import CameraKind
 from ..kernels.backends import kernels_for
 
 MAX_SCORED = 8
@@ -40,6 +41,7 @@ def rasterize(
     height: int,
     background: Tensor,
     backend: str = "auto",
+    kind: CameraKind = "perspective",
 ) -> Rendering:
     """Render Gaussians with any number of channels.
 
@@ -58,6 +60,7 @@ def rasterize(
         height: Height of the image, pixels.
         background: (C,) values behind all Gaussians.
         backend: What computes, as in `kernels_for`.
+        kind: The kind of camera, as in `Kernels.project`.
 
     Returns:
         The image, with gradients by the five tensors of the Gaussians, by the camera and by the background.
@@ -69,7 +72,7 @@ def rasterize(
     """
     _check(means, quats, scales, opacities, channels, viewmat, K, width, height, background)
     kernels = kernels_for(backend, means)
-    projected = kernels.project(means, quats, scales, opacities, channels, viewmat, K, width, height)
+    projected = kernels.project(means, quats, scales, opacities, channels, viewmat, K, width, height, kind)
     if projected.means2d.requires_grad:
         projected.means2d.retain_grad()
     blended, alpha = kernels.blend(projected, opacities, channels, background, width, height)
@@ -110,6 +113,7 @@ def contributions(
     weights: Tensor | None = None,
     image_gradient: Tensor | None = None,
     backend: str = "auto",
+    kind: CameraKind = "perspective",
 ) -> Contributions:
     """Sum what each Gaussian does to the image that `rasterize` makes of the same arguments, in one pass over it.
 
@@ -127,6 +131,7 @@ def contributions(
         weights: (H, W, R) images that the sums of T alpha are weighted with; none by default.
         image_gradient: (H, W, C) gradient of a loss by the channels; 0 by default.
         backend: What computes, as in `kernels_for`.
+        kind: The kind of camera, as in `Kernels.project`.
 
     Returns:
         The sums.
@@ -148,7 +153,7 @@ def contributions(
     }
     _check_tensors(images, means)
     kernels = kernels_for(backend, means)
-    projected = kernels.project(means, quats, scales, opacities, channels, viewmat, K, width, height)
+    projected = kernels.project(means, quats, scales, opacities, channels, viewmat, K, width, height, kind)
     sums = kernels.contributions(projected, opacities, channels, background, width, height, weights, image_gradient)
     return Contributions(*sums)
 

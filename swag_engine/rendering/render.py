@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ..base.camera_kind import CameraKind
 from ..effects.lamp import Lamp, lit
 from ..gaussians.cloud import GaussianCloud
 from ..rasterize.api import Rendering, rasterize
@@ -25,10 +26,11 @@ class Picture:
     Attributes:
         color: (H, W, 3) display values.
         alpha: (H, W) in 0..1.
-        range: (H, W) Euclidean distance to the camera in scene units, alpha-weighted and normalised, 0 where alpha is
-            0; None unless asked for.
+        range: (H, W) Euclidean distance to the camera (orthographic: depth) in scene units, alpha-weighted and
+            normalised, 0 where alpha is 0; None unless asked for.
         restored: (H, W, 3) the same image without water and lamp, black where nothing is; None unless asked for.
-        offsets: (N, 3) from the camera to the Gaussians, scene units, without a gradient.
+        offsets: (N, 3) from the camera to the Gaussians (orthographic: along the optical axis only), scene units,
+            without a gradient.
         rendering: What the rasteriser returned.
         behind: (H, W, 3) display color of open water in each pixel's direction; None where it is not rendered.
     """
@@ -59,7 +61,8 @@ def render(
     """Render a cloud as a camera sees it, in the cloud's dtype; differentiable.
 
     No gradient flows from color to position through the range: it would push Gaussians along rays to correct their
-    colors.
+    colors. All of an orthographic camera's rays have the direction of its optical axis; range and water then count from
+    the plane of its centre.
 
     Args:
         cloud: The Gaussians, without water.
@@ -83,8 +86,13 @@ def render(
     centre, viewmat, intrinsics = (
         torch.from_numpy(array).to(cloud.means) for array in (camera.centre, camera.world_to_camera, camera.K)
     )
-    offsets = (cloud.means.detach() - centre).clamp(-FARTHEST, FARTHEST)
-    colors = channels = cloud.colors(centre, sh_degree, backend)
+    offsets = _offsets(cloud.means, centre, viewmat, camera.kind)
+    ranges = offsets.norm(dim=-1, keepdim=True) if with_range else None
+    offsets = offsets.detach().clamp(-FARTHEST, FARTHEST)
+    if camera.kind == "orthographic":
+        colors = channels = cloud.colors_along(viewmat[2, :3].expand_as(cloud.means), sh_degree, backend)
+    else:
+        colors = channels = cloud.colors(centre, sh_degree, backend)
     background = cloud.background.sigmoid() if with_background else torch.zeros_like(cloud.background)
     has_background_light = isinstance(medium, Medium) and medium.background_sh is not None
     if lamp is not None:
@@ -100,8 +108,8 @@ def render(
     if with_restored:
         channels = torch.cat([channels, colors], dim=-1)
         background = torch.cat([background, background.new_zeros(3)])
-    if with_range:
-        channels = torch.cat([channels, (cloud.means - centre).norm(dim=-1, keepdim=True)], dim=-1)
+    if ranges is not None:
+        channels = torch.cat([channels, ranges], dim=-1)
         background = torch.cat([background, background.new_zeros(1)])
     opacities = cloud.opacities if kept is None else (cloud.opacities * kept).clamp(max=1.0)
     rendering = rasterize(
@@ -116,12 +124,15 @@ def render(
         camera.height,
         background,
         backend,
+        camera.kind,
     )
     color, seen = rendering.channels[..., :3], None
     restored = rendering.channels[..., 3:6] if with_restored else None
     behind = None
     if with_background and isinstance(medium, Medium) and has_background_light and amount > 0:
-        behind = open_water(medium, viewmat, intrinsics, camera.width, camera.height, water_degree, amount, backend)
+        behind = open_water(
+            medium, viewmat, _K_of_rays(intrinsics, camera), camera.width, camera.height, water_degree, amount, backend
+        )
         color = color + (1 - rendering.alpha[..., None]) * behind
     if with_range:
         # The denominator is chosen before dividing: 0/0 behind a mask is NaN in the backward pass.
@@ -152,4 +163,23 @@ def background_color(
     if not isinstance(medium, Medium) or medium.background_sh is None:
         return cloud.background.sigmoid()
     viewmat, K = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
-    return open_water(medium, viewmat, K, camera.width, camera.height, water_degree, backend=backend)
+    return open_water(
+        medium, viewmat, _K_of_rays(K, camera), camera.width, camera.height, water_degree, backend=backend
+    )
+
+
+def _offsets(means: Tensor, centre: Tensor, viewmat: Tensor, kind: CameraKind) -> Tensor:
+    """Vectors from the camera (orthographic: from the plane of its centre) to the Gaussians, (N, 3)."""
+    offsets = means - centre
+    if kind == "orthographic":
+        axis = viewmat[2, :3]
+        offsets = (offsets @ axis)[:, None] * axis
+    return offsets
+
+
+def _K_of_rays(K: Tensor, camera: Camera) -> Tensor:  # noqa: N802
+    """Intrinsics of a pinhole camera with the same ray directions; parallel rays are those of a very narrow view."""
+    if camera.kind == "perspective":
+        return K
+    focal = 1e6 * max(camera.width, camera.height)
+    return K.new_tensor([[focal, 0, camera.width / 2], [0, focal, camera.height / 2], [0, 0, 1]])

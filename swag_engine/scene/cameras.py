@@ -1,8 +1,10 @@
-"""Pinhole cameras of undistorted images."""
+"""Cameras of undistorted images."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+
+from ..base.camera_kind import CameraKind
 
 CAMERA_PAGE = "cameras.html"
 """File name of the page about its cameras in the folder of a scene."""
@@ -10,7 +12,7 @@ CAMERA_PAGE = "cameras.html"
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera with its pose.
+    """A pinhole or orthographic camera with its pose.
 
     Axes are those of COLMAP and OpenCV: x right, y down, z forward. The centre of the top left pixel is (0.5, 0.5).
 
@@ -18,11 +20,12 @@ class Camera:
         name: Name of the image.
         width: Width of the image, pixels.
         height: Height of the image, pixels.
-        fx: Focal length in x, pixels.
-        fy: Focal length in y, pixels.
+        fx: Focal length in x, pixels; of an orthographic camera pixels per scene unit.
+        fy: Focal length in y, likewise.
         cx: Principal point in x, pixels.
         cy: Principal point in y, pixels.
         world_to_camera: Rigid transform (4, 4) float64, scene units.
+        kind: Perspective (pinhole) or orthographic.
     """
 
     name: str
@@ -33,6 +36,7 @@ class Camera:
     cx: float
     cy: float
     world_to_camera: np.ndarray
+    kind: CameraKind = "perspective"
 
     @property
     def K(self) -> np.ndarray:  # noqa: N802

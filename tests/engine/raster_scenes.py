@@ -36,6 +36,11 @@ def make_scene(n, channels=3, width=40, height=29, seed=0, size=0.25):
     return {key: value.float().double() for key, value in scene.items()} | {"width": width, "height": height}
 
 
+def orthographic(scene):
+    """The scene seen by an orthographic camera, as large as before at the distance where most of it is."""
+    return scene | {"kind": "orthographic", "K": scene["K"] / torch.tensor([[3.5, 1, 1], [1, 3.5, 1], [1, 1, 1]])}
+
+
 def run(scene, backend, dtype=torch.float32, device="cpu"):
     """Image, alpha and the gradients of a fixed random functional of both, float64 on the CPU; and the rendering."""
     tensors = {k: v.to(device, dtype, copy=True) for k, v in scene.items() if isinstance(v, torch.Tensor)}
@@ -55,10 +60,7 @@ def run(scene, backend, dtype=torch.float32, device="cpu"):
 
 def blend_by_definition(scene):
     """Image, alpha, and the distance of the nearest comparison to a tie: one Gaussian after the other on all pixels."""
-    arguments = [
-        scene[k] for k in ("means", "quats", "scales", "opacities", "channels", "viewmat", "K", "width", "height")
-    ]
-    projected = project(*arguments)
+    projected = project(**{name: value for name, value in scene.items() if name != "background"})
     height, width = scene["height"], scene["width"]
     rows, columns = (torch.arange(size, dtype=torch.float64) + 0.5 for size in (height, width))
     y, x = torch.meshgrid(rows, columns, indexing="ij")
@@ -90,11 +92,11 @@ def blend_by_definition(scene):
     return out + transmittance[..., None] * scene["background"], 1 - transmittance, margin
 
 
-def clear_scenes(count, **options):
+def clear_scenes(count, change=lambda scene: scene, **options):
     """Scenes in which rounding to float32 cannot change a comparison (1/255, 1e-4, .99, depth order)."""
     seeds = itertools.count()
     while count:
-        scene = make_scene(**options, seed=next(seeds))
+        scene = change(make_scene(**options, seed=next(seeds)))
         if blend_by_definition(scene)[2] > 1e-5:
             count -= 1
             yield scene

@@ -22,7 +22,7 @@ from swag_engine.training.losses import photometric
 from swag_engine.training.optimizer import adam_step
 from swag_engine.water.medium import Medium, open_water, through_water
 from tests.engine.cuda_fibres import DEVICE, ON_CARD, Fibres, pretend_card
-from tests.engine.raster_scenes import GRADIENTS, HARD, changed, clear_scenes, make_scene, relative_error
+from tests.engine.raster_scenes import GRADIENTS, HARD, changed, clear_scenes, make_scene, orthographic, relative_error
 from tests.engine.raster_scenes import run as run_with
 from tests.engine.water_scenes import CAMERA, gain_and_gradients, make_water
 
@@ -70,6 +70,12 @@ def check(scene, image=1e-5):
 def test_agrees_with_the_reference(channels):
     for number, scene in enumerate(clear_scenes(3, n=50, channels=channels, width=47, height=35)):
         scene["width"] = 47 - 11 * number  # partial tiles
+        check(scene)
+
+
+def test_agrees_with_the_reference_for_orthographic_cameras():
+    for number, scene in enumerate(clear_scenes(3, orthographic, n=50, width=47, height=35)):
+        scene["width"] = 47 - 11 * number
         check(scene)
 
 

@@ -10,6 +10,7 @@ from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import Points
 from swag_engine.training.optimizer import Optimizer
+from tests.engine.water_scenes import make_water
 from tests.scenes.clouds import make_cloud
 
 
@@ -84,3 +85,30 @@ def test_range_has_finite_gradients_where_there_is_no_gaussian():
     camera = Camera("a", 32, 16, 24.0, 24.0, 16.0, 8.0, np.eye(4))
     render(cloud, camera, with_range=True).range.sum().backward()
     assert torch.isfinite(cloud.means.grad).all() and cloud.means.grad.abs().sum() > 0
+
+
+def test_orthographic_rays_are_parallel():
+    """Two equal Gaussians side by side, one deeper, have one color and one size, and their range is the depth."""
+    cloud = make_cloud(2)
+    cloud.means[:] = torch.tensor([[-1.0, 0.0, 3.0], [1.0, 0.0, 5.0]])
+    for tensor in (cloud.quats, cloud.log_scales, cloud.opacity_logits, cloud.sh0, cloud.shN):
+        tensor[1] = tensor[0]
+    cloud.log_scales[:] = -2.0
+    camera = Camera("a", 64, 16, 20.0, 20.0, 32.0, 8.0, np.eye(4), "orthographic")
+    picture = render(cloud, camera, with_range=True)
+    assert picture.alpha[8, 12] > 0.1
+    torch.testing.assert_close(picture.color[:, 4:20], picture.color[:, 44:60])
+    torch.testing.assert_close(picture.range[8, [12, 52]], torch.tensor([3.0, 5.0]).double())
+
+
+def test_orthographic_views_through_water_count_range_from_the_plane_of_the_camera():
+    cloud = make_cloud(2)
+    cloud.means[:] = torch.tensor([[0.0, 0.0, 3.0], [6.0, 0.0, 3.0]])
+    for tensor in (cloud.quats, cloud.log_scales, cloud.opacity_logits, cloud.sh0, cloud.shN):
+        tensor[1] = tensor[0]
+    medium = make_water()[2]
+    camera = Camera("a", 200, 40, 20.0, 20.0, 40.0, 20.0, np.eye(4), "orthographic")
+    color = render(cloud, camera, medium=medium).color
+    torch.testing.assert_close(color[:, 20:60], color[:, 140:180], atol=1e-5, rtol=0)
+    behind = color[0, 0]
+    torch.testing.assert_close(color[0], behind.expand_as(color[0]), atol=1e-4, rtol=0)  # water of one direction

@@ -22,6 +22,7 @@ from tests.engine.raster_scenes import (
     changed,
     clear_scenes,
     make_scene,
+    orthographic,
     relative_error,
     run,
 )
@@ -68,6 +69,33 @@ def test_projection_is_the_linearised_camera():
     assert checked > 15
 
 
+def test_orthographic_projection_is_exact():
+    scene = orthographic(make_scene(30, seed=4))
+    projected = project(**{name: value for name, value in scene.items() if name != "background"})
+    linear = torch.diag(scene["K"].diagonal()[:2]) @ scene["viewmat"][:2, :3]
+    seen = scene["means"] @ scene["viewmat"][:3, :3].T + scene["viewmat"][:3, 3]
+    drawn = projected.radii > 0
+    assert drawn.sum() > 15
+    pixels = seen[:, :2] * scene["K"].diagonal()[:2] + scene["K"][:2, 2]
+    torch.testing.assert_close(projected.means2d[drawn], pixels[drawn])
+    torch.testing.assert_close(projected.depths[drawn], seen[drawn, 2])
+    for i in drawn.nonzero()[:, 0].tolist():
+        axes = rotation_matrix(scene["quats"][i]) * scene["scales"][i]
+        covariance = linear @ axes @ axes.T @ linear.T + 0.3 * torch.eye(2, dtype=torch.float64)
+        a, b, c = projected.conics[i]
+        conic = torch.stack([torch.stack([a, b]), torch.stack([b, c])])
+        torch.testing.assert_close(conic @ covariance, torch.eye(2, dtype=torch.float64), atol=1e-10, rtol=0)
+
+
+def test_orthographic_views_do_not_change_along_the_axis():
+    scene = orthographic(make_scene(40))
+    truth, _ = run(scene, "torch", torch.float64)
+    scene["viewmat"] = scene["viewmat"].clone()
+    scene["viewmat"][2, 3] += 2
+    further, _ = run(scene, "torch", torch.float64)
+    torch.testing.assert_close(further["channels_out"], truth["channels_out"])
+
+
 def test_beyond_the_guard_band_the_shape_does_not_depend_on_the_place():
     scene = make_scene(1)
     scene["viewmat"] = torch.eye(4, dtype=torch.float64)
@@ -102,9 +130,9 @@ def test_reference_blends_by_definition(n):
     assert n < 150 or (alpha > 0.9998).any()  # pixels that end early are among them
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_reference_gradients_by_finite_differences(seed):
-    scene = make_scene(6, channels=2, width=14, height=9, seed=seed, size=0.5)
+@pytest.mark.parametrize("seed, change", [(0, dict), (1, dict), (2, dict), (0, orthographic), (1, orthographic)])
+def test_reference_gradients_by_finite_differences(seed, change):
+    scene = change(make_scene(6, channels=2, width=14, height=9, seed=seed, size=0.5))
     scene["opacities"][0] = 1.0  # clamped at its centre
     inputs = [scene[name].clone().requires_grad_() for name in GRADIENTS]
 
@@ -126,6 +154,17 @@ def test_kernels_agree_with_the_reference(channels):
     worst: dict[str, float] = {}
     for number, scene in enumerate(clear_scenes(8, n=50, channels=channels, width=47, height=35)):
         scene["width"] = 47 - 5 * number  # partial tiles and strips of every kind
+        truth, _ = run(scene, "torch", torch.float64)
+        result, _ = run(scene, "cpu")
+        for key in truth:
+            worst[key] = max(worst.get(key, 0), relative_error(result[key], truth[key]))
+    assert max(worst.values()) < 1e-5, worst
+
+
+def test_kernels_agree_with_the_reference_for_orthographic_cameras():
+    worst: dict[str, float] = {}
+    for number, scene in enumerate(clear_scenes(8, orthographic, n=50, channels=3, width=47, height=35)):
+        scene["width"] = 47 - 5 * number
         truth, _ = run(scene, "torch", torch.float64)
         result, _ = run(scene, "cpu")
         for key in truth:
@@ -267,6 +306,14 @@ def test_contributions_without_images_and_of_too_many_channels():
 
 
 # -- hard cases --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("backend", ["cpu", "torch"])
+@pytest.mark.parametrize("case", HARD)
+def test_hard_cases_are_finite_for_orthographic_cameras(case, backend):
+    results, rendering = run(orthographic(HARD[case]), backend)
+    assert all(value.isfinite().all() for value in results.values())
+    assert " in " not in case or rendering.radii[1] == 0
 
 
 @pytest.mark.parametrize("backend", ["cpu", "torch"])

@@ -5,6 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ...base.camera_kind import CameraKind
 from ..protocol import Projection
 from .blending import blend, contributions
 from .harmonics import sh_basis
@@ -45,9 +46,10 @@ class TorchKernels:
         K: Tensor,
         width: int,
         height: int,
+        kind: CameraKind = "perspective",
     ) -> Projection:
         """See `Kernels.project`."""
-        return project(means, quats, scales, opacities, channels, viewmat, K, width, height)
+        return project(means, quats, scales, opacities, channels, viewmat, K, width, height, kind)
 
     def blend(
         self, projected: Projection, opacities: Tensor, channels: Tensor, background: Tensor, width: int, height: int

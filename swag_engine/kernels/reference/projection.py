@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from ...base.camera_kind import CameraKind
 from ..protocol import Projection
 
 NEAR = 0.01
@@ -30,10 +31,12 @@ def project(
     K: Tensor,
     width: int,
     height: int,
+    kind: CameraKind = "perspective",
 ) -> Projection:
     """Project 3D Gaussians onto the image plane, with gradients by the camera and through the depths, too.
 
-    Beyond the guard band x/z and y/z are held, with zero derivative, in the Jacobian (not in the centre).
+    The orthographic projection is linear: the projected Gaussians are exact. Of a perspective camera x/z and y/z are
+    held beyond the guard band, with zero derivative, in the Jacobian (not in the centre).
 
     Args:
         means: (N, 3) centres, scene units.
@@ -45,6 +48,7 @@ def project(
         K: (3, 3) intrinsics, pixels.
         width: Width of the image, pixels.
         height: Height of the image, pixels.
+        kind: The kind of camera.
 
     Returns:
         The projected Gaussians, as `Kernels.project` describes them.
@@ -62,19 +66,25 @@ def project(
     quats = torch.where(keep, quats, quats.new_tensor([1.0, 0, 0, 0]))
     scales = torch.where(keep, scales, scales.new_ones(3))
 
-    inverse_z = 1 / z
-    x_over_z, y_over_z = x * inverse_z, y * inverse_z
-    means2d = torch.stack([fx * x_over_z + cx, fy * y_over_z + cy], 1)
-
-    guard_x, guard_y = GUARD * width / (2 * fx), GUARD * height / (2 * fy)
-    x_over_z = x_over_z.clamp(-cx / fx - guard_x, (width - cx) / fx + guard_x)
-    y_over_z = y_over_z.clamp(-cy / fy - guard_y, (height - cy) / fy + guard_y)
-    # Rows of J R, with J the Jacobian of the projection: fx / z (R_0 - x/z R_2), fy / z (R_1 - y/z R_2).
-    per_x, per_y = fx * inverse_z, fy * inverse_z
-    row_x = [per_x * (rotation[0, i] - x_over_z * rotation[2, i]) for i in range(3)]
-    row_y = [per_y * (rotation[1, i] - y_over_z * rotation[2, i]) for i in range(3)]
+    largest_sigma = MAX_SIGMA / torch.maximum(fx, fy)
+    if kind == "orthographic":
+        means2d = torch.stack([fx * x + cx, fy * y + cy], 1)
+        row_x, row_y = [fx * rotation[0, i] for i in range(3)], [fy * rotation[1, i] for i in range(3)]
+        largest_sigma = largest_sigma.expand_as(z)
+    else:
+        inverse_z = 1 / z
+        x_over_z, y_over_z = x * inverse_z, y * inverse_z
+        means2d = torch.stack([fx * x_over_z + cx, fy * y_over_z + cy], 1)
+        guard_x, guard_y = GUARD * width / (2 * fx), GUARD * height / (2 * fy)
+        x_over_z = x_over_z.clamp(-cx / fx - guard_x, (width - cx) / fx + guard_x)
+        y_over_z = y_over_z.clamp(-cy / fy - guard_y, (height - cy) / fy + guard_y)
+        # Rows of J R, with J the Jacobian of the projection: fx / z (R_0 - x/z R_2), fy / z (R_1 - y/z R_2).
+        per_x, per_y = fx * inverse_z, fy * inverse_z
+        row_x = [per_x * (rotation[0, i] - x_over_z * rotation[2, i]) for i in range(3)]
+        row_y = [per_y * (rotation[1, i] - y_over_z * rotation[2, i]) for i in range(3)]
+        largest_sigma = largest_sigma * z.detach()
     axes = _rotation_columns(quats)
-    sigmas = torch.minimum(scales, (MAX_SIGMA / torch.maximum(fx, fy) * z.detach())[:, None]).unbind(1)
+    sigmas = torch.minimum(scales, largest_sigma.detach()[:, None]).unbind(1)
     # M = J R times the scaled axes (2, 3); the covariance is M M^T.
     mx = [(row_x[0] * a[0] + row_x[1] * a[1] + row_x[2] * a[2]) * s for a, s in zip(axes, sigmas, strict=True)]
     my = [(row_y[0] * a[0] + row_y[1] * a[1] + row_y[2] * a[2]) * s for a, s in zip(axes, sigmas, strict=True)]
