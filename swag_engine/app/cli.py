@@ -650,6 +650,83 @@ class Extract:
         return 0
 
 
+Source = Annotated[Path, tyro.conf.arg(metavar="RUN|PLY")]
+"""What maps are made of."""
+Box = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Ortho:
+    """Write the orthomosaic of a run or of a splat PLY as a Cloud Optimized GeoTIFF, with a PNG preview.
+
+    Lengths are in metres where the command scale measured the scene, else in its units. Needs the extra science.
+    """
+
+    source: tyro.conf.Positional[Source]
+    """Folder of the run, or a PLY file."""
+    out: Path
+    """The GeoTIFF."""
+    pixel: float = 0.0
+    """Edge of a pixel in metres, or in units where the scale is not known; 0 for the size of the splats."""
+    box: Box | None = None
+    """Left, bottom, right and top edge of the map; from the splats without it."""
+    plane: str = "up"
+    """Where the map is seen from. up: straight above. fit: perpendicular to the plane that fits the splats, as for a
+    wall. Or a direction in the scene's coordinates, as in 0,0,1."""
+    water: float = 0.0
+    """Amount of water, from 0 (restored) to 1 (as photographed)."""
+    develop: Develop = "auto"
+    """Development of restored colors: auto, chart, none or values, as render has it."""
+    taglab: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Write what TagLab opens: RGB without alpha, at most 32767 pixels a side, and a text file with the pixel size."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..products.ortho import describe, make_ortho
+
+        result = make_ortho(
+            self.source, self.out, self.pixel, self.box, self.plane, self.water, self.develop, self.taglab
+        )
+        show(result, self.json, describe(result))
+        return 0
+
+
+@dataclass(frozen=True)
+class Dem:
+    """Write the heights of a run or of a splat PLY as a GeoTIFF: first surface (band 1) and median height (band 2).
+
+    Pixels in which nothing was seen have no data. Needs the extra science.
+    """
+
+    source: tyro.conf.Positional[Source]
+    """Folder of the run, or a PLY file."""
+    out: Path
+    """The GeoTIFF."""
+    pixel: float = 0.0
+    """Edge of a pixel in metres, or in units where the scale is not known; 0 for the size of the splats."""
+    box: Box | None = None
+    """Left, bottom, right and top edge of the map; from the splats without it."""
+    plane: str = "up"
+    """Where the map is seen from, as ortho has it."""
+    derived: tuple[Literal["hillshade", "slope", "rugosity"], ...] = ()
+    """Further maps, which are made from the median height: NAME_hillshade.tif, NAME_slope.tif (degrees) and
+    NAME_rugosity.tif (surface over planar area)."""
+    window: float = 1.0
+    """Edge of the windows over which rugosity is taken, in metres or units."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..products.dem import describe, make_dem
+
+        result = make_dem(self.source, self.out, self.pixel, self.box, self.plane, self.derived, self.window)
+        show(result, self.json, describe(result))
+        return 0
+
+
 @dataclass(frozen=True)
 class Batch:
     """Run one command for every scene, or every run, in a folder, and print a table. A failure does not stop the rest.
@@ -695,7 +772,7 @@ class Doctor:
 
 COMMANDS = (
     Inspect, Sfm, ImportCameras, Scale, Targets, Plan, Forecast, Train, Evaluate, Report, Chart, Ablate, Tradeoff,
-    Render, Film, Label, Search, Extract, Export, Batch, Doctor,
+    Render, Film, Label, Search, Extract, Export, Ortho, Dem, Batch, Doctor,
 )  # fmt: skip
 
 

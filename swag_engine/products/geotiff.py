@@ -1,0 +1,249 @@
+"""Maps as Cloud Optimized GeoTIFF files, with their preview, and maps that are read back."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from .grid import MapGrid
+from .map_frame import MapScene
+from .packages import require_packages
+from .tiles import Tile
+
+BLOCK = 512
+"""Edge of the blocks in a file, pixels."""
+NO_HEIGHT = -9999.0
+"""Value of pixels without a height."""
+NO_LABEL = 255
+"""Value of pixels in which nothing was seen, in a label map."""
+PREVIEW = 1600
+"""Largest edge of a preview, pixels."""
+LOCAL_METRES = 'LOCAL_CS["Local metres",UNIT["metre",1.0]]'
+Color = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class MapWriter:
+    """Writes tiles to the file that `create_map` made."""
+
+    dataset: Any
+
+    def write(self, tile: Tile, values: np.ndarray) -> None:
+        """Write a tile (height, width, bands)."""
+        from rasterio.windows import Window
+
+        window = Window(tile.column, tile.row, tile.width, tile.height)
+        self.dataset.write(np.moveaxis(values, -1, 0).astype(self.dataset.dtypes[0]), window=window)
+
+
+def map_crs(scene: MapScene) -> Any:
+    """Return the coordinate reference system of a map, None for a map that is not in metres.
+
+    Raises:
+        InputError: If the system is not known to PROJ, or is in degrees.
+    """
+    rasterio = require_packages()
+    if scene.unit != "m":
+        return None
+    if scene.placement is None or scene.placement.crs is None:
+        return rasterio.crs.CRS.from_wkt(LOCAL_METRES)
+    name = scene.placement.crs
+    try:
+        crs = rasterio.crs.CRS.from_user_input(name)
+    except rasterio.errors.CRSError as error:
+        raise InputError(
+            f"The coordinate reference system {name} is not known: measure the scale again with --crs EPSG:NUMBER."
+        ) from error
+    if crs.is_geographic:
+        raise InputError(
+            f"The coordinate reference system {name} is in degrees, and a map needs metres: measure the scale again "
+            "with reference points in a projected system, such as the UTM zone of the place."
+        )
+    return crs
+
+
+def map_transform(scene: MapScene, grid: MapGrid) -> Any:
+    """Return the affine transform from pixels to coordinates, placement included."""
+    from affine import Affine
+
+    x, y = scene.placement.offset[:2] if scene.placement else (0.0, 0.0)
+    return Affine(grid.pixel, 0, grid.left + x, 0, -grid.pixel, grid.top + y)
+
+
+@contextmanager
+def create_map(
+    path: Path,
+    scene: MapScene,
+    grid: MapGrid,
+    bands: Sequence[str],
+    dtype: str,
+    nodata: float | None = None,
+    palette: Mapping[int, Color] | None = None,
+    tags: Mapping[str, str] | None = None,
+) -> Iterator[MapWriter]:
+    """Yield a writer for the tiles of a Cloud Optimized GeoTIFF; the file is whole or absent.
+
+    Args:
+        path: The file.
+        scene: What the map shows.
+        grid: Its pixels.
+        bands: Descriptions of the bands; four colors end with alpha.
+        dtype: Name of a numpy dtype.
+        nodata: Value of pixels without data.
+        palette: Colors of values, for one band of uint8.
+        tags: Further metadata.
+
+    Raises:
+        InputError: If the name is not that of a TIFF, or the file cannot be written.
+    """
+    rasterio = require_packages()
+    from rasterio.enums import ColorInterp
+    from rasterio.shutil import copy
+
+    check_name(path)
+    crs = map_crs(scene)
+    with atomic_path(path) as temporary:
+        work = temporary.with_name(f"{temporary.name}.tif")
+        try:
+            profile = {
+                "driver": "GTiff", "width": grid.width, "height": grid.height, "count": len(bands), "dtype": dtype,
+                "crs": crs, "transform": map_transform(scene, grid), "nodata": nodata, "tiled": True,
+                "blockxsize": BLOCK, "blockysize": BLOCK, "compress": "deflate", "bigtiff": "if_safer",
+            }  # fmt: skip
+            if len(bands) >= 3:
+                profile["photometric"] = "rgb"
+            with rasterio.open(work, "w", **profile) as dataset:
+                for number, name in enumerate(bands, start=1):
+                    dataset.set_band_description(number, name)
+                if bands[-1] == "alpha":
+                    dataset.colorinterp = (*dataset.colorinterp[:3], ColorInterp.alpha)
+                if palette:
+                    dataset.write_colormap(1, {value: (*color, 255) for value, color in palette.items()})
+                dataset.update_tags(UNITS="metres" if scene.unit == "m" else "units of the scene", **(tags or {}))
+                yield MapWriter(dataset)
+            resampling = "nearest" if palette else "average"
+            predictor = "NO" if palette else "YES"
+            copy(
+                work, temporary, driver="COG", compress="deflate", predictor=predictor, blocksize=BLOCK,
+                bigtiff="if_safer", resampling=resampling, overviews="auto",
+            )  # fmt: skip
+        finally:
+            for left in (work, work.with_name(f"{work.name}.aux.xml")):
+                with suppress(OSError):
+                    left.unlink()
+
+
+def check_name(path: Path) -> None:
+    """Refuse names of files that do not end in .tif or .tiff.
+
+    Raises:
+        InputError: For another name.
+    """
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        raise InputError(f"{path.name} is no GeoTIFF: choose a name that ends in .tif.")
+
+
+@dataclass(frozen=True, eq=False)
+class MapImage:
+    """A map that was read.
+
+    Attributes:
+        values: (H, W) or (H, W, C) values of the bands.
+        transform: Affine transform from pixels to coordinates.
+        nodata: Value of pixels without data.
+        crs: Coordinate reference system.
+    """
+
+    values: np.ndarray
+    transform: Any
+    nodata: float | None
+    crs: Any
+
+
+def read_map(path: Path) -> MapImage:
+    """Read a map.
+
+    Raises:
+        InputError: If the file is no image that GDAL reads.
+    """
+    rasterio = require_packages()
+    try:
+        with rasterio.open(path) as dataset:
+            values = np.moveaxis(dataset.read(), 0, -1)
+            return MapImage(
+                values[..., 0] if values.shape[2] == 1 else values, dataset.transform, dataset.nodata, dataset.crs
+            )
+    except rasterio.errors.RasterioError as error:
+        raise InputError(f"{path} cannot be read: {error}.") from error
+
+
+def write_preview(path: Path, scene: MapScene, grid: MapGrid) -> Path:
+    """Write a small PNG of a color map beside it, with a scale bar, and an arrow to the north where that is known.
+
+    Args:
+        path: The map.
+        scene: What it shows.
+        grid: Its pixels.
+
+    Returns:
+        The file.
+    """
+    rasterio = require_packages()
+    factor = min(1.0, PREVIEW / max(grid.width, grid.height))
+    shape = max(1, round(grid.height * factor)), max(1, round(grid.width * factor))
+    with rasterio.open(path) as dataset:
+        bands = np.moveaxis(dataset.read(out_shape=(dataset.count, *shape)), 0, -1)
+    image = np.ascontiguousarray(bands[..., 2::-1])
+    if bands.shape[2] == 4:
+        cover = bands[..., 3:] / 255
+        image = np.round(image * cover + 255 * (1 - cover)).astype(np.uint8)
+    draw_scale(image, grid.pixel * grid.width / shape[1], scene.unit, scene.north)
+    out = path.with_name(f"{path.stem}_preview.png")
+    write_png(out, image)
+    return out
+
+
+def write_png(path: Path, image: np.ndarray) -> None:
+    """Write an image (H, W) or (H, W, 3) in the order of OpenCV."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(cv2.imencode(".png", image)[1].tobytes())
+
+
+def draw_scale(image: np.ndarray, pixel: float, unit: str, north: bool) -> None:
+    """Draw a scale bar, and an arrow to the north, into an image.
+
+    Args:
+        image: (H, W, 3) uint8, changed in place.
+        pixel: Edge of its pixels, length units.
+        unit: Name of the length unit.
+        north: Whether the top is north.
+    """
+    height, width = image.shape[:2]
+    power = 10.0 ** np.floor(np.log10(max(width * pixel / 4, 1e-30)))
+    length = float(max(step * power for step in (1, 2, 5) if step * power <= width * pixel / 4 + 1e-12))
+    bar, margin, size = max(1, round(length / pixel)), max(2, width // 40), max(0.3, width / 1600)
+    y = height - margin
+    for color, thickness in (((0, 0, 0), 5), ((255, 255, 255), 2)):
+        thick = max(1, round(thickness * size))
+        cv2.line(image, (margin, y), (margin + bar, y), color, thick)
+        cv2.putText(
+            image,
+            f"{length:g} {unit}",
+            (margin, y - round(10 * size)),
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.8 * size,
+            color,
+            thick,
+        )
+        if north:
+            top = width - margin, margin
+            cv2.arrowedLine(image, (top[0], 3 * margin), top, color, thick, tipLength=0.3)
+            cv2.putText(
+                image, "N", (top[0] - round(9 * size), 4 * margin), cv2.FONT_HERSHEY_SIMPLEX, 0.8 * size, color, thick
+            )

@@ -1,0 +1,106 @@
+"""Heights from splats: the first surface, and the median height of what absorbs the light."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .tiles import Tile, TileRenderer
+
+LAYERS = 16
+"""Layers of equal thickness in a tile. The height is the mean over the layer with the threshold and its neighbours."""
+SEEN = 0.5
+"""Least alpha of a pixel that has a height; others are holes."""
+FIRST = 0.1
+"""Absorbed fraction of the light, relative to alpha, at which the first surface is."""
+MEDIAN = 0.5
+"""Absorbed fraction at the median height."""
+OUTLIERS = 1e-3
+"""Fraction of a tile's splats above and below the layers, which the outer ones take in."""
+EDGE = 256
+"""Edge of the tiles in which heights are found, pixels: 4 LAYERS channels are blended at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class TileHeights:
+    """Heights of a tile, NaN where nothing was seen.
+
+    Attributes:
+        first: (height, width) the first surface from above.
+        median: (height, width) where half of the light is absorbed.
+    """
+
+    first: np.ndarray
+    median: np.ndarray
+
+
+def tile_heights(renderer: TileRenderer, tile: Tile) -> TileHeights:
+    """Find the heights of a tile.
+
+    Splats are sorted into layers by the height of their centres; of each layer the absorbed light is blended, and that
+    times the height of the splats' ridges (`TileRenderer.slopes`), which is linear in x and y.
+
+    Args:
+        renderer: Of the splats.
+        tile: At most EDGE pixels wide and high.
+    """
+    chosen = renderer.inside(tile)
+    empty = np.full((tile.height, tile.width), np.nan, np.float32)
+    if not len(chosen):
+        return TileHeights(empty, empty.copy())
+    grid = renderer.grid
+    middle_x = grid.left + grid.pixel * (tile.column + tile.width / 2)
+    middle_y = grid.top - grid.pixel * (tile.row + tile.height / 2)
+    positions = renderer.splats.positions[chosen].astype(np.float64)
+    x, y, z = positions[:, 0] - middle_x, positions[:, 1] - middle_y, positions[:, 2]
+    low, high = np.quantile(z, [OUTLIERS, 1 - OUTLIERS])
+    reference = (low + high) / 2
+    thickness = max((high - low) / LAYERS, 1e-12)
+    layers = np.clip(((high - z) / thickness).astype(np.int64), 0, LAYERS - 1)  # the highest first
+    slopes = renderer.slopes[chosen]
+    values = np.stack([np.ones(len(z)), z - reference - slopes[:, 0] * x - slopes[:, 1] * y, *slopes.T], axis=1)
+    channels = np.zeros((len(chosen), LAYERS, 4), np.float32)
+    channels[np.arange(len(chosen)), layers] = values
+    blended, alpha = renderer.render(tile, chosen, channels.reshape(len(chosen), 4 * LAYERS))
+    blended = blended.reshape(tile.height, tile.width, LAYERS, 4)
+    column = grid.pixel * (np.arange(tile.width) + 0.5 - tile.width / 2)
+    row = -grid.pixel * (np.arange(tile.height) + 0.5 - tile.height / 2)
+    absorbed = blended[..., 0]
+    heights = blended[..., 1] + column[None, :, None] * blended[..., 2] + row[:, None, None] * blended[..., 3]
+    fraction = np.cumsum(absorbed, axis=2) / np.maximum(alpha, 1e-6)[..., None]
+    found = []
+    for threshold in (FIRST, MEDIAN):
+        at = np.argmax(fraction >= threshold - 1e-6, axis=2)
+        total, weight = np.zeros(alpha.shape), np.zeros(alpha.shape)
+        for step in (-1, 0, 1):
+            layer = np.clip(at + step, 0, LAYERS - 1)[..., None]
+            counts = (at + step >= 0) & (at + step < LAYERS)
+            weight += counts * np.take_along_axis(absorbed, layer, axis=2)[..., 0]
+            total += counts * np.take_along_axis(heights, layer, axis=2)[..., 0]
+        height = reference + total / np.maximum(weight, 1e-9)
+        found.append(np.where(alpha >= SEEN, height, np.nan).astype(np.float32))
+    return TileHeights(*found)
+
+
+def surface_factor(heights: np.ndarray, pixel: float) -> np.ndarray:
+    """Return surface area over planar area of each pixel, sqrt(1 + |gradient|^2), NaN where it is not known.
+
+    Args:
+        heights: (H, W), NaN where nothing was seen.
+        pixel: Edge of a pixel, in the unit of the heights.
+    """
+    down, right = gradients(heights, pixel)
+    return np.sqrt(1 + down * down + right * right)
+
+
+def gradients(heights: np.ndarray, pixel: float) -> tuple[np.ndarray, np.ndarray]:
+    """Differentiate heights (H, W) by rows and by columns: central differences, one-sided beside holes and edges."""
+    results = []
+    for axis in (0, 1):
+        padded = np.pad(heights, [(1, 1) if a == axis else (0, 0) for a in (0, 1)], constant_values=np.nan)
+        before = np.take(padded, range(0, heights.shape[axis]), axis=axis)
+        after = np.take(padded, range(2, heights.shape[axis] + 2), axis=axis)
+        slopes = (after - before) / (2 * pixel)
+        slopes = np.where(np.isnan(slopes), (after - heights) / pixel, slopes)
+        slopes = np.where(np.isnan(slopes), (heights - before) / pixel, slopes)
+        results.append(np.where(np.isnan(heights), np.nan, slopes))
+    return results[0], results[1]

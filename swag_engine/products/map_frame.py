@@ -1,0 +1,186 @@
+"""Splats in the frame of a map: x right, y to the top, z towards the viewer, in metres where the scale is known."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..formats.export import FROM_Y_UP, with_water
+from ..formats.ply import read_ply
+from ..formats.run_folder import RunFolder
+from ..scene.colmap import load_scene
+from ..scene.georeference import Georeference, Placement, read_georeference
+from ..splats.development import NO_DEVELOPMENT, Development
+from ..splats.splats import Splats
+from ..splats.transform import rotation_to_y_up, transformed
+
+PLANE_HELP = "up, fit, or a direction as in 0,0,1"
+SOLID = 0.5
+"""Least opacity of splats that a plane is fitted to."""
+FIT_ROUNDS = 10
+"""Rounds in which splats farther than 2 standard deviations from the plane lose their weight."""
+LEAST_TOP = 1e-6
+"""Least relative length of the up direction within the plane for it to point to the top of the map."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapScene:
+    """Splats in the frame of a map.
+
+    Attributes:
+        splats: Splats whose z axis points to the viewer.
+        unit: "m", or "units" where the scale is not known.
+        placement: What is added to x and y, and the coordinate reference system; None without.
+        scale_error: Relative standard error of the scale; None where it is not known.
+        north: Whether y points to the north.
+        development: What is done to rendered colors.
+        matrix: (4, 4) from the scene's coordinates to those of the map, without the placement.
+        labels: Names of the labels by number.
+        notes: Sentences for the user.
+    """
+
+    splats: Splats
+    unit: str
+    placement: Placement | None
+    scale_error: float | None
+    north: bool
+    development: Development
+    matrix: np.ndarray
+    labels: dict[int, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def load_map_scene(source: Path, plane: str = "up", water: float = 0.0, develop: str = "auto") -> MapScene:
+    """Read a run or a splat PLY and turn it to the frame of a map.
+
+    Args:
+        source: Folder of a run with a result, or a PLY file.
+        plane: Where the viewer is: `up` (straight above), `fit` (perpendicular to the plane that fits the splats, on
+            the side of the cameras; for walls) or a direction x,y,z in the scene's coordinates.
+        water: How much water the colors show, from 0 (restored) to 1 (as photographed); a PLY has colors of its own.
+        develop: Development as `RunFolder.color_view`; a PLY is not developed.
+
+    Returns:
+        The splats and what is known of their frame.
+
+    Raises:
+        InputError: If there is no run and no PLY, or an option is not valid.
+    """
+    if not 0 <= water <= 1:
+        raise InputError(f"The amount of water must be from 0 to 1, not {water:g}.")
+    direction = _parse_plane(plane)
+    if source.is_dir():
+        return _load_run(source, plane, direction, water, develop)
+    if not source.exists():
+        raise InputError(f"{source} does not exist: give the folder of a run or a PLY file of splats.")
+    splats = read_ply(source)
+    notes: list[str] = []
+    if splats.placement is None and direction is None:
+        raise InputError(
+            f"{source} does not say which direction is up: give it with --plane as in --plane 0,-1,0, or export the "
+            "file with --georeferenced."
+        )
+    up = np.array([0.0, 0.0, 1.0])
+    rotation = np.eye(3) if direction is None else _rotation_to_view(direction, up)
+    unit = "m" if splats.placement else "units"
+    if unit == "units":
+        notes.append(f"The scale of {source.name} is not known: lengths are in its own units.")
+    placement = splats.placement if direction is None else None
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    return MapScene(
+        transformed(splats, matrix), unit, placement, None, placement is not None, NO_DEVELOPMENT, matrix, {},
+        tuple(notes),
+    )  # fmt: skip
+
+
+def _load_run(folder: Path, plane: str, direction: np.ndarray | None, water: float, develop: str) -> MapScene:
+    run = RunFolder(folder)
+    scene_folder, settings, up_of_run = run.read_config()
+    if not run.ply.exists():
+        raise InputError(f"The run {folder} has no result yet; continue it with train --resume.")
+    splats = read_ply(run.ply)
+    development = run.color_view(develop).at(water)
+    measured = read_georeference(scene_folder)
+    if water or plane == "fit":
+        cameras = [view.camera for view in load_scene(scene_folder).views]
+    if water:
+        splats = with_water(splats, run.read_water(), cameras, water, settings.metres_per_unit)
+    metres = measured.metres_per_unit if measured else settings.metres_per_unit
+    up = measured.up if measured else np.asarray(up_of_run, np.float64)
+    notes = []
+    if not metres:
+        notes.append(
+            f"The scale of {scene_folder.name} was not measured: lengths are in units of the scene. Measure it with "
+            "the command scale; nothing has to be trained again."
+        )
+    placement, north = None, False
+    if plane == "up" and measured:
+        matrix, placement, north = measured.matrix, measured.placement, measured.axes == "full"
+    else:
+        if plane == "fit":
+            direction = _fitted_normal(splats, np.mean([camera.centre for camera in cameras], axis=0))
+        level = FROM_Y_UP["z-up"] @ rotation_to_y_up(up)
+        rotation = level if direction is None else _rotation_to_view(direction, up)
+        matrix = np.eye(4)
+        matrix[:3, :3] = (metres or 1.0) * rotation
+    if measured and measured.axes == "estimated" and plane == "up":
+        notes.append("The up direction is estimated from cameras and points, not measured.")
+    labels = _label_names(run)
+    return MapScene(
+        transformed(splats, matrix), "m" if metres else "units", placement, _scale_error(measured), north, development,
+        matrix, labels, tuple(notes),
+    )  # fmt: skip
+
+
+def _scale_error(measured: Georeference | None) -> float | None:
+    return measured.error if measured else None
+
+
+def _label_names(run: RunFolder) -> dict[int, str]:
+    from ..semantics.labels import TABLE, read_labels
+
+    if not (run.path / TABLE).exists():
+        return {}
+    return {entry["id"]: entry["name"] for entry in read_labels(run.path)}
+
+
+def _parse_plane(plane: str) -> np.ndarray | None:
+    """Return the direction (3,) that a user gave, None for `up` and `fit`."""
+    if plane in ("up", "fit"):
+        return None
+    try:
+        direction = np.array([float(value) for value in plane.split(",")])
+    except ValueError:
+        direction = np.zeros(0)
+    if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
+        raise InputError(f"--plane is {plane}: it must be {PLANE_HELP}.")
+    return direction / np.linalg.norm(direction)
+
+
+def _rotation_to_view(direction: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) to a frame with z along `direction`, and `up` to the top unless it points to the viewer."""
+    top = up - (up @ direction) * direction
+    if np.linalg.norm(top) < LEAST_TOP * np.linalg.norm(up):
+        top = np.eye(3)[np.argmin(np.abs(direction))]
+        top = top - (top @ direction) * direction
+    top /= np.linalg.norm(top)
+    return np.stack([np.cross(top, direction), top, direction])
+
+
+def _fitted_normal(splats: Splats, viewpoint: np.ndarray) -> np.ndarray:
+    """Fit a plane to solid splats by reweighted least squares; the normal (3,) points to the viewpoint."""
+    points = splats.positions[splats.opacities >= SOLID].astype(np.float64)
+    if len(points) < 3:
+        raise InputError("There are too few solid splats to fit a plane: give its direction, as in --plane 0,0,1.")
+    weights = np.ones(len(points))
+    for _ in range(FIT_ROUNDS):
+        middle = np.average(points, axis=0, weights=weights)
+        centred = points - middle
+        _, axes = np.linalg.eigh((centred * weights[:, None]).T @ centred)
+        distances = np.abs(centred @ axes[:, 0])
+        limit = 2 * 1.4826 * np.median(distances)
+        weights = np.maximum((distances <= limit).astype(np.float64), 1e-9)
+    normal = axes[:, 0]
+    return normal if normal @ (viewpoint - middle) >= 0 else -normal

@@ -1,0 +1,276 @@
+"""Orthomosaics and heights of splats on known surfaces, read back by rasterio."""
+
+import json
+import shutil
+import subprocess
+
+import cv2
+import numpy as np
+import pytest
+
+from swag_engine.app.cli import main
+from swag_engine.base.errors import InputError
+from swag_engine.formats.ply import write_ply
+from swag_engine.products import grid, tiles
+from swag_engine.products.dem import hillshade, make_dem, read_heights, rugosity, slope
+from swag_engine.products.grid import make_grid
+from swag_engine.products.ortho import make_ortho
+from swag_engine.products.tiles import TileRenderer, tiles_of
+from swag_engine.scene.georeference import Georeference, Placement
+from swag_engine.splats.splats import concatenate
+from tests.scenes.flat_splats import GEOREFERENCE, sheet, write_run
+
+rasterio = pytest.importorskip("rasterio")
+RED, BLUE = (0.8, 0.2, 0.2), (0.1, 0.2, 0.9)
+
+
+@pytest.fixture
+def two_colors(tmp_path):
+    """Red west of x = 2, blue east of it, 4 m by 3 m."""
+    return write_run(tmp_path, [sheet(0, 0, 2, 3, 0.05, color=RED), sheet(2, 0, 4, 3, 0.05, color=BLUE)])
+
+
+def measured(**changes):
+    return Georeference(**(vars(GEOREFERENCE) | changes))
+
+
+# -- orthomosaic ------------------------------------------------------------------------------------------------------
+
+
+def test_an_orthomosaic_is_a_cloud_optimized_geotiff_at_its_place(two_colors, tmp_path):
+    out = tmp_path / "map.tif"
+    found = make_ortho(two_colors, out, pixel=0.004, box=(0, 0, 4, 3))
+    assert (found["width"], found["height"], found["unit"], found["crs"]) == (1000, 750, "m", "EPSG:32633")
+    with rasterio.open(out) as dataset:
+        assert dataset.crs.to_epsg() == 32633
+        assert dataset.bounds == pytest.approx((500_000, 4_000_000, 500_004, 4_000_003))
+        assert dataset.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert dataset.block_shapes[0] == (512, 512) and dataset.overviews(1)
+        colors = dataset.read()
+    for x, color in ((0.8, RED), (3.2, BLUE)):
+        column = round(x / 0.004)
+        np.testing.assert_allclose(colors[:3, 375, column], 255 * np.array(color), atol=2)
+    edge = np.argmax(colors[2, 375] > colors[0, 375])
+    assert abs(edge - 500) <= 4  # a third of a splat
+    assert colors[3, 375, 500] > 230
+
+
+@pytest.mark.skipif(not shutil.which("gdalinfo"), reason="gdalinfo is not installed")
+def test_gdalinfo_reads_an_orthomosaic(two_colors, tmp_path):
+    make_ortho(two_colors, tmp_path / "map.tif", pixel=0.02)
+    answer = subprocess.run(["gdalinfo", "-json", tmp_path / "map.tif"], check=True, capture_output=True)
+    assert json.loads(answer.stdout)["metadata"]["IMAGE_STRUCTURE"]["LAYOUT"] == "COG"
+
+
+def test_pixels_without_splats_are_transparent_and_the_preview_has_a_scale_bar(two_colors, tmp_path):
+    out = tmp_path / "map.tif"
+    found = make_ortho(two_colors, out, pixel=0.01, box=(-1, 0, 4, 3))
+    assert found["covered"] == pytest.approx(0.8, abs=0.02)
+    with rasterio.open(out) as dataset:
+        assert (dataset.read(4)[:, :90] == 0).all()
+    preview = cv2.imread(str(tmp_path / "map_preview.png"))
+    assert preview.shape == (300, 500, 3)
+    assert (preview[280:295, 12:60] < 10).any()  # the bar is outlined in black over the white outside
+
+
+def test_tiles_join_without_a_seam(two_colors, tmp_path, monkeypatch):
+    make_ortho(two_colors, tmp_path / "whole.tif", pixel=0.02)
+    monkeypatch.setattr(tiles.tiles_of, "__defaults__", (64,))
+    make_ortho(two_colors, tmp_path / "tiles.tif", pixel=0.02)
+    with rasterio.open(tmp_path / "whole.tif") as whole, rasterio.open(tmp_path / "tiles.tif") as parts:
+        assert np.abs(whole.read().astype(int) - parts.read().astype(int)).max() <= 1
+
+
+@pytest.mark.parametrize("pixel", [0.05, 0.4])
+def test_pixels_larger_than_splats_show_the_mean(pixel):
+    """Splats of a fine checkerboard, smaller than a pixel, give grey of the right transparency at any pixel size."""
+    splats = sheet(0, 0, 4, 4, 0.05, color=(1, 1, 1))
+    splats.sh[(np.arange(len(splats)) + np.arange(len(splats)) // 80) % 2 == 0] *= -1
+    splats.scales[:] *= 0.3
+    renderer = TileRenderer(splats, make_grid(splats, pixel, (0.8, 0.8, 3.2, 3.2)))
+    (tile,) = tiles_of(renderer.grid)
+    chosen = renderer.inside(tile)
+    image, alpha = renderer.render(tile, chosen, renderer.colors()[chosen])
+    fine = TileRenderer(splats, make_grid(splats, 0.002, (0.8, 0.8, 1.2, 1.2)))
+    (fine_tile,) = tiles_of(fine.grid)
+    _, truth = fine.render(fine_tile, fine.inside(fine_tile), fine.colors()[fine.inside(fine_tile)])
+    assert alpha.mean() == pytest.approx(truth.mean(), rel=0.35)
+    assert (image.mean((0, 1)) / alpha.mean()) == pytest.approx(0.5, abs=0.02)
+
+
+def test_taglab_gets_rgb_and_the_pixel_size(two_colors, tmp_path):
+    make_ortho(two_colors, tmp_path / "map.tif", pixel=0.02, taglab=True)
+    with rasterio.open(tmp_path / "map.tif") as dataset:
+        assert dataset.count == 3 and dataset.dtypes[0] == "uint8" and dataset.nodata is None
+    assert (tmp_path / "map_pixel_size.txt").read_text() == "20 mm per pixel\n"
+    with pytest.raises(InputError, match="32767 a side that TagLab opens: choose a pixel size of at least 0.00012"):
+        make_ortho(two_colors, tmp_path / "large.tif", pixel=0.0001, taglab=True)
+
+
+def test_a_scene_without_a_scale_is_mapped_in_units(tmp_path):
+    run = write_run(tmp_path, [sheet(0, 0, 2, 1, 0.1)], measured=None)
+    found = make_ortho(run, tmp_path / "map.tif", pixel=0.05)
+    assert found["unit"] == "units" and found["width"] == pytest.approx(80, abs=8)  # two units in a metre
+    assert "lengths are in units of the scene" in found["notes"][0]
+    with rasterio.open(tmp_path / "map.tif") as dataset:
+        assert dataset.crs is None and dataset.tags()["UNITS"] == "units of the scene"
+
+
+def test_local_metres_without_a_coordinate_system(tmp_path):
+    run = write_run(tmp_path, [sheet(0, 0, 2, 1, 0.1)], measured=measured(placement=None))
+    assert make_ortho(run, tmp_path / "map.tif", pixel=0.05)["crs"] is None
+    with rasterio.open(tmp_path / "map.tif") as dataset:
+        assert 'LOCAL_CS["Local metres",UNIT["metre",1' in dataset.crs.to_wkt()
+
+
+@pytest.mark.parametrize("plane", ["fit", "0,0,-1"])
+def test_a_wall_is_mapped_from_its_side(plane, tmp_path, monkeypatch):
+    """A wall that faces south, red in its upper half: z of the scene is north, y is down."""
+    wall = concatenate([sheet(0, 0, 3, 1, 0.05, color=BLUE), sheet(0, 1, 3, 2, 0.05, color=RED)])
+    wall.positions[:] = wall.positions[:, [0, 2, 1]] * [1, -1, 1]
+    wall.rotations[:] = [np.sqrt(0.5), np.sqrt(0.5), 0, 0]
+    run = write_run(tmp_path, [wall])
+
+    class View:
+        class camera:  # noqa: N801
+            centre = np.array([3.0, -2.0, -10.0])
+
+    class Scene:
+        views = [View]
+
+    monkeypatch.setattr("swag_engine.products.map_frame.load_scene", lambda folder: Scene)
+    found = make_ortho(run, tmp_path / "map.tif", pixel=0.02, plane=plane)
+    assert (found["width"], found["height"]) == (pytest.approx(150, abs=6), pytest.approx(100, abs=6))
+    assert found["crs"] is None
+    with rasterio.open(tmp_path / "map.tif") as dataset:
+        colors = dataset.read()
+    np.testing.assert_allclose(colors[:3, 20, 75], 255 * np.array(RED), atol=3)
+    np.testing.assert_allclose(colors[:3, 80, 75], 255 * np.array(BLUE), atol=3)
+
+
+def test_a_splat_file_needs_a_direction(tmp_path):
+    splats = sheet(0, 0, 2, 1, 0.1)
+    write_ply(tmp_path / "some.ply", splats)
+    with pytest.raises(InputError, match="does not say which direction is up: give it with --plane"):
+        make_ortho(tmp_path / "some.ply", tmp_path / "map.tif")
+    found = make_ortho(tmp_path / "some.ply", tmp_path / "map.tif", plane="0,0,1")
+    assert found["unit"] == "units" and found["covered"] > 0.7
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        (["--pixel", "-1"], "pixel size is -1: it must be above 0"),
+        (["--box", "1", "1", "0", "2"], "left below right"),
+        (["--plane", "sideways"], "must be up, fit, or a direction"),
+        (["--water", "2"], "from 0 to 1, not 2"),
+        (["--pixel", "1e-6"], "more than the 200000 a side that can be mapped"),
+    ],
+)
+def test_options_that_cannot_be_used_are_explained(options, message, two_colors, tmp_path, capsys):
+    assert main(["ortho", str(two_colors), "--out", str(tmp_path / "map.tif"), *options]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.tif*")) and not list(tmp_path.glob(".*"))
+
+
+def test_a_crs_in_degrees_a_folder_without_a_run_and_a_folder_that_cannot_be_written(two_colors, tmp_path):
+    (tmp_path / "degrees").mkdir()
+    degrees = measured(placement=Placement("EPSG:4326", (15.0, 36.0, 0.0)))
+    run = write_run(tmp_path / "degrees", [sheet(0, 0, 2, 1, 0.1)], measured=degrees)
+    with pytest.raises(InputError, match="EPSG:4326 is in degrees, and a map needs metres"):
+        make_ortho(run, tmp_path / "map.tif")
+    with pytest.raises(InputError, match="is not a training run"):
+        make_ortho(tmp_path / "degrees", tmp_path / "map.tif")
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="Cannot write"):
+        make_ortho(two_colors, tmp_path / "file" / "map.tif", pixel=0.1)
+    with pytest.raises(InputError, match="choose a name that ends in .tif"):
+        make_ortho(two_colors, tmp_path / "map.jpg", pixel=0.1)
+
+
+def test_without_the_extra_the_command_says_what_to_install(two_colors, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(__import__("sys").modules, "rasterio", None)
+    assert main(["ortho", str(two_colors), "--out", str(tmp_path / "map.tif")]) == 2
+    assert "-m pip install rasterio pyproj shapely" in capsys.readouterr().err
+
+
+def test_the_pixel_size_follows_the_splats():
+    chosen = make_grid(sheet(0, 0, 10, 10, 0.1))
+    assert chosen.pixel == pytest.approx(0.1)
+    assert make_grid(sheet(0, 0, 10, 10, 0.1), box=(0, 0, 5000, 10)).width <= grid.USUAL_PIXELS
+
+
+# -- heights ----------------------------------------------------------------------------------------------------------
+
+
+def waves(x, y):
+    return 0.3 * np.sin(2 * x) + 0.2 * y
+
+
+def test_heights_of_a_known_surface(tmp_path):
+    run = write_run(tmp_path, [sheet(0, 0, 4, 3, 0.04, waves)])
+    found = make_dem(run, tmp_path / "dem.tif", pixel=0.02, box=(-0.5, 0, 4, 3))
+    heights = read_heights(tmp_path / "dem.tif")
+    x, y = np.meshgrid(-0.5 + 0.02 * (np.arange(225) + 0.5), 3 - 0.02 * (np.arange(150) + 0.5))
+    inside = x > 0.1
+    errors = np.abs(heights + 12 - waves(x, y))[inside]
+    assert np.median(errors) < 0.004 and np.quantile(errors, 0.95) < 0.04  # a pixel is 0.02
+    assert np.isnan(heights[x < -0.15]).all()
+    assert found["heights"] == pytest.approx([waves(x, y)[inside].min() - 12, waves(x, y)[inside].max() - 12], abs=0.05)
+    with rasterio.open(tmp_path / "dem.tif") as dataset:
+        assert dataset.nodata == -9999 and dataset.descriptions == ("first surface", "median height")
+
+
+def test_the_first_surface_is_above_the_median_where_something_thin_floats(tmp_path):
+    haze = sheet(1, 1, 2, 2, 0.1, 1.0)
+    haze.opacities[:] = 0.15
+    run = write_run(tmp_path, [sheet(0, 0, 3, 3, 0.05), haze])
+    make_dem(run, tmp_path / "dem.tif", pixel=0.05, box=(0, 0, 3, 3))
+    first, median = (read_heights(tmp_path / "dem.tif", band) + 12 for band in (1, 2))
+    np.testing.assert_allclose(first[25:35, 25:35], 1, atol=0.01)
+    np.testing.assert_allclose(median[25:35, 25:35], 0, atol=0.01)
+    np.testing.assert_allclose(first[5:15, 5:15], 0, atol=0.01)
+
+
+def test_a_step_between_two_levels(tmp_path):
+    run = write_run(tmp_path, [sheet(0, 0, 4, 2, 0.05), sheet(1, 0.5, 2, 1.5, 0.05, 0.7)])
+    make_dem(run, tmp_path / "dem.tif", pixel=0.02, box=(0, 0, 4, 2))
+    heights = read_heights(tmp_path / "dem.tif") + 12
+    x, y = np.meshgrid(0.02 * (np.arange(200) + 0.5), 2 - 0.02 * (np.arange(100) + 0.5))
+    top = (np.abs(x - 1.5) < 0.5) & (np.abs(y - 1) < 0.5)
+    assert np.median(np.abs(heights - 0.7 * top)) < 1e-3
+    assert (heights > 0.35).sum() == pytest.approx(top.sum(), rel=0.12)
+
+
+def test_derived_maps_of_a_slope(tmp_path):
+    """30 degrees, up to the east: rugosity 1 / cos 30, light from the north-west."""
+    run = write_run(tmp_path, [sheet(0, 0, 3, 3, 0.05, lambda x, y: x / np.sqrt(3))])
+    found = make_dem(
+        run, tmp_path / "dem.tif", pixel=0.05, box=(0, 0, 3, 3), derived=("hillshade", "slope", "rugosity"), window=0.5
+    )
+    assert found["rugosity"] == pytest.approx(1 / np.cos(np.radians(30)), abs=0.005)
+    maps = {
+        name: rasterio.open(tmp_path / f"dem_{name}.tif").read(1)[10:50, 10:50]
+        for name in ("hillshade", "slope", "rugosity")
+    }
+    np.testing.assert_allclose(maps["slope"], 30, atol=0.5)
+    np.testing.assert_allclose(maps["rugosity"], 1.1547, atol=0.01)
+    light, normal = np.array([-0.5, 0.5, np.sqrt(0.5)]), np.array([-0.5, 0, np.sqrt(0.75)])
+    np.testing.assert_allclose(maps["hillshade"], 1 + 254 * light @ normal, atol=3)
+
+
+def test_derived_maps_beside_holes():
+    heights = np.tile(np.arange(9.0), (9, 1))
+    heights[4, 4] = np.nan
+    for values in (slope(heights, 1), rugosity(heights, 1, 3), hillshade(heights, 1)):
+        assert np.isnan(values[4, 4]) and np.isfinite(np.delete(values.ravel(), 40)).all()
+    np.testing.assert_allclose(slope(heights, 1)[4, 3], 45)
+
+
+def test_the_command_tells_heights(tmp_path, capsys):
+    run = write_run(tmp_path, [sheet(0, 0, 2, 2, 0.1, 0.5)])
+    arguments = ["dem", str(run), "--out", str(tmp_path / "dem.tif"), "--pixel", "0.1", "--derived", "slope"]
+    assert main(arguments) == 0
+    assert "Heights -11.5 to -11.5 m, surface over planar area 1.000" in capsys.readouterr().out
+    assert main([*arguments, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"][1].endswith("dem_slope.tif")
