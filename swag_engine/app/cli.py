@@ -728,6 +728,44 @@ class Dem:
 
 
 @dataclass(frozen=True)
+class Areas:
+    """Write the label map of a labelled run, the areas of its labels with errors, and its patches, to a folder.
+
+    Files: labels.tif (palette), heights.tif, areas.csv, patches.geojson, patches_coco.json. Needs the extra science.
+    """
+
+    source: tyro.conf.Positional[Source]
+    """Folder of the run, or a PLY file with labels."""
+    out: Path
+    """Folder of the files."""
+    pixel: float = 0.0
+    """Edge of a pixel in metres, or in units where the scale is not known; 0 for the size of the splats."""
+    box: Box | None = None
+    """Left, bottom, right and top edge of the map; from the splats without it."""
+    plane: str = "up"
+    """Where the map is seen from, as ortho has it."""
+    masks: Path | None = None
+    """Folder of mask images of test photos, as label takes it, from which errors are found; the folder labels of the
+    scene without it."""
+    least_patch: int = 10
+    """Smallest number of pixels of a patch."""
+    corrected: Path | None = None
+    """Corrected copy of labels.tif in the folder --out: its labels go to the splats of the run, and all files are made
+    again with the same pixels."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..products.areas import describe, make_areas
+
+        options = self.plane, self.masks, self.least_patch, self.corrected
+        result = make_areas(self.source, self.out, self.pixel, self.box, *options)
+        show(result, self.json, describe(result))
+        return 0
+
+
+@dataclass(frozen=True)
 class Batch:
     """Run one command for every scene, or every run, in a folder, and print a table. A failure does not stop the rest.
 
@@ -772,7 +810,7 @@ class Doctor:
 
 COMMANDS = (
     Inspect, Sfm, ImportCameras, Scale, Targets, Plan, Forecast, Train, Evaluate, Report, Chart, Ablate, Tradeoff,
-    Render, Film, Label, Search, Extract, Export, Ortho, Dem, Batch, Doctor,
+    Render, Film, Label, Search, Extract, Export, Ortho, Dem, Areas, Batch, Doctor,
 )  # fmt: skip
 
 

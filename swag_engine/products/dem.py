@@ -61,33 +61,37 @@ def make_dem(
     grid = make_grid(scene.splats, pixel, box)
     crs = map_crs(scene)
     files = [out]
+    low, high, seen = write_heights(out, scene, grid, backend)
+    for name in derived:
+        path = out.with_name(f"{out.stem}_{name}.tif")
+        _write_derived(path, out, name, scene, grid, window)
+        files.append(path)
+    notes = list(scene.notes)
+    if not seen:
+        notes.append("Nothing was seen in the map: all heights are nodata.")
+    return map_answer(out, files, grid, scene, crs) | {
+        "covered": seen / (grid.width * grid.height),
+        "heights": [low, high] if seen else None,
+        "rugosity": _total_rugosity(out, grid),
+        "notes": notes,
+    }
+
+
+def write_heights(out: Path, scene: MapScene, grid: MapGrid, backend: str = "auto") -> tuple[float, float, int]:
+    """Write the DEM of splats; return the lowest and highest median height and the number of pixels that have one."""
     offset = scene.placement.offset[2] if scene.placement else 0.0
     renderer = TileRenderer(scene.splats, grid, backend)
     low, high, seen = np.inf, -np.inf, 0
     with create_map(out, scene, grid, ("first surface", "median height"), "float32", NO_HEIGHT) as writer:
         for tile in tiles_of(grid, EDGE):
             heights = tile_heights(renderer, tile)
-            known = np.isfinite(heights.median)
-            if known.any():
-                seen += int(known.sum())
-                low, high = min(low, float(heights.median[known].min())), max(high, float(heights.median[known].max()))
+            known = heights.median[np.isfinite(heights.median)]
+            if len(known):
+                seen += len(known)
+                low, high = min(low, float(known.min())), max(high, float(known.max()))
             bands = np.stack([heights.first, heights.median], axis=2).astype(np.float64) + offset
             writer.write(tile, np.where(np.isfinite(bands), bands, NO_HEIGHT))
-    rugosity = None
-    for name in derived:
-        path = out.with_name(f"{out.stem}_{name}.tif")
-        _write_derived(path, out, name, scene, grid, window)
-        files.append(path)
-    rugosity = _total_rugosity(out, grid)
-    notes = list(scene.notes)
-    if not seen:
-        notes.append("Nothing was seen in the map: all heights are nodata.")
-    return map_answer(out, files, grid, scene, crs) | {
-        "covered": seen / (grid.width * grid.height),
-        "heights": [low + offset, high + offset] if seen else None,
-        "rugosity": rugosity,
-        "notes": notes,
-    }
+    return low + offset, high + offset, seen
 
 
 def read_heights(path: Path, band: int = 2, tile: Tile | None = None, margin: int = 0) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Maps as Cloud Optimized GeoTIFF files, with their preview, and maps that are read back."""
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -174,7 +175,10 @@ def read_map(path: Path) -> MapImage:
     """
     rasterio = require_packages()
     try:
-        with rasterio.open(path) as dataset:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # a PNG has no place
+            dataset = rasterio.open(path)
+        with dataset:
             values = np.moveaxis(dataset.read(), 0, -1)
             return MapImage(
                 values[..., 0] if values.shape[2] == 1 else values, dataset.transform, dataset.nodata, dataset.crs

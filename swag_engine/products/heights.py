@@ -81,26 +81,39 @@ def tile_heights(renderer: TileRenderer, tile: Tile) -> TileHeights:
     return TileHeights(*found)
 
 
-def surface_factor(heights: np.ndarray, pixel: float) -> np.ndarray:
+def surface_factor(heights: np.ndarray, pixel: float, regions: np.ndarray | None = None) -> np.ndarray:
     """Return surface area over planar area of each pixel, sqrt(1 + |gradient|^2), NaN where it is not known.
 
     Args:
         heights: (H, W), NaN where nothing was seen.
         pixel: Edge of a pixel, in the unit of the heights.
+        regions: (H, W) numbers; steps between regions are not slopes of either.
     """
-    down, right = gradients(heights, pixel)
+    down, right = gradients(heights, pixel, regions)
     return np.sqrt(1 + down * down + right * right)
 
 
-def gradients(heights: np.ndarray, pixel: float) -> tuple[np.ndarray, np.ndarray]:
-    """Differentiate heights (H, W) by rows and by columns: central differences, one-sided beside holes and edges."""
+def gradients(heights: np.ndarray, pixel: float, regions: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Differentiate heights (H, W) by rows and by columns: central differences, one-sided beside holes and edges.
+
+    Neighbours in another region, where `regions` (H, W) are given, count as holes.
+    """
     results = []
     for axis in (0, 1):
-        padded = np.pad(heights, [(1, 1) if a == axis else (0, 0) for a in (0, 1)], constant_values=np.nan)
-        before = np.take(padded, range(0, heights.shape[axis]), axis=axis)
-        after = np.take(padded, range(2, heights.shape[axis] + 2), axis=axis)
+        before, after = _neighbours(heights, axis)
+        if regions is not None:
+            other_before, other_after = _neighbours(regions.astype(np.float64), axis)
+            before = np.where(other_before == regions, before, np.nan)
+            after = np.where(other_after == regions, after, np.nan)
         slopes = (after - before) / (2 * pixel)
         slopes = np.where(np.isnan(slopes), (after - heights) / pixel, slopes)
         slopes = np.where(np.isnan(slopes), (heights - before) / pixel, slopes)
         results.append(np.where(np.isnan(heights), np.nan, slopes))
     return results[0], results[1]
+
+
+def _neighbours(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the values before and after each pixel along an axis, NaN beyond the edges."""
+    padded = np.pad(values, [(1, 1) if a == axis else (0, 0) for a in (0, 1)], constant_values=np.nan)
+    size = values.shape[axis]
+    return np.take(padded, range(size), axis=axis), np.take(padded, range(2, size + 2), axis=axis)

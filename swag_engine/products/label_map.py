@@ -1,0 +1,173 @@
+"""Label maps: the label that covers most of each pixel, and corrections that go back to the splats."""
+
+import colorsys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..formats.select import LABEL
+from ..splats.splats import Splats
+from .geotiff import NO_LABEL, Color, create_map, read_map
+from .grid import MapGrid
+from .heights import SEEN
+from .map_frame import MapScene
+from .tiles import Tile, TileRenderer, tiles_of
+
+UNLABELLED = "unlabelled"
+"""Name of label 0."""
+CHANNELS = 8
+"""Labels that are blended at a time."""
+TURN = 0.618034
+"""Difference of hue between labels, the golden ratio: neighbours differ most."""
+LEAST_CHANGED = 0.5
+"""Fraction of the visible part of a splat that must lie in corrected pixels for it to get another label."""
+
+
+def label_colors(labels: Sequence[int]) -> dict[int, Color]:
+    """Return a color for each label; grey for none."""
+    colors = {}
+    for label in labels:
+        hue = colorsys.hsv_to_rgb((label * TURN) % 1, 0.65, 0.95) if label else (0.5, 0.5, 0.5)
+        red, green, blue = (round(255 * value) for value in hue)
+        colors[label] = red, green, blue
+    return colors
+
+
+def splat_labels(splats: Splats) -> np.ndarray:
+    """Return the labels (N,) of splats.
+
+    Raises:
+        InputError: If they have none, or a number is too large for a palette.
+    """
+    if LABEL not in splats.extras or not splats.extras[LABEL].any():
+        raise InputError("The splats have no labels: make them with the command label, or in Blender.")
+    labels = splats.extras[LABEL].astype(np.int64)
+    if labels.min() < 0 or labels.max() >= NO_LABEL:
+        raise InputError(f"The splats have the label {labels.max()}: a map holds labels from 1 to {NO_LABEL - 1}.")
+    return labels
+
+
+def write_label_map(out: Path, scene: MapScene, grid: MapGrid, backend: str = "auto") -> np.ndarray:
+    """Render the label map of splats to a GeoTIFF with a palette.
+
+    Args:
+        out: The file.
+        scene: The splats.
+        grid: Its pixels.
+        backend: What renders.
+
+    Returns:
+        Labels (H, W) uint8, 0 for none, NO_LABEL where nothing was seen.
+    """
+    labels = splat_labels(scene.splats)
+    renderer = TileRenderer(scene.splats, grid, backend)
+    found = np.full((grid.height, grid.width), NO_LABEL, np.uint8)
+    colors = label_colors([0, *sorted(scene.labels | dict.fromkeys(np.unique(labels).tolist(), ""))])
+    names = {f"LABEL_{label}": label_name(scene, label) for label in colors}
+    with create_map(out, scene, grid, ("label",), "uint8", NO_LABEL, colors, names) as writer:
+        for tile in tiles_of(grid):
+            values = _tile_labels(renderer, tile, labels)
+            found[tile.row : tile.row + tile.height, tile.column : tile.column + tile.width] = values
+            writer.write(tile, values[..., None])
+    return found
+
+
+def label_name(scene: MapScene, label: int) -> str:
+    """Return the name of a label."""
+    return scene.labels.get(label, f"label {label}" if label else UNLABELLED)
+
+
+def _tile_labels(renderer: TileRenderer, tile: Tile, labels: np.ndarray) -> np.ndarray:
+    """Return the labels (height, width) of a tile."""
+    chosen = renderer.inside(tile)
+    best = np.zeros((tile.height, tile.width), np.float32)
+    found = np.full((tile.height, tile.width), NO_LABEL, np.uint8)
+    present = np.unique(labels[chosen])
+    for start in range(0, len(present), CHANNELS):
+        some = present[start : start + CHANNELS]
+        image, alpha = renderer.render(tile, chosen, (labels[chosen][:, None] == some).astype(np.float32))
+        largest = image.max(axis=2)
+        better = (largest > best) & (alpha >= SEEN)
+        found[better] = some[image.argmax(axis=2)][better]
+        best = np.maximum(best, largest)
+    return found
+
+
+def read_corrected(path: Path, shape: tuple[int, int], colors: dict[int, Color]) -> np.ndarray:
+    """Read a corrected label map: a palette image, an image of label numbers, or one in the colors of the labels.
+
+    Args:
+        path: PNG or TIFF of the size of the label map.
+        shape: Rows and columns of the label map.
+        colors: Colors of the labels.
+
+    Returns:
+        Labels (H, W) uint8; NO_LABEL where the image is transparent or has that number.
+
+    Raises:
+        InputError: If the image has another size, or a number or color of no label.
+    """
+    values = read_map(path).values
+    if values.shape[:2] != shape:
+        raise InputError(
+            f"{path.name} has {values.shape[1]} x {values.shape[0]} pixels and the label map {shape[1]} x {shape[0]}: "
+            "correct the label map without changing its size."
+        )
+    if values.ndim == 2:
+        unknown = set(np.unique(values).tolist()) - {*colors, NO_LABEL}
+        if unknown:
+            raise InputError(f"{path.name} has the value {min(unknown)}, which is no label of the run.")
+        return values.astype(np.uint8)
+    labels = np.full(shape, NO_LABEL, np.uint8)
+    known = np.zeros(shape, bool) if values.shape[2] < 4 else values[..., 3] == 0
+    for label, color in colors.items():
+        match = (values[..., :3] == color).all(axis=2) & ~known
+        labels[match] = label
+        known |= match
+    if not known.all():
+        row, column = np.argwhere(~known)[0]
+        color = tuple(values[row, column, :3].tolist())
+        raise InputError(
+            f"{path.name} has the color {color} at column {column}, row {row}, which is that of no label: paint in "
+            "the colors of the label map, without smooth edges."
+        )
+    return labels
+
+
+def corrected_splats(
+    scene: MapScene, grid: MapGrid, before: np.ndarray, after: np.ndarray, backend: str = "auto"
+) -> np.ndarray:
+    """Give splats the labels of corrected pixels.
+
+    A splat gets the label of most of the corrected pixels in which it is visible, weighted by how visible it is, where
+    these are at least LEAST_CHANGED of all pixels in which it is visible.
+
+    Args:
+        scene: The splats.
+        grid: Pixels of the label map.
+        before: (H, W) the label map.
+        after: (H, W) the corrected one.
+        backend: What renders.
+
+    Returns:
+        Labels (N,) of all splats.
+    """
+    labels = splat_labels(scene.splats)
+    changed = (before != after) & (after != NO_LABEL)
+    present = np.unique(after[changed])
+    renderer = TileRenderer(scene.splats, grid, backend)
+    sums = np.zeros((len(labels), len(present) + 1))
+    for tile in tiles_of(grid):
+        place = slice(tile.row, tile.row + tile.height), slice(tile.column, tile.column + tile.width)
+        chosen = renderer.inside(tile)
+        if not len(chosen):
+            continue
+        weights = np.concatenate(
+            [~changed[place][..., None], changed[place][..., None] & (after[place][..., None] == present)], axis=2
+        )
+        sums[chosen] += renderer.visible_weights(tile, chosen, weights)
+    corrected = sums[:, 1:].sum(axis=1)
+    moved = (corrected > 0) & (corrected >= LEAST_CHANGED * sums.sum(axis=1))
+    return np.where(moved, present[sums[:, 1:].argmax(axis=1)] if len(present) else 0, labels)
