@@ -766,6 +766,68 @@ class Areas:
 
 
 @dataclass(frozen=True)
+class Profile:
+    """Write the heights of a run or of a splat PLY along a straight line to a CSV table, and a picture of them.
+
+    Needs the extra science.
+    """
+
+    source: tyro.conf.Positional[Source]
+    """Folder of the run, or a PLY file."""
+    line: Box
+    """x and y of the first and of the last point, in the map without the offset of its coordinate system."""
+    out: Path
+    """The CSV file; the picture is NAME.png."""
+    pixel: float = 0.0
+    """Distance between heights in metres or units; 0 for the size of the splats."""
+    plane: str = "up"
+    """Where heights are seen from, as ortho has it."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..products.profile import describe, make_profile
+
+        result = make_profile(self.source, self.line, self.out, self.pixel, self.plane)
+        show(result, self.json, describe(result))
+        return 0
+
+
+@dataclass(frozen=True)
+class Change:
+    """Compare two runs of one place: align them by what did not change, map the differences, and list changed objects.
+
+    Files: change.tif, changed.tif (palette), changes.csv, label_change.csv, change.html. Needs the extra science.
+    """
+
+    earlier: tyro.conf.Positional[Source]
+    """Folder of the earlier run, or a PLY file."""
+    later: tyro.conf.Positional[Source]
+    """Folder of the later run, or a PLY file."""
+    out: Path
+    """Folder of the files."""
+    pixel: float = 0.0
+    """Edge of a pixel in metres, or in units where the scale is not known; 0 for the size of the splats."""
+    box: Box | None = None
+    """Left, bottom, right and top edge in the map of the earlier run; from the splats without it."""
+    plane: str = "up"
+    """Where the maps are seen from, as ortho has it."""
+    scale: Literal["fixed", "free"] = "fixed"
+    """fixed: both scales were measured. free: the alignment finds the scale of the later run."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..products.change import describe, make_change
+
+        result = make_change(self.earlier, self.later, self.out, self.pixel, self.box, self.plane, self.scale)
+        show(result, self.json, describe(result))
+        return 0
+
+
+@dataclass(frozen=True)
 class Batch:
     """Run one command for every scene, or every run, in a folder, and print a table. A failure does not stop the rest.
 
@@ -810,7 +872,8 @@ class Doctor:
 
 COMMANDS = (
     Inspect, Sfm, ImportCameras, Scale, Targets, Plan, Forecast, Train, Evaluate, Report, Chart, Ablate, Tradeoff,
-    Render, Film, Label, Search, Extract, Export, Ortho, Dem, Areas, Batch, Doctor,
+    Render, Film, Label, Search, Extract, Export, Ortho, Dem, Areas,
+    Profile, Change, Batch, Doctor,
 )  # fmt: skip
 
 

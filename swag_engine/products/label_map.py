@@ -68,7 +68,7 @@ def write_label_map(out: Path, scene: MapScene, grid: MapGrid, backend: str = "a
     names = {f"LABEL_{label}": label_name(scene, label) for label in colors}
     with create_map(out, scene, grid, ("label",), "uint8", NO_LABEL, colors, names) as writer:
         for tile in tiles_of(grid):
-            values = _tile_labels(renderer, tile, labels)
+            values = tile_labels(renderer, tile, labels)
             found[tile.row : tile.row + tile.height, tile.column : tile.column + tile.width] = values
             writer.write(tile, values[..., None])
     return found
@@ -79,7 +79,7 @@ def label_name(scene: MapScene, label: int) -> str:
     return scene.labels.get(label, f"label {label}" if label else UNLABELLED)
 
 
-def _tile_labels(renderer: TileRenderer, tile: Tile, labels: np.ndarray) -> np.ndarray:
+def tile_labels(renderer: TileRenderer, tile: Tile, labels: np.ndarray) -> np.ndarray:
     """Return the labels (height, width) of a tile."""
     chosen = renderer.inside(tile)
     best = np.zeros((tile.height, tile.width), np.float32)

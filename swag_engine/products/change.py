@@ -1,0 +1,306 @@
+"""Change between two surveys of one place: aligned, mapped, listed, and shown on a page."""
+
+import base64
+import csv
+import io
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from ..base.html_page import paragraph_html, table_html, write_page
+from ..formats.run_folder import write_json
+from ..formats.select import LABEL
+from ..splats.transform import transformed
+from .alignment import Alignment, align
+from .change_maps import FLAGS, Changes, Survey, find_changes, label_transitions
+from .geotiff import NO_HEIGHT, NO_LABEL, Color, create_map, map_crs, map_transform
+from .grid import MapGrid, make_grid
+from .heights import EDGE, tile_heights
+from .label_map import label_name, tile_labels
+from .map_frame import MapScene, load_map_scene
+from .ortho import map_answer
+from .packages import require_packages
+from .tiles import TileRenderer, tiles_of
+
+ScaleChoice = Literal["fixed", "free"]
+MOST_PIXELS = 8192
+"""Largest number of pixels along a side: surveys are compared as a whole, in memory."""
+FLAG_COLORS: dict[int, Color] = {
+    0: (230, 230, 230),
+    1: (33, 102, 172),
+    2: (178, 24, 43),
+    3: (244, 165, 30),
+    4: (118, 42, 131),
+}
+FILES = {
+    "maps": "change.tif",
+    "flags": "changed.tif",
+    "objects": "changes.csv",
+    "labels": "label_change.csv",
+    "page": "change.html",
+    "answer": "change.json",
+}
+"""Files in the folder of a change."""
+
+
+def make_change(
+    earlier: Path,
+    later: Path,
+    out: Path,
+    pixel: float = 0.0,
+    box: tuple[float, float, float, float] | None = None,
+    plane: str = "up",
+    scale: ScaleChoice = "fixed",
+    backend: str = "auto",
+) -> dict[str, Any]:
+    """Compare two runs of one place.
+
+    Args:
+        earlier: Folder of the earlier run, or a PLY file.
+        later: Folder of the later run, or a PLY file.
+        out: Folder of the files in FILES.
+        pixel: Edge of a pixel; chosen from the splats where it is 0.
+        box: Left, bottom, right and top edge in the map of the earlier run.
+        plane: As in `load_map_scene`.
+        scale: Whether the scale of the later survey is kept, or found by the alignment.
+        backend: What renders.
+
+    Returns:
+        As `make_ortho`, with `alignment` (matrix, scale, residual, static fraction), `height_noise` (the median of the
+        smallest change that is told), `objects`, and `changed`, the fraction of the seen pixels that changed.
+
+    Raises:
+        InputError: If an option or a file cannot be used.
+    """
+    require_packages()
+    first, second = load_map_scene(earlier, plane), load_map_scene(later, plane)
+    if first.unit != second.unit and scale == "fixed":
+        known, unknown = (earlier, later) if first.unit == "m" else (later, earlier)
+        raise InputError(
+            f"The scale of {known.name} is known and that of {unknown.name} is not: measure it with the command scale, "
+            "or let the alignment find it with --scale free."
+        )
+    alignment = align(second.splats, first.splats, _initial(first, second), scale == "free")
+    moved = replace(second, splats=transformed(second.splats, alignment.matrix))
+    grid = make_grid(first.splats, pixel, box)
+    if max(grid.width, grid.height) > MOST_PIXELS:
+        raise InputError(
+            f"The maps would have {grid.width} x {grid.height} pixels, more than the {MOST_PIXELS} a side that are "
+            "compared: choose a larger --pixel or a smaller --box."
+        )
+    crs = map_crs(first)
+    before, after = (_survey(scene, grid, backend) for scene in (first, moved))
+    after = _same_labels(first, second, after)
+    changes = find_changes(before, after, grid.pixel, alignment.residual)
+    if not np.isfinite(changes.height).any():
+        raise InputError("The two surveys have no pixel in common: check that they show one place, or --box.")
+    files = {name: out / file for name, file in FILES.items()}
+    _write_maps(files["maps"], files["flags"], first, grid, changes)
+    objects = _placed(changes.objects, first, grid)
+    _write_objects(files["objects"], objects, first)
+    transitions = label_transitions(before, after, grid.pixel)
+    _write_transitions(files["labels"], transitions, first)
+    seen = changes.flags != NO_LABEL
+    answer = map_answer(out, list(files.values()), grid, first, crs) | {
+        "covered": float(seen.mean()),
+        "alignment": {
+            "matrix": alignment.matrix.tolist(),
+            "scale": alignment.scale,
+            "residual": alignment.residual,
+            "static": alignment.static,
+            "points": alignment.points,
+        },
+        "height_noise": float(np.median(changes.height_limit[seen])),
+        "changed": float((changes.flags[seen] > 0).mean()),
+        "objects": objects,
+        "notes": [*first.notes, *_notes(alignment, before, after)],
+    }
+    _write_page(files["page"], answer, before, after, changes)
+    write_json(files["answer"], answer)
+    return answer
+
+
+def describe(document: dict[str, Any]) -> str:
+    """Return the lines that the command `change` prints.
+
+    Args:
+        document: What `make_change` returned.
+    """
+    unit, found = document["unit"], document["alignment"]
+    lines = [
+        f"Aligned with {found['residual']:.3g} {unit} between static surfaces ({found['static']:.0%} of the splats), "
+        f"scale {found['scale']:.5g}. Changes of height above {document['height_noise']:.3g} {unit} are told at 95 %."
+    ]
+    for item in document["objects"]:
+        lines.append(
+            f"{item['change']:<8} at {item['x']:.10g} {item['y']:.10g}: {item['area']:.4g} {unit}², height "
+            f"{item['height_change']:+.3g} {unit}, volume {item['volume_change']:+.3g} {unit}³"
+        )
+    if not document["objects"]:
+        lines.append("No change can be told.")
+    return "\n".join([*lines, *document["files"], *document["notes"]])
+
+
+def _initial(first: MapScene, second: MapScene) -> np.ndarray | None:
+    """Where the frames lie in one coordinate reference system, the transform from the second to the first."""
+    a, b = first.placement, second.placement
+    if a is None or b is None or a.crs != b.crs or not (first.north and second.north):
+        return None
+    matrix = np.eye(4)
+    matrix[:3, 3] = np.array(b.offset) - np.array(a.offset)
+    return matrix
+
+
+def _survey(scene: MapScene, grid: MapGrid, backend: str) -> Survey:
+    """Render colors, heights and labels of a survey."""
+    renderer = TileRenderer(scene.splats, grid, backend)
+    colors = renderer.colors()
+    labels = scene.splats.extras.get(LABEL)
+    labels = labels.astype(np.int64) if labels is not None and labels.any() else None
+    shape = grid.height, grid.width
+    image, heights = np.zeros((*shape, 3), np.float32), np.full(shape, np.nan, np.float32)
+    found = None if labels is None else np.full(shape, NO_LABEL, np.uint8)
+    for tile in tiles_of(grid, EDGE):
+        place = slice(tile.row, tile.row + tile.height), slice(tile.column, tile.column + tile.width)
+        chosen = renderer.inside(tile)
+        values, alpha = renderer.render(tile, chosen, colors[chosen])
+        image[place] = scene.development.apply(values / np.maximum(alpha, 1e-6)[..., None])
+        heights[place] = tile_heights(renderer, tile).median
+        if found is not None and labels is not None:
+            found[place] = tile_labels(renderer, tile, labels)
+    return Survey(np.clip(image, 0, 1), heights, found)
+
+
+def _same_labels(first: MapScene, second: MapScene, after: Survey) -> Survey:
+    """Give the labels of the later survey the numbers that their names have in the earlier one, new ones 0."""
+    if after.labels is None or not (first.labels and second.labels):
+        return after
+    numbers = {name: number for number, name in first.labels.items()}
+    table = np.zeros(256, np.uint8)
+    table[NO_LABEL] = NO_LABEL
+    for number, name in second.labels.items():
+        table[number] = numbers.get(name, 0)
+    return replace(after, labels=table[after.labels])
+
+
+def _placed(objects: list[dict[str, Any]], scene: MapScene, grid: MapGrid) -> list[dict[str, Any]]:
+    """Add coordinates to objects, the largest first."""
+    transform = map_transform(scene, grid)
+    placed = []
+    for item in sorted(objects, key=lambda item: -item["area"]):
+        x = transform.c + transform.a * (item["column"] + 0.5)
+        y = transform.f + transform.e * (item["row"] + 0.5)
+        placed.append({"x": x, "y": y} | item)
+    return placed
+
+
+def _write_maps(maps: Path, flags: Path, scene: MapScene, grid: MapGrid, changes: Changes) -> None:
+    limit = np.where(np.isfinite(changes.height), changes.height_limit, np.nan)
+    bands = np.stack([changes.height, limit, changes.color], axis=2)
+    bands = np.where(np.isfinite(bands), bands, NO_HEIGHT)
+    names = "height change", "smallest change told at 95 %", "color change"
+    with create_map(maps, scene, grid, names, "float32", NO_HEIGHT) as writer:
+        for tile in tiles_of(grid):
+            writer.write(tile, bands[tile.row : tile.row + tile.height, tile.column : tile.column + tile.width])
+    tags = {f"VALUE_{value}": name for value, name in FLAGS.items()}
+    with create_map(flags, scene, grid, ("change",), "uint8", NO_LABEL, FLAG_COLORS, tags) as writer:
+        for tile in tiles_of(grid):
+            part = changes.flags[tile.row : tile.row + tile.height, tile.column : tile.column + tile.width]
+            writer.write(tile, part[..., None])
+
+
+def _write_objects(path: Path, objects: list[dict[str, Any]], scene: MapScene) -> None:
+    columns = [
+        "change", "x", "y", "pixels", "area", "height_change", "height_limit", "volume_change", "color_change",
+        "label_before", "label_after",
+    ]  # fmt: skip
+    rows = []
+    for item in objects:
+        row = {key: f"{item[key]:.8g}" if isinstance(item[key], float) else item[key] for key in columns}
+        for key in ("label_before", "label_after"):
+            row[key] = "" if item[key] is None else label_name(scene, item[key])
+        rows.append(row)
+    _write_csv(path, columns, rows)
+
+
+def _write_transitions(path: Path, transitions: dict[tuple[int, int], float], scene: MapScene) -> None:
+    rows = [
+        {"before": label_name(scene, a), "after": label_name(scene, b), "area": f"{area:.6g}"}
+        for (a, b), area in transitions.items()
+    ]
+    _write_csv(path, ["before", "after", "area"], rows)
+
+
+def _write_csv(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")
+
+
+def _notes(alignment: Alignment, before: Survey, after: Survey) -> list[str]:
+    notes = []
+    if alignment.static < 0.5:
+        notes.append(
+            f"Only {alignment.static:.0%} of the splats agree with the alignment: the surveys may not show one place."
+        )
+    if before.labels is None or after.labels is None:
+        notes.append("Labels are not compared: both runs need them.")
+    return notes
+
+
+def _write_page(path: Path, answer: dict[str, Any], before: Survey, after: Survey, changes: Changes) -> None:
+    """Write a page on which the later orthomosaic is wiped over the earlier one, with the map of changes below."""
+    colored = np.full((256, 3), 255, np.uint8)
+    for value, color in FLAG_COLORS.items():
+        colored[value] = color
+    images = [_data_url(image) for image in (before.colors * 255, after.colors * 255, colored[changes.flags])]
+    unit = answer["unit"]
+    rows = [
+        [
+            item["change"], f"{item['x']:.10g}", f"{item['y']:.10g}", f"{item['area']:.4g}",
+            f"{item['height_change']:+.3g}", f"{item['volume_change']:+.3g}",
+        ]
+        for item in answer["objects"]
+    ]  # fmt: skip
+    heads = "change", "x", "y", f"area [{unit}²]", f"height [{unit}]", f"volume [{unit}³]"
+    table = table_html(rows, heads, ["", *["number"] * 5])
+    notes = "\n".join(paragraph_html(note, "note") for note in answer["notes"])
+    legend = ", ".join(
+        f'<span style="color: rgb{FLAG_COLORS[value]}">&#9632;</span> {name}' for value, name in FLAGS.items()
+    )
+    body = f"""{paragraph_html(describe(answer).splitlines()[0])}
+<style>.wiped {{ width: 100%; position: absolute; left: 0; top: 0; clip-path: inset(0 50% 0 0); }}</style>
+<p>Move the slider: left the earlier survey, right the later one.</p>
+<div style="position: relative; max-width: 1000px">
+<img src="{images[1]}" alt="later" style="width: 100%; display: block">
+<img id="earlier" src="{images[0]}" alt="earlier" class="wiped">
+</div>
+<input id="wipe" type="range" min="0" max="100" value="50" style="width: 100%; max-width: 1000px" aria-label="Wipe">
+<script>
+const wipe = document.getElementById("wipe");
+wipe.addEventListener("input", () => {{
+  document.getElementById("earlier").style.clipPath = `inset(0 ${{100 - wipe.value}}% 0 0)`;
+}});
+</script>
+<h2>Changes that can be told at 95 %</h2>
+<p>{legend}</p>
+<img src="{images[2]}" alt="map of changes" style="width: 100%; max-width: 1000px">
+{table}
+{notes}"""
+    write_page(path, "Change between two surveys", [body])
+
+
+def _data_url(image: np.ndarray) -> str:
+    """A PNG of an image (H, W, 3), at most 1600 pixels a side, within a page."""
+    factor = min(1.0, 1600 / max(image.shape[:2]))
+    small = cv2.resize(image.astype(np.uint8), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    data = cv2.imencode(".png", small[..., ::-1])[1].tobytes()
+    return f"data:image/png;base64,{base64.b64encode(data).decode()}"

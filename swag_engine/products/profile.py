@@ -1,0 +1,151 @@
+"""Heights along a line."""
+
+import csv
+import io
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..base.errors import InputError
+from ..base.files import atomic_path
+from .dem import read_heights, write_heights
+from .geotiff import map_crs
+from .grid import USUAL_PIXELS, MapGrid, make_grid
+from .map_frame import load_map_scene
+from .packages import require_packages
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MARGIN = 3
+"""Pixels around the line that are rendered."""
+MOST_STEPS = 100_000
+
+
+def make_profile(
+    source: Path,
+    line: tuple[float, float, float, float],
+    out: Path,
+    pixel: float = 0.0,
+    plane: str = "up",
+    backend: str = "auto",
+) -> dict[str, Any]:
+    """Write the heights of a run or of a splat PLY along a straight line, as a table and a picture.
+
+    Args:
+        source: Folder of the run, or a PLY file.
+        line: x and y of the first and of the last point, in the frame of the map without the offset of its system.
+        out: The CSV file; NAME.png is the picture.
+        pixel: Distance between heights; chosen from the splats and the line where it is 0.
+        plane: As in `load_map_scene`.
+        backend: What renders.
+
+    Returns:
+        `out`, `files`, `unit`, `length` (planar), `surface_length` (along the surface where it was seen), `rugosity`
+        (surface over planar length of what was seen), `heights` (lowest and highest, None where nothing was seen),
+        `covered` and `notes`.
+
+    Raises:
+        InputError: If an option or a file cannot be used.
+    """
+    require_packages()
+    if out.suffix.lower() != ".csv":
+        raise InputError(f"{out.name} is no table: choose a name that ends in .csv.")
+    start, end = np.array(line[:2], np.float64), np.array(line[2:], np.float64)
+    length = float(np.linalg.norm(end - start))
+    if not (np.isfinite(length) and length > 0):
+        raise InputError("--line must be x y x y of two different points.")
+    scene = load_map_scene(source, plane)
+    map_crs(scene)
+    pixel = pixel or max(float(np.median(scene.splats.scales.max(axis=1))), length / USUAL_PIXELS)
+    low, high = np.minimum(start, end) - MARGIN * pixel, np.maximum(start, end) + MARGIN * pixel
+    grid = make_grid(scene.splats, pixel, (low[0], low[1], high[0], high[1]))
+    if length / pixel > MOST_STEPS:
+        raise InputError(
+            f"The line would have {length / pixel:.0f} heights, more than {MOST_STEPS}: choose a larger pixel."
+        )
+    with TemporaryDirectory() as folder:
+        dem = Path(folder) / "dem.tif"
+        write_heights(dem, scene, grid, backend)
+        bands = [read_heights(dem, band) for band in (1, 2)]
+    distances = np.linspace(0, length, max(2, round(length / pixel) + 1))
+    places = start + distances[:, None] / length * (end - start)
+    first, median = (sample(band, grid, places) for band in bands)
+    offset = np.array(scene.placement.offset[:2]) if scene.placement else np.zeros(2)
+    _write_table(out, distances, places + offset, first, median)
+    picture = out.with_suffix(".png")
+    with atomic_path(picture) as temporary:
+        _plot(distances, first, median, scene.unit).savefig(temporary, format="png", dpi=120)
+    step = np.diff(distances)
+    rise = np.diff(median)
+    known = np.isfinite(rise)
+    surface = float(np.hypot(step, rise)[known].sum())
+    seen = np.isfinite(median)
+    return {
+        "out": str(out),
+        "files": [str(out), str(picture)],
+        "unit": scene.unit,
+        "length": length,
+        "surface_length": surface,
+        "rugosity": surface / float(step[known].sum()) if known.any() else None,
+        "heights": [float(median[seen].min()), float(median[seen].max())] if seen.any() else None,
+        "covered": float(seen.mean()),
+        "scale_error": scene.scale_error,
+        "notes": list(scene.notes),
+    }
+
+
+def sample(heights: np.ndarray, grid: MapGrid, places: np.ndarray) -> np.ndarray:
+    """Interpolate heights (H, W) at places (M, 2) linearly; NaN where one of the four pixels around has none."""
+    columns = ((places[:, 0] - grid.left) / grid.pixel - 0.5).astype(np.float32)
+    rows = ((grid.top - places[:, 1]) / grid.pixel - 0.5).astype(np.float32)
+    height, width = heights.shape
+    left, top = np.floor(columns).astype(int), np.floor(rows).astype(int)
+    x, y = columns - left, rows - top
+    left, top = np.clip(left, 0, max(width - 2, 0)), np.clip(top, 0, max(height - 2, 0))
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    upper = (1 - x) * heights[top, left] + x * heights[top, right]
+    lower = (1 - x) * heights[bottom, left] + x * heights[bottom, right]
+    return (1 - y) * upper + y * lower
+
+
+def describe(document: dict[str, Any]) -> str:
+    """Return the lines that the command `profile` prints.
+
+    Args:
+        document: What `make_profile` returned.
+    """
+    unit = document["unit"]
+    lines = [f"{document['out']}: {document['length']:.4g} {unit}, {document['covered']:.1%} covered"]
+    if document["heights"] and document["rugosity"]:
+        low, high = document["heights"]
+        lines.append(
+            f"Heights {low:.4g} to {high:.4g} {unit}, {document['surface_length']:.4g} {unit} along the surface "
+            f"(rugosity {document['rugosity']:.3f})"
+        )
+    return "\n".join([*lines, *document["files"][1:], *document["notes"]])
+
+
+def _write_table(out: Path, distances: np.ndarray, places: np.ndarray, first: np.ndarray, median: np.ndarray) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["distance", "x", "y", "median_height", "first_surface"])
+    for distance, (x, y), middle, top in zip(distances, places, median, first, strict=True):
+        heights = ["" if np.isnan(value) else f"{value:.6g}" for value in (middle, top)]
+        writer.writerow([f"{distance:.6g}", f"{x:.10g}", f"{y:.10g}", *heights])
+    with atomic_path(out) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")
+
+
+def _plot(distances: np.ndarray, first: np.ndarray, median: np.ndarray, unit: str) -> "Figure":
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 3), layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot(distances, first, color="0.7", linewidth=1, label="first surface")
+    axes.plot(distances, median, color="black", linewidth=1, label="median height")
+    axes.set(xlabel=f"distance [{unit}]", ylabel=f"height [{unit}]")
+    axes.legend(frameon=False)
+    return figure

@@ -1,0 +1,196 @@
+"""Profiles, alignment, and change between generated surveys of one place."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swag_engine.app.cli import main
+from swag_engine.base.errors import InputError
+from swag_engine.formats.ply import write_ply
+from swag_engine.products.alignment import align
+from swag_engine.products.change import make_change
+from swag_engine.products.profile import make_profile
+from swag_engine.scene.georeference import Georeference
+from swag_engine.splats.splats import concatenate
+from swag_engine.splats.transform import C0, transformed
+from tests.scenes.flat_splats import GEOREFERENCE, sheet, write_run
+
+rasterio = pytest.importorskip("rasterio")
+CORALS = ((0.7, 0.7, 0.25), (2.0, 0.9, 0.3), (3.2, 2.2, 0.2), (1.2, 2.2, 0.3), (3.1, 0.9, 0.3))
+"""Middle and half width of five corals, metres."""
+COLORS = ((0.8, 0.4, 0.2), (0.7, 0.3, 0.6), (0.3, 0.6, 0.3), (0.8, 0.7, 0.3), (0.3, 0.4, 0.8))
+PIXEL = 0.02
+
+
+def sand(x, y):
+    return 0.08 * np.sin(2.3 * x + 0.5) * np.cos(1.7 * y) + 0.05 * np.sin(5.1 * y + x)
+
+
+def survey(seed=0, gone=(), grown=(), growth=1.1):
+    """Sand with corals, its splats jittered as another training would place them."""
+    random = np.random.default_rng(seed)
+    parts = [sheet(0, 0, 4, 3, 0.03, sand, label=1)]
+    brightness = 0.45 + 0.1 * np.sin(3 * parts[0].positions[:, :1]) * np.sin(4 * parts[0].positions[:, 1:2])
+    parts[0].sh[:, 0] = (brightness - 0.5) / C0
+    for number, (x, y, half) in enumerate(CORALS):
+        if number in gone:
+            continue
+        top = 0.3 * (growth if number in grown else 1)
+        half = half * (growth if number in grown else 1)
+        parts.append(sheet(x - half, y - half, x + half, y + half, 0.02, top, COLORS[number], label=2))
+    splats = concatenate(parts)
+    splats.positions[:] += random.normal(0, 0.002, splats.positions.shape)
+    return splats
+
+
+def other_light(splats):
+    """The same scene with less and greener light."""
+    changed = splats.sh.copy()
+    changed[:, 0] = ((0.5 + C0 * changed[:, 0]) * [0.6, 0.8, 0.75] + [0, 0.02, 0.04] - 0.5) / C0
+    return replace(splats, sh=changed.astype(np.float32))
+
+
+def other_frame(angle=100.0, shift=(3.0, -8.0, 1.5), scale=1.0):
+    matrix = np.eye(4)
+    turn = np.radians(angle)
+    matrix[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    matrix[:3, :3] *= scale
+    matrix[:3, 3] = shift
+    return matrix
+
+
+# -- profile ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_profile_follows_the_surface(tmp_path):
+    """Up a slope of 30 degrees, 2 m long as the map has it."""
+    run = write_run(tmp_path, [sheet(0, 0, 4, 3, 0.05, lambda x, y: x / np.sqrt(3))])
+    found = make_profile(run, (1, 1, 3, 1), tmp_path / "line.csv", 0.05)
+    assert found["length"] == pytest.approx(2) and found["surface_length"] == pytest.approx(
+        2 / np.cos(np.pi / 6), rel=0.01
+    )
+    with open(tmp_path / "line.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 41 and float(rows[0]["x"]) == 500_001
+    heights = np.array([float(row["median_height"]) for row in rows])
+    np.testing.assert_allclose(heights, (1 + np.linspace(0, 2, 41)) / np.sqrt(3) - 12, atol=0.01)
+    assert (tmp_path / "line.png").stat().st_size > 1000
+
+
+def test_a_profile_over_a_hole_has_no_heights_there(tmp_path, capsys):
+    run = write_run(tmp_path, [sheet(0, 0, 1, 1, 0.05), sheet(2, 0, 3, 1, 0.05)])
+    line = ["--line", "0.5", "0.5", "2.5", "0.5", "--pixel", "0.05"]
+    assert main(["profile", str(run), *line, "--out", str(tmp_path / "line.csv"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["covered"] == pytest.approx(0.5, abs=0.06)
+    with open(tmp_path / "line.csv") as file:
+        assert [row["median_height"] for row in csv.DictReader(file)][20] == ""
+    with pytest.raises(InputError, match="two different points"):
+        make_profile(run, (1, 1, 1, 1), tmp_path / "line.csv")
+    with pytest.raises(InputError, match="ends in .csv"):
+        make_profile(run, (1, 1, 2, 1), tmp_path / "line.txt")
+
+
+# -- alignment --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale, free", [(1.0, False), (1.3, True)])
+def test_surveys_in_other_frames_are_aligned_by_what_is_static(scale, free):
+    """Three of five corals are gone, and the light is another one."""
+    there = other_frame(scale=scale)
+    later = transformed(other_light(survey(1, gone=(0, 1, 2))), there)
+    found = align(later, survey(0), None, free)
+    corners = np.array([[0, 0, 0], [4, 0, 0], [4, 3, 0], [0, 3, 0.3]])
+    moved = corners @ there[:3, :3].T + there[:3, 3]
+    back = moved @ found.matrix[:3, :3].T + found.matrix[:3, 3]
+    assert np.abs(back - corners).max() < 0.01  # half a pixel
+    assert found.scale == pytest.approx(1 / scale, rel=0.005)
+    assert found.static > 0.8 and found.residual < 0.005
+
+
+def test_too_few_splats_are_refused():
+    few = sheet(0, 0, 1, 1, 0.2)
+    with pytest.raises(InputError, match="only 25 solid splats"):
+        align(few, few, None, False)
+
+
+# -- change -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """Three corals removed, one grown by 10 %, other light, another frame; the fifth coral and the sand are static."""
+    folder = tmp_path_factory.mktemp("pair")
+    earlier = write_run(folder / "a", [survey(0)], ("sand", "coral"))
+    unplaced = Georeference(**(vars(GEOREFERENCE) | {"placement": None, "axes": "up"}))
+    later = transformed(other_light(survey(1, gone=(0, 1, 2), grown=(3,))), other_frame())
+    later_run = write_run(folder / "b", [later], ("sand", "coral"), unplaced)
+    return earlier, later_run, make_change(earlier, later_run, folder / "change", PIXEL), folder / "change"
+
+
+def test_removed_and_grown_objects_are_found_and_no_others(pair):
+    _, _, found, _ = pair
+    lower = [item for item in found["objects"] if item["change"] == "lower"]
+    assert len(lower) == 3
+    for x, y, half in CORALS[:3]:
+        (item,) = [i for i in lower if abs(i["x"] - 500_000 - x) < 0.05 and abs(i["y"] - 4_000_000 - y) < 0.05]
+        assert item["area"] == pytest.approx((2 * half) ** 2, rel=0.12)
+        assert item["height_change"] == pytest.approx(sand(x, y) - 0.3, abs=0.06)
+        assert (item["label_before"], item["label_after"]) == (2, 1)
+    x, y, half = CORALS[3]
+    grown = [item for item in found["objects"] if item["change"] != "lower"]
+    assert all(abs(i["x"] - 500_000 - x) < 1.2 * half and abs(i["y"] - 4_000_000 - y) < 1.2 * half for i in grown), (
+        grown
+    )
+    assert any(i["change"] == "higher" and i["height_change"] == pytest.approx(0.03, abs=0.01) for i in grown)
+
+
+def test_maps_table_and_page_of_a_change(pair):
+    _, _, found, out = pair
+    with rasterio.open(out / "change.tif") as dataset:
+        assert dataset.descriptions[1] == "smallest change told at 95 %" and dataset.crs.to_epsg() == 32633
+    with rasterio.open(out / "changed.tif") as dataset:
+        flags = dataset.read(1)
+        assert dataset.colormap(1)[2][:3] == (178, 24, 43)
+    assert (flags == 2).sum() * PIXEL**2 == pytest.approx(0.25 + 0.36 + 0.16, rel=0.12)
+    with open(out / "changes.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(found["objects"]) and rows[0]["label_before"] in ("sand", "coral")
+    with open(out / "label_change.csv") as file:
+        moved = {(row["before"], row["after"]): float(row["area"]) for row in csv.DictReader(file)}
+    assert moved["coral", "sand"] == pytest.approx(0.25 + 0.36 + 0.16, rel=0.12)
+    page = (out / "change.html").read_text()
+    assert page.count("data:image/png;base64,") == 3 and 'type="range"' in page and "http" not in page
+
+
+def test_nothing_changed(tmp_path):
+    """Other splats of the same scene in other light: no object is invented."""
+    earlier = write_run(tmp_path / "a", [survey(0)])
+    later = write_run(tmp_path / "b", [other_light(survey(7))])
+    found = make_change(earlier, later, tmp_path / "change", PIXEL)
+    assert found["objects"] == [] and found["changed"] == 0
+    assert found["alignment"]["static"] > 0.9
+
+
+def test_color_alone_can_change(tmp_path):
+    earlier, bleached = survey(0), survey(3)
+    coral = bleached.extras["label"] == 2
+    coral &= np.abs(bleached.positions[:, 0] - CORALS[0][0]) < 0.3
+    coral &= np.abs(bleached.positions[:, 1] - CORALS[0][1]) < 0.3
+    bleached.sh[coral, 0] = (0.95 - 0.5) / C0
+    a, b = write_run(tmp_path / "a", [earlier]), write_run(tmp_path / "b", [other_light(bleached)])
+    (item,) = make_change(a, b, tmp_path / "change", PIXEL)["objects"]
+    assert item["change"] == "color" and item["area"] == pytest.approx(0.25, rel=0.3)  # a soft edge
+
+
+def test_what_cannot_be_compared_is_explained(tmp_path, pair, capsys):
+    earlier, _, _, _ = pair
+    unknown = write_run(tmp_path / "b", [survey(1)], measured=None)
+    assert main(["change", str(earlier), str(unknown), "--out", str(tmp_path / "change")]) == 2
+    assert "let the alignment find it with --scale free" in capsys.readouterr().err
+    write_ply(tmp_path / "a.ply", survey(0))
+    with pytest.raises(InputError, match="more than the 8192 a side that are compared"):
+        make_change(earlier, earlier, tmp_path / "change", 0.0001)
+    assert not (tmp_path / "change").exists()
