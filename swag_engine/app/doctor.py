@@ -22,15 +22,21 @@ def describe(found: dict[str, Any]) -> str:
     lines += [f"  {name} {version or 'is missing'}" for name, version in found["packages"].items()]
     if "backends" not in found:
         return "\n".join(lines)
-    cpu_backend, cuda_backend, torch_backend = (found["backends"][name] for name in ("cpu", "cuda", "torch"))
+    cpu_backend, cuda_backend, wgpu_backend, torch_backend = (
+        found["backends"][name] for name in ("cpu", "cuda", "wgpu", "torch")
+    )
     details = {
         "cuda": f"{cuda_backend.get('device')}, {cuda_backend.get('memory_gb')} GB",
         "cpu": f"{cpu_backend['kernels']}, {cpu_backend['threads']} threads",
+        "wgpu": str(wgpu_backend["device"]),
         "torch": f"on {torch_backend['device']}, slow",
     }
     for name, detail in details.items():
         backend = found["backends"][name]
         lines.append(f"backend {name}: {detail if backend['runs'] else 'does not run here: ' + backend['reason']}")
+    for adapter in wgpu_backend["adapters"]:
+        kind = "on the processor" if adapter["software"] else "a graphics card"
+        lines.append(f"  adapter {adapter['name']}, {adapter['api']}, {adapter['driver']}: {kind}")
     lines.append(f"Training uses {found['auto']}.")
     return "\n".join(lines)
 

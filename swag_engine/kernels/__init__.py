@@ -1,1 +1,1 @@
-"""The operations that each iteration runs: compiled for the CPU, for NVIDIA cards, and in plain torch."""
+"""The operations that each iteration runs: compiled for the CPU and NVIDIA cards, in WGSL, and in plain torch."""

@@ -8,9 +8,12 @@ from .cpu import CpuKernels
 from .cuda import CudaKernels
 from .protocol import Kernels
 from .reference.kernels import REFERENCE
+from .webgpu import WebGpuKernels
 
-KERNELS: dict[str, Kernels] = {"cpu": CpuKernels(), "cuda": CudaKernels(), "torch": REFERENCE}
-"""The backends by name; "auto" takes the first that can run."""
+CPU = CpuKernels()
+"""The CPU kernels, which the backend "wgpu" needs too."""
+KERNELS: dict[str, Kernels] = {"cpu": CPU, "cuda": CudaKernels(), "wgpu": WebGpuKernels(CPU), "torch": REFERENCE}
+"""The backends by name; "auto" takes the first that can run, so "wgpu" only runs where it is named."""
 
 
 def kernels_for(backend: str, *tensors: Tensor) -> Kernels:
@@ -18,7 +21,7 @@ def kernels_for(backend: str, *tensors: Tensor) -> Kernels:
 
     Args:
         backend: A name in `KERNELS`, or "auto": native kernels where they can run, torch otherwise.
-        *tensors: The tensors; "cpu" and "cuda" take float32 on their own device, "torch" any dtype and device.
+        *tensors: The tensors; "torch" takes any dtype and device, the others float32 on their own device.
 
     Returns:
         The backend.
@@ -49,11 +52,11 @@ def device_for(backend: str) -> torch.device:
         The device.
 
     Raises:
-        InputError: The backend is "cuda" and cannot run here.
+        InputError: The backend is "cuda" or "wgpu" and cannot run here.
     """
-    reason = KERNELS["cuda"].unavailable_reason() if backend in ("auto", "cuda") else None
-    if backend == "cuda" and reason:
-        raise InputError(f"The cuda backend cannot run here: {reason}")
     if backend == "auto":
-        backend = "cpu" if reason else "cuda"
+        backend = "cpu" if KERNELS["cuda"].unavailable_reason() else "cuda"
+    reason = KERNELS[backend].unavailable_reason() if backend in ("cuda", "wgpu") else None
+    if reason:
+        raise InputError(f"The {backend} backend cannot run here: {reason}")
     return KERNELS[backend].device()

@@ -13,6 +13,7 @@ BACKENDS = {
     "auto": "The fastest that runs on this machine",
     "cpu": "Native code on the processor",
     "cuda": "Native code on an NVIDIA graphics card",
+    "wgpu": "Native code on a graphics card of any make, through Vulkan, Metal or DirectX 12",
     "torch": "PyTorch without native code: slow, the reference for the others",
 }
 """What computes, with a description of each."""

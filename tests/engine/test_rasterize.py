@@ -379,7 +379,7 @@ def test_too_many_pairs_are_refused_before_memory_is_taken(monkeypatch):
         ("channels", torch.zeros(5, 3, dtype=torch.float64), "channels is torch.float64"),
         ("K", torch.eye(3, dtype=torch.int64), "K is torch.int64"),
         ("width", 0, "cannot render"),
-        ("backend", "gpu", "none of auto, cpu, cuda, torch"),
+        ("backend", "gpu", "none of auto, cpu, cuda, wgpu, torch"),
     ],
 )
 def test_wrong_arguments_are_named(name, value, message):

@@ -1,0 +1,462 @@
+"""The backend of WGSL kernels, for float32 tensors on the CPU and a GPU of any make.
+
+Each operation sends its tensors to the GPU and reads the result back. The water, gains and sums of contributions are
+left to the CPU kernels. Sums by atomic additions differ in their last bits from run to run.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..base.camera_kind import CameraKind
+from ..base.errors import InputError
+from ..base.timing import part
+from . import elementwise
+from .cpu import CpuKernels
+from .protocol import Projection, check_pairs
+from .webgpu_device import WebGpu, WebGpuUnavailable, adapters, request
+
+THREADS = 256
+"""Threads of a group that takes an item each; as in common.wgsl."""
+TILE = 16
+"""Width and height of a tile, pixels; as in splat.wgsl and ssim.wgsl."""
+SPLAT_NUMBERS = 10
+"""Size of a packed Gaussian, numbers; as in splat.wgsl."""
+MOMENTS = 6
+"""Sums that the gradients by the geometry are made of; as in blend.wgsl."""
+GROUP = 4
+"""Channels that a kernel takes at once; as in blend.wgsl."""
+RADIX_BITS = 4
+"""Bits of a key that one pass of the sort takes; as in sort.wgsl."""
+BLOCK = 1024
+"""Keys that a group of threads sorts; as in sort.wgsl."""
+
+
+@dataclass
+class TilePairs:
+    """Buffers of P pairs of a Gaussian and a tile it meets.
+
+    Attributes:
+        splats: (N, SPLAT_NUMBERS) Gaussians as they are blended.
+        ids: (P,) the Gaussian of each pair, by tile, in a tile by depth.
+        ranges: (tiles, 2) where each tile's pairs begin and end.
+    """
+
+    splats: Any
+    ids: Any
+    ranges: Any
+
+
+class WebGpuKernels:
+    """The backend "wgpu".
+
+    Args:
+        make_device: Gets the device when it is first needed; raises WebGpuUnavailable where that is impossible.
+        cpu: Computes what has no kernel here.
+    """
+
+    def __init__(self, cpu: CpuKernels, make_device: Callable[[], WebGpu] = request) -> None:
+        self._cpu, self._make_device = cpu, make_device
+
+    @cached_property
+    def _device_or_reason(self) -> WebGpu | str:
+        try:
+            return self._make_device()
+        except WebGpuUnavailable as reason:
+            return str(reason)
+
+    @property
+    def gpu(self) -> WebGpu:
+        """The device, where there is one."""
+        device = self._device_or_reason
+        assert isinstance(device, WebGpu), device
+        return device
+
+    def unavailable_reason(self) -> str | None:
+        """Say why the kernels cannot run on this machine, None where they can."""
+        if isinstance(self._device_or_reason, str):
+            return self._device_or_reason
+        return self._cpu.unavailable_reason()
+
+    def can_run(self, *tensors: Tensor) -> bool:
+        """Return whether there is a device and all tensors are float32 on the CPU."""
+        return self._cpu.can_run(*tensors) and self.unavailable_reason() is None
+
+    def device(self) -> torch.device:
+        """Return the CPU: between operations the tensors are there."""
+        return torch.device("cpu")
+
+    def details(self) -> dict[str, Any]:
+        """Return the adapters of this machine and the name of the one that is used, if any."""
+        try:
+            found = adapters()
+        except WebGpuUnavailable:
+            found = []
+        used = None if isinstance(self._device_or_reason, str) else self.gpu.adapter_name
+        return {"device": used, "adapters": found}
+
+    def run(self, kernel: str, count: int, *arguments: Any) -> None:
+        """Run a kernel of `elementwise` on its tensors, in parts that fit the device's bindings."""
+        getattr(self, f"_{kernel}")(count, *arguments)
+
+    def _parts(self, count: int, numbers: int) -> Iterator[slice]:
+        """Split `count` rows so that a buffer of up to `numbers` 32-bit numbers a row fits a binding."""
+        size = max(1, self.gpu.largest_binding // (4 * max(numbers, 1)))
+        for first in range(0, count, size):
+            yield slice(first, min(first + size, count))
+
+    def _project_forward(
+        self, count: int, width: int, height: int, _: int, viewmat: Tensor, K: Tensor, *tensors: Tensor, kind: int = 0
+    ) -> None:
+        means, quats, scales, opacities, channels, *outputs = tensors
+        shown = opacities.where(channels.isfinite().all(1), 0)
+        call = _camera(viewmat, K) | {"width": width, "height": height, "orthographic": kind}
+        gpu = self.gpu
+        for rows in self._parts(count, 4):
+            n = rows.stop - rows.start
+            inputs = zip(("means", "quats", "scales", "opacities"), (means, quats, scales, shown), strict=True)
+            buffers = {name: gpu.upload(tensor[rows]) for name, tensor in inputs}
+            results = {
+                name: gpu.empty(n * size) for name, size in (("means2d", 2), ("conics", 3), ("depths", 1), ("radii", 1))
+            }
+            gpu.run("project_forward", -(-n // THREADS), call | {"count": n}, **buffers, **results)
+            for output, buffer in zip(outputs, results.values(), strict=True):
+                output[rows] = gpu.read(buffer, tuple(output[rows].shape))
+
+    def _project_orthographic_forward(self, *arguments: Any) -> None:
+        self._project_forward(*arguments, kind=1)
+
+    def _project_backward(
+        self, count: int, width: int, height: int, viewmat: Tensor, K: Tensor, *tensors: Tensor, kind: int = 0
+    ) -> None:
+        means, quats, scales, radii, by_means2d, by_conics, *outputs = tensors
+        incoming = torch.cat([radii[:, None], by_means2d, by_conics], 1)
+        call = _camera(viewmat, K) | {"width": width, "height": height, "orthographic": kind}
+        gpu = self.gpu
+        for rows in self._parts(count, 6):
+            n = rows.stop - rows.start
+            inputs = zip(("means", "quats", "scales", "incoming"), (means, quats, scales, incoming), strict=True)
+            buffers = {name: gpu.upload(tensor[rows]) for name, tensor in inputs}
+            results = {name: gpu.empty(n * size) for name, size in (("by_means", 3), ("by_quats", 4), ("by_scales", 3))}
+            gpu.run("project_backward", -(-n // THREADS), call | {"count": n}, **buffers, **results)
+            for output, buffer in zip(outputs, results.values(), strict=True):
+                output[rows] = gpu.read(buffer, tuple(output[rows].shape))
+
+    def _project_orthographic_backward(self, *arguments: Any) -> None:
+        self._project_backward(*arguments, kind=1)
+
+    def _sh_forward(
+        self, count: int, higher: int, degree: int, sh0: Tensor, shN: Tensor, directions: Tensor, colors: Tensor
+    ) -> None:
+        gpu = self.gpu
+        for rows in self._parts(count, 3 * max(higher, 1)):
+            n = rows.stop - rows.start
+            inputs = {"sh0": sh0, "shN": shN, "directions": directions}
+            buffers = {name: gpu.upload(tensor[rows]) for name, tensor in inputs.items()}
+            result = gpu.empty(3 * n)
+            call = {"count": n, "higher": higher, "degree": degree}
+            gpu.run("sh_forward", -(-3 * n // THREADS), call, **buffers, colors=result)
+            colors[rows] = gpu.read(result, (n, 3))
+
+    def _sh_backward(
+        self,
+        count: int,
+        higher: int,
+        degree: int,
+        directions: Tensor,
+        colors: Tensor,
+        by_colors: Tensor,
+        by_sh0: Tensor,
+        by_shN: Tensor,
+    ) -> None:
+        gpu = self.gpu
+        for rows in self._parts(count, 3 * max(higher, 1)):
+            n = rows.stop - rows.start
+            inputs = {"directions": directions, "shown": colors, "by_colors": by_colors}
+            buffers = {name: gpu.upload(tensor[rows]) for name, tensor in inputs.items()}
+            results = {"by_sh0": gpu.empty(3 * n), "by_shN": gpu.empty(3 * n * higher)}
+            call = {"count": n, "higher": higher, "degree": degree}
+            gpu.run("sh_backward", -(-3 * n // THREADS), call, **buffers, **results)
+            by_sh0[rows] = gpu.read(results["by_sh0"], (n, 1, 3))
+            by_shN[rows] = gpu.read(results["by_shN"], (n, higher, 3))
+
+    def project(
+        self,
+        means: Tensor,
+        quats: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        channels: Tensor,
+        viewmat: Tensor,
+        K: Tensor,
+        width: int,
+        height: int,
+        kind: CameraKind = "perspective",
+    ) -> Projection:
+        """See `Kernels.project`."""
+        gaussians = means, quats, scales, opacities, channels
+        return elementwise.project(self.run, torch.float64, *gaussians, viewmat, K, width, height, kind)
+
+    def _check_size(self, what: str, numbers: int) -> None:
+        if 4 * numbers > self.gpu.largest_binding:
+            raise InputError(
+                f"{what} take {numbers * 4e-3:.1f} kB, more than the {self.gpu.largest_binding / 1e3:.1f} kB "
+                f"that {self.gpu.adapter_name} reads at once. Use fewer Gaussians, a smaller width or the backend cpu."
+            )
+
+    def _sums(self, data: Any, count: int) -> Any:
+        """Replace the first numbers of a buffer by the sums of those before; return a buffer with the total first."""
+        blocks = -(-count // BLOCK)
+        sums, call = self.gpu.empty(blocks + 1), {"count": count, "blocks": blocks}
+        self.gpu.run("sum_blocks", blocks, call, data=data, sums=sums)
+        self.gpu.run("sum_totals", 1, call, sums=sums)
+        self.gpu.run("add_totals", blocks, call, data=data, sums=sums)
+        return sums
+
+    def _sort(self, keys: Any, values: Any, count: int, bits: int) -> tuple[Any, Any]:
+        """Sort by the lowest bits of the keys; equal keys keep their order."""
+        blocks = -(-count // BLOCK)
+        spare = self.gpu.empty(count), self.gpu.empty(count)
+        counts = self.gpu.empty(blocks << RADIX_BITS)
+        for shift in range(0, bits, RADIX_BITS):
+            call = {"count": count, "shift": shift, "blocks": blocks}
+            self.gpu.run("count_digits", blocks, call, keys_in=keys, data=counts)
+            self._sums(counts, blocks << RADIX_BITS)
+            moved = {"keys_in": keys, "values_in": values, "keys_out": spare[0], "values_out": spare[1]}
+            self.gpu.run("move_by_digit", blocks, call, **moved, data=counts)
+            (keys, values), spare = spare, (keys, values)
+        return keys, values
+
+    def tile_pairs(self, projected: Projection, opacities: Tensor, width: int, height: int) -> TilePairs:
+        """List the Gaussians of each tile in depth order.
+
+        Args:
+            projected: The N Gaussians.
+            opacities: (N,) in 0..1.
+            width: Width of the image, pixels.
+            height: Height of the image, pixels.
+
+        Returns:
+            The pairs of a Gaussian and a tile.
+
+        Raises:
+            TooManyPairs: There are too many.
+            InputError: A buffer would be larger than the device can read.
+        """
+        gpu, p, n = self.gpu, projected, len(opacities)
+        self._check_size("The Gaussians", n * SPLAT_NUMBERS)
+        tiles = -(-width // TILE) * -(-height // TILE)
+        splats, keys, order, ranges = (gpu.empty(size) for size in (n * SPLAT_NUMBERS, n, n, 2 * tiles))
+        if n == 0:
+            return TilePairs(splats, order, ranges)
+        inputs = {
+            "means2d": p.means2d, "conics": p.conics, "opacities": opacities, "depths": p.depths, "radii": p.radii
+        }  # fmt: skip
+        buffers = {name: gpu.upload(tensor) for name, tensor in inputs.items()}
+        call, groups = {"count": n, "width": width, "height": height}, -(-n // THREADS)
+        gpu.run("pack", groups, call, **buffers, packed=splats, keys=keys, ids=order)
+        keys, order = self._sort(keys, order, n, 32)
+        starts = gpu.empty(n)
+        gpu.run("count_tiles", groups, call, splats=splats, sorted_keys=keys, order=order, counts=starts)
+        total = self._sums(starts, n)
+        pairs = int(gpu.read(total, (1,), torch.int32)) & 0xFFFFFFFF
+        check_pairs(pairs)
+        self._check_size("The pairs of a Gaussian and a tile", pairs)
+        call["pairs"] = pairs
+        tile_of, ids = gpu.empty(pairs), gpu.empty(pairs)
+        gpu.run("fill_tiles", groups, call, splats=splats, order=order, starts=starts, keys=tile_of, ids=ids)
+        tile_of, ids = self._sort(tile_of, ids, pairs, tiles.bit_length())
+        gpu.run("find_ranges", -(-pairs // THREADS), call, sorted_keys=tile_of, ranges=ranges)
+        return TilePairs(splats, ids, ranges)
+
+    def blend(
+        self, projected: Projection, opacities: Tensor, channels: Tensor, background: Tensor, width: int, height: int
+    ) -> tuple[Tensor, Tensor]:
+        """See `Kernels.blend`."""
+        p = projected
+        geometry = p.means2d, p.conics, opacities, channels, background, p.depths, p.radii
+        return _Blend.apply(*geometry, width, height, self)
+
+    def contributions(
+        self,
+        projected: Projection,
+        opacities: Tensor,
+        channels: Tensor,
+        background: Tensor,
+        width: int,
+        height: int,
+        weights: Tensor,
+        image_gradient: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """See `Kernels.contributions`; by the CPU kernels."""
+        sizes = width, height, weights, image_gradient
+        return self._cpu.contributions(projected, opacities, channels, background, *sizes)
+
+    def sh_colors(self, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
+        """See `Kernels.sh_colors`."""
+        return elementwise.sh_colors(self.run, sh0, shN, directions, degree)
+
+    def apply_gain(self, display: Tensor, log_gain: Tensor) -> Tensor:
+        """See `Kernels.apply_gain`; by the CPU kernels."""
+        return self._cpu.apply_gain(display, log_gain)
+
+    def through_water(
+        self, colors: Tensor, offsets: Tensor, coefficients: Tensor, degree: int, linear: bool, amount: float
+    ) -> Tensor:
+        """See `Kernels.through_water`; by the CPU kernels."""
+        return self._cpu.through_water(colors, offsets, coefficients, degree, linear, amount)
+
+    def open_water(
+        self,
+        coefficients: Tensor,
+        viewmat: Tensor,
+        K: Tensor,
+        width: int,
+        height: int,
+        degree: int,
+        linear: bool,
+        amount: float,
+    ) -> Tensor:
+        """See `Kernels.open_water`; by the CPU kernels."""
+        return self._cpu.open_water(coefficients, viewmat, K, width, height, degree, linear, amount)
+
+    def l1_ssim(self, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+        """See `Kernels.l1_ssim`."""
+        return _L1Ssim.apply(image, target, self)
+
+    def adam_step(
+        self,
+        parameter: Tensor,
+        gradient: Tensor,
+        exp_avg: Tensor,
+        exp_avg_sq: Tensor,
+        rate: float,
+        beta1: float,
+        beta2: float,
+        eps: float,
+        step: int,
+    ) -> None:
+        """See `Kernels.adam_step`."""
+        call = {
+            "step_size": rate / (1 - beta1**step), "root": math.sqrt(1 - beta2**step), "weight1": 1 - beta1,
+            "weight2": 1 - beta2, "epsilon": eps,
+        }  # fmt: skip
+        gpu = self.gpu
+        tensors = {"parameter": parameter, "gradient": gradient, "mean": exp_avg, "square": exp_avg_sq}
+        flat = {name: tensor.detach().reshape(-1) for name, tensor in tensors.items()}
+        for rows in self._parts(parameter.numel(), 1):
+            n = rows.stop - rows.start
+            buffers = {name: gpu.upload(tensor[rows]) for name, tensor in flat.items()}
+            gpu.run("adam_step", -(-n // THREADS), call | {"count": n}, **buffers)
+            for name in ("parameter", "mean", "square"):
+                flat[name][rows] = gpu.read(buffers[name], (n,))
+
+
+def _camera(viewmat: Tensor, K: Tensor) -> dict[str, Any]:
+    """Return the fields of `Call` in project.wgsl for a float64 view matrix and intrinsics."""
+    turn, shift = viewmat[:3, :3].double(), viewmat[:3, 3].double()
+    origin = -torch.linalg.solve(turn, shift)
+    whole = origin.float()
+    rows = {f"row{i}": turn[i].tolist() for i in range(3)}
+    intrinsics = [float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))]
+    return rows | {
+        "origin": whole.tolist(), "origin_rest": (origin - whole.double()).tolist(), "intrinsics": intrinsics
+    }  # fmt: skip
+
+
+def _padded(values: Tensor, first: int) -> Tensor:
+    """Return GROUP channels from `first` on, zeros beyond the last."""
+    group = values[..., first : first + GROUP]
+    return torch.nn.functional.pad(group, (0, GROUP - group.shape[-1]))
+
+
+class _Blend(torch.autograd.Function):
+    @staticmethod
+    @part("rasterise")
+    def forward(
+        ctx: Any,
+        means2d: Tensor,
+        conics: Tensor,
+        opacities: Tensor,
+        channels: Tensor,
+        background: Tensor,
+        depths: Tensor,
+        radii: Tensor,
+        width: int,
+        height: int,
+        kernels: WebGpuKernels,
+    ) -> tuple[Tensor, Tensor]:
+        gpu, pixels, count = kernels.gpu, height * width, channels.shape[1]
+        p = kernels.tile_pairs(Projection(means2d, conics, depths, radii), opacities, width, height)
+        kernels._check_size("The image and its gradients", pixels * GROUP)
+        endings, images = gpu.empty(2 * pixels), []
+        tiles = -(-width // TILE) * -(-height // TILE)
+        lists = {"splats": p.splats, "ids": p.ids, "ranges": p.ranges}
+        for first in range(0, count, GROUP):
+            image, values = gpu.empty(pixels * GROUP), gpu.upload(_padded(channels, first))
+            call = {"background": _padded(background, first).tolist(), "width": width, "height": height}
+            gpu.run("blend_forward", tiles, call, **lists, channels=values, image=image, endings_out=endings)
+            images.append(gpu.read(image, (height, width, GROUP)))
+        transmittance = gpu.read(endings, (height, width, 2))[..., 0].clone()
+        ctx.save_for_backward(channels, background, transmittance)
+        ctx.kernels, ctx.pairs, ctx.endings = kernels, p, endings
+        return torch.cat(images, -1)[..., :count].contiguous(), 1 - transmittance
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    @part("rasterise backward")
+    def backward(ctx: Any, by_out: Tensor, by_alpha: Tensor) -> tuple[Tensor | None, ...]:
+        kernels: WebGpuKernels = ctx.kernels
+        channels, background, transmittance = ctx.saved_tensors
+        p: TilePairs = ctx.pairs
+        gpu, (n, count), (height, width) = kernels.gpu, channels.shape, transmittance.shape
+        row = MOMENTS + -(-count // GROUP) * GROUP
+        kernels._check_size("The gradients of the Gaussians", n * row)
+        gradients, geometry, by_alphas = gpu.empty(n * row), gpu.empty(n * MOMENTS), gpu.upload(by_alpha)
+        call = {"width": width, "height": height, "row": row, "count": n}
+        tiles = -(-width // TILE) * -(-height // TILE)
+        lists = {"splats": p.splats, "ids": p.ids, "ranges": p.ranges, "endings": ctx.endings}
+        for first in range(0, count, GROUP):
+            of_group = {
+                "channels": gpu.upload(_padded(channels, first)), "by_image": gpu.upload(_padded(by_out, first))
+            }  # fmt: skip
+            part_of = call | {"first_channel": first, "background": _padded(background, first).tolist()}
+            gpu.run("blend_backward", tiles, part_of, **lists, **of_group, by_alpha=by_alphas, gradients=gradients)
+        gpu.run("turn_moments", -(-n // THREADS), call, splats=p.splats, moments=gradients, geometry=geometry)
+        by_geometry = gpu.read(geometry, (n, MOMENTS))
+        by_channels = gpu.read(gradients, (n, row))[:, MOMENTS : MOMENTS + count]
+        by_background = (transmittance[..., None] * by_out).sum((0, 1))
+        outputs = by_geometry[:, :2], by_geometry[:, 2:5], by_geometry[:, 5], by_channels
+        return *(tensor.contiguous() for tensor in outputs), by_background, None, None, None, None, None
+
+
+class _L1Ssim(torch.autograd.Function):
+    @staticmethod
+    @part("loss L1 and SSIM")
+    def forward(ctx: Any, image: Tensor, target: Tensor, kernels: WebGpuKernels) -> tuple[Tensor, Tensor]:
+        gpu, (height, width, _) = kernels.gpu, image.shape
+        kernels._check_size("The derivatives of the similarity", 3 * image.numel())
+        squares = -(-height // TILE) * -(-width // TILE)
+        sums, derivatives = gpu.empty(2 * squares), gpu.empty(3 * image.numel())
+        images = {"image": gpu.upload(image), "wanted": gpu.upload(target)}
+        call = {"height": height, "width": width}
+        gpu.run("l1_ssim_forward", squares, call, **images, sums=sums, derivatives=derivatives)
+        ctx.kernels, ctx.call, ctx.buffers = kernels, call, images | {"slopes": derivatives}
+        ctx.size, ctx.squares = image.shape, squares
+        l1, similarity = (gpu.read(sums, (squares, 2)).sum(0, dtype=torch.float64) / image.numel()).float()
+        return l1, similarity
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    @part("loss L1 and SSIM backward")
+    def backward(ctx: Any, by_l1: Tensor, by_ssim: Tensor) -> tuple[Tensor, None, None]:
+        gpu, count = ctx.kernels.gpu, math.prod(ctx.size)
+        gradient = gpu.empty(count)
+        call = ctx.call | {"l1_factor": float(by_l1) / count, "ssim_factor": float(by_ssim) / count}
+        gpu.run("l1_ssim_backward", ctx.squares, call, **ctx.buffers, gradient=gradient)
+        return gpu.read(gradient, tuple(ctx.size)), None, None

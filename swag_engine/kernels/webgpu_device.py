@@ -1,0 +1,328 @@
+"""A GPU through WebGPU (the package `wgpu`: Vulkan, Metal and DirectX 12): buffers, kernels and their dispatches.
+
+The kernels are the .wgsl files beside this one. A kernel's bindings and the fields of its `Call` are passed by name.
+"""
+
+import os
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .reference import blending, projection, similarity
+
+FOLDER = Path(__file__).parent
+"""Folder of the sources."""
+STAGES = {
+    "adam_step": "adam",
+    "blend_backward": "splat blend",
+    "blend_forward": "splat blend",
+    "turn_moments": "splat blend",
+    "l1_ssim_backward": "ssim",
+    "l1_ssim_forward": "ssim",
+    "project_backward": "project",
+    "project_forward": "project",
+    "sh_backward": "basis sh",
+    "sh_forward": "basis sh",
+    **dict.fromkeys(("sum_blocks", "sum_totals", "add_totals", "count_digits", "move_by_digit"), "sort"),
+    **dict.fromkeys(("pack", "count_tiles", "fill_tiles", "find_ranges"), "splat tiles"),
+}
+"""The files of each kernel, after common.wgsl."""
+ALLOW_SOFTWARE = "SWAG_WGPU_SOFTWARE"
+"""Environment variable: 1 lets a Vulkan driver that computes on the processor count as a GPU, for tests."""
+FLOAT_ATOMICS = "shader-float32-atomic"
+"""Feature of adapters that can add floats atomically."""
+DEFAULT_LIMITS = {
+    "max-storage-buffers-per-shader-stage": 8,
+    "max-compute-workgroup-storage-size": 16384,
+    "max-compute-invocations-per-workgroup": 256,
+    "max-compute-workgroups-per-dimension": 65535,
+}
+"""WebGPU's default limits, which are all that the kernels need."""
+LEAST_BUFFER = 64
+"""Smallest buffer, bytes: a kernel refuses one without room for an item."""
+DEFAULT_BINDING = 2**27
+"""Largest binding that every WebGPU device has, bytes."""
+
+
+class WebGpuUnavailable(Exception):
+    """No kernels can run through WebGPU here; the message says why, as a clause."""
+
+
+@dataclass
+class Counters:
+    """What was asked of the device since these counters were made.
+
+    Attributes:
+        dispatches: Number of dispatches.
+        uploaded: Bytes written to the device by the host, without those of the calls themselves.
+        downloaded: Bytes read back.
+    """
+
+    dispatches: int = 0
+    uploaded: int = 0
+    downloaded: int = 0
+
+
+@dataclass
+class WebGpu:
+    """A device and what was built for it.
+
+    Attributes:
+        adapter_name: What the adapter says it is.
+        software: Whether it computes on the processor.
+        device: The device of the `wgpu` package.
+        float_atomics: Whether kernels add floats with the adapter's own atomic operation.
+        largest_binding: Largest binding of a buffer, bytes.
+        counters: What was asked of the device.
+    """
+
+    adapter_name: str
+    software: bool
+    device: Any
+    float_atomics: bool
+    largest_binding: int
+    counters: Counters = field(default_factory=Counters)
+    _pipelines: dict[str, Any] = field(default_factory=dict)
+    _pending: list[tuple[Any, Any, tuple[int, int]]] = field(default_factory=list)
+
+    def upload(self, values: Tensor) -> Any:
+        """Return a buffer with the numbers of a tensor on the CPU."""
+        data = values.detach().contiguous().numpy()
+        self.counters.uploaded += data.nbytes
+        buffer = self.empty(data.size)
+        if data.size:
+            self.device.queue.write_buffer(buffer, 0, data)
+        return buffer
+
+    def empty(self, count: int) -> Any:
+        """Return a buffer of `count` 32-bit numbers that are 0."""
+        import wgpu
+
+        usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
+        return self.device.create_buffer(size=max(LEAST_BUFFER, 4 * count), usage=usage)
+
+    def read(self, buffer: Any, shape: tuple[int, ...], dtype: torch.dtype = torch.float32) -> Tensor:
+        """Run what is pending and return the first numbers of a buffer.
+
+        Args:
+            buffer: The buffer.
+            shape: Shape of the result.
+            dtype: Its dtype, of 32 bits.
+        """
+        self.flush()
+        size = 4 * int(np.prod(shape))
+        if not size:
+            return torch.zeros(shape, dtype=dtype)
+        self.counters.downloaded += size
+        data = bytearray(self.device.queue.read_buffer(buffer, 0, size))
+        return torch.frombuffer(data, dtype=dtype).view(shape)
+
+    def run(self, kernel: str, groups: int, call: Mapping[str, Any], **buffers: Any) -> None:
+        """Put a dispatch behind the others; `read` runs them all.
+
+        Args:
+            kernel: Name of the kernel.
+            groups: Number of groups of threads; 0 runs nothing.
+            call: Values of the fields of the kernel's `Call`; those it does not need may be left out.
+            **buffers: The kernel's buffers by the names of their bindings.
+        """
+        if groups == 0:
+            return
+        pipeline = self._pipeline(kernel, tuple(buffers))
+        source = _source(STAGES[kernel], self.float_atomics)
+        entries = [(0, self._uniform(source.pack(call)))]
+        entries += [(source.bindings[name][0], buffer) for name, buffer in buffers.items()]
+        group = self.device.create_bind_group(
+            layout=pipeline[1],
+            entries=[
+                {"binding": number, "resource": {"buffer": buffer, "offset": 0, "size": buffer.size}}
+                for number, buffer in entries
+            ],
+        )
+        columns = min(groups, DEFAULT_LIMITS["max-compute-workgroups-per-dimension"])
+        self._pending.append((pipeline[0], group, (columns, -(-groups // columns))))
+        self.counters.dispatches += 1
+
+    def flush(self) -> None:
+        """Submit what is pending as one command buffer."""
+        if not self._pending:
+            return
+        pending, self._pending = self._pending, []
+        encoder = self.device.create_command_encoder()
+        commands = encoder.begin_compute_pass()
+        for pipeline, group, groups in pending:
+            commands.set_pipeline(pipeline)
+            commands.set_bind_group(0, group)
+            commands.dispatch_workgroups(*groups)
+        commands.end()
+        self.device.queue.submit([encoder.finish()])
+
+    def _uniform(self, data: bytes) -> Any:
+        import wgpu
+
+        buffer = self.device.create_buffer(size=len(data), usage=wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST)
+        self.device.queue.write_buffer(buffer, 0, data)
+        return buffer
+
+    def _pipeline(self, kernel: str, names: tuple[str, ...]) -> tuple[Any, Any]:
+        if kernel not in self._pipelines:
+            import wgpu
+
+            source = _source(STAGES[kernel], self.float_atomics)
+            kinds = [(0, "uniform"), *(source.bindings[name] for name in names)]
+            entries = [
+                {"binding": number, "visibility": wgpu.ShaderStage.COMPUTE, "buffer": {"type": kind}}
+                for number, kind in kinds
+            ]
+            layout = self.device.create_bind_group_layout(entries=entries)
+            key = STAGES[kernel]
+            if key not in self._pipelines:
+                self._pipelines[key] = self.device.create_shader_module(code=source.text)
+            made = self.device.create_compute_pipeline(
+                layout=self.device.create_pipeline_layout(bind_group_layouts=[layout]),
+                compute={"module": self._pipelines[key], "entry_point": kernel},
+            )
+            self._pipelines[kernel] = made, layout
+        return self._pipelines[kernel]
+
+
+@dataclass(frozen=True)
+class Source:
+    """The text of a stage, and what it says about its arguments.
+
+    Attributes:
+        text: The WGSL.
+        bindings: Number and kind of each buffer by its name.
+        fields: Name and type of the fields of `Call`, in their order.
+    """
+
+    text: str
+    bindings: dict[str, tuple[int, str]]
+    fields: tuple[tuple[str, str], ...]
+
+    def pack(self, call: Mapping[str, Any]) -> bytes:
+        """Return the bytes of `Call`."""
+        unknown = call.keys() - dict(self.fields)
+        if unknown:
+            raise KeyError(f"Call has no field {', '.join(sorted(unknown))}")
+        data = b""
+        for name, kind in self.fields:
+            if kind == "vec4f":
+                values = [*call.get(name, ()), 0.0, 0.0, 0.0, 0.0][:4]
+                data += struct.pack("<4f", *values)
+            else:
+                data += struct.pack("<I" if kind == "u32" else "<f", call.get(name, 0))
+        return data + bytes(-len(data) % 16)
+
+
+def constants() -> str:
+    """Return the constants of the reference that the kernels use, as WGSL."""
+    distances = np.arange(similarity.WINDOW) - similarity.WINDOW // 2
+    window = np.exp(-(distances**2) / (2 * similarity.SIGMA**2))
+    half = (window / window.sum())[similarity.WINDOW // 2 :]
+    values = {
+        "NEAR": projection.NEAR,
+        "BLUR": projection.BLUR,
+        "GUARD": projection.GUARD,
+        "MAX_SIGMA": projection.MAX_SIGMA,
+        "MAX_EXTENT": projection.MAX_EXTENT,
+        "MAX_ALPHA": blending.MAX_ALPHA,
+        "MIN_TRANSMITTANCE": blending.MIN_TRANSMITTANCE,
+    }
+    lines = [f"const {name} = {float(value)!r};" for name, value in values.items()]
+    numbers = ", ".join(f"{value:.9e}" for value in half)
+    return "\n".join([*lines, f"const WINDOW = array<f32, {len(half)}>({numbers});", ""])
+
+
+@cache
+def _source(files: str, float_atomics: bool) -> Source:
+    text = "".join((FOLDER / f"{name}.wgsl").read_text(encoding="utf-8") for name in ("common", *files.split()))
+    text = constants() + re.sub(rf"(?m)^//#{'native' if float_atomics else 'swap'} ", "", text)
+    found = re.findall(r"(?m)^@group\(0\) @binding\((\d+)\) var<storage, (\w+)> (\w+)", text)
+    kinds = {"read": "read-only-storage", "read_write": "storage"}
+    bindings = {name: (int(number), kinds[access]) for number, access, name in found}
+    declared = re.search(r"struct Call \{(.*?)\}", text, re.DOTALL)
+    assert declared
+    lines = re.sub(r"//.*", "", declared.group(1))
+    return Source(text, bindings, tuple(re.findall(r"(\w+): (\w+)", lines)))
+
+
+def adapters() -> list[dict[str, Any]]:
+    """List the adapters of this machine.
+
+    Returns:
+        For each: `name`, `driver`, `api` ("Vulkan", "Metal", ...), `software` (whether it computes on the processor)
+        and `float_atomics`. OpenGL is left out.
+
+    Raises:
+        WebGpuUnavailable: The package `wgpu` is missing or does not load.
+    """
+    return [_describe(adapter) for adapter in _adapters()]
+
+
+def _adapters() -> list[Any]:
+    try:
+        import wgpu
+    except (ImportError, OSError) as error:
+        raise WebGpuUnavailable(f"the package wgpu is not installed ({error}).") from error
+    found = wgpu.gpu.enumerate_adapters_sync()
+    return [adapter for adapter in found if adapter.info["backend_type"] != "OpenGL"]
+
+
+def _describe(adapter: Any) -> dict[str, Any]:
+    info = adapter.info
+    return {
+        "name": info["device"],
+        "driver": info["description"],
+        "api": info["backend_type"],
+        "software": info["adapter_type"] == "CPU",
+        "float_atomics": FLOAT_ATOMICS in adapter.features,
+    }
+
+
+def request(float_atomics: bool = True, default_limits: bool = False) -> WebGpu:
+    """Get a device: a card's before a graphics chip's; a software driver's only where `ALLOW_SOFTWARE` asks for it.
+
+    Args:
+        float_atomics: Whether to use atomic sums of floats where the adapter has them.
+        default_limits: Whether to ask for WebGPU's default sizes of buffers instead of the adapter's largest.
+
+    Returns:
+        The device.
+
+    Raises:
+        WebGpuUnavailable: There is no such adapter, or it gives no device.
+    """
+    order = ["DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown"]
+    software = [adapter for adapter in _adapters() if adapter.info["adapter_type"] == "CPU"]
+    real = [adapter for adapter in _adapters() if adapter.info["adapter_type"] != "CPU"]
+    real.sort(key=lambda adapter: (order + [adapter.info["adapter_type"]]).index(adapter.info["adapter_type"]))
+    if os.environ.get(ALLOW_SOFTWARE) == "1":
+        real += software
+    if not real and software:
+        name = software[0].info["device"]
+        raise WebGpuUnavailable(
+            f"the only adapter is {name}, which computes on the processor; set {ALLOW_SOFTWARE}=1 to use it in tests."
+        )
+    if not real:
+        raise WebGpuUnavailable("no graphics adapter with Vulkan, Metal or DirectX 12 was found.")
+    adapter = real[0]
+    features = [FLOAT_ATOMICS] if float_atomics and FLOAT_ATOMICS in adapter.features else []
+    binding = DEFAULT_BINDING if default_limits else adapter.limits["max-storage-buffer-binding-size"]
+    sizes = {"max-storage-buffer-binding-size": binding}
+    if not default_limits:
+        sizes["max-buffer-size"] = adapter.limits["max-buffer-size"]
+    try:
+        device = adapter.request_device_sync(required_features=features, required_limits=DEFAULT_LIMITS | sizes)
+    except RuntimeError as error:
+        raise WebGpuUnavailable(f"{adapter.info['device']} gave no device: {error}") from error
+    found = _describe(adapter)
+    return WebGpu(found["name"], found["software"], device, bool(features), binding)

@@ -1,0 +1,280 @@
+"""The WebGPU backend, on a driver that runs its kernels on the processor, with WebGPU's default limits."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from swag_engine.base.errors import InputError
+from swag_engine.gaussians.sh import evaluate_sh
+from swag_engine.kernels import webgpu, webgpu_device
+from swag_engine.kernels.backends import CPU, KERNELS, device_for, kernels_for
+from swag_engine.kernels.webgpu import WebGpuKernels
+from swag_engine.kernels.webgpu_device import ALLOW_SOFTWARE, DEFAULT_LIMITS, WebGpuUnavailable, request
+from swag_engine.training.losses import photometric
+from swag_engine.training.optimizer import adam_step
+from tests.engine.raster_scenes import (
+    GRADIENTS,
+    HARD,
+    changed,
+    clear_scenes,
+    make_scene,
+    orthographic,
+    relative_error,
+    run,
+)
+
+
+@pytest.fixture(scope="module")
+def driver(missing):
+    if not webgpu_device._adapters():
+        missing("A Vulkan driver is missing: apt-get install mesa-vulkan-drivers.")
+
+
+@pytest.fixture(scope="module", params=["atomic floats", "compare and swap"])
+def gpu(request, driver):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(ALLOW_SOFTWARE, "1")
+        return webgpu_device.request(float_atomics=request.param == "atomic floats", default_limits=True)
+
+
+@pytest.fixture
+def kernels(gpu, monkeypatch):
+    """The backend, registered as such."""
+    monkeypatch.setitem(KERNELS, "wgpu", WebGpuKernels(CPU, lambda: gpu))
+    return KERNELS["wgpu"]
+
+
+def check(scene, image=1e-5, gradients=1e-4):
+    truth, _ = run(scene, "torch", torch.float64)
+    result, _ = run(scene, "wgpu")
+    errors = {key: relative_error(result[key], truth[key]) for key in truth}
+    assert max(errors["channels_out"], errors["alpha"]) < image, errors
+    assert max(errors.values()) < gradients, errors
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4, 11])
+def test_agrees_with_the_reference(channels, kernels):
+    for number, scene in enumerate(clear_scenes(3, n=50, channels=channels, width=47, height=35)):
+        scene["width"] = 47 - 11 * number  # partial tiles
+        check(scene)
+
+
+def test_agrees_with_the_reference_for_orthographic_cameras(kernels):
+    for scene in clear_scenes(2, orthographic, n=50, width=47, height=35):
+        check(scene)
+
+
+def test_agrees_on_many_small_scenes(kernels):
+    for number in range(8):
+        check(make_scene(8, channels=2, width=19, height=18, seed=number, size=0.4))
+
+
+def test_agrees_where_pixels_end_early_and_a_tile_has_several_batches(kernels):
+    for scene in clear_scenes(2, n=120, width=33, height=35, size=0.5):
+        check(scene)
+    scene = make_scene(400, width=16, height=16, size=0.6)
+    scene["opacities"] *= 0.02
+    check(scene)
+
+
+def test_agrees_with_several_blocks_of_the_sort(kernels):
+    scene = make_scene(2500, width=60, height=44, size=0.06)
+    truth, result = run(scene, "cpu")[0], run(scene, "wgpu")[0]
+    assert max(relative_error(result[key], truth[key]) for key in truth) < 1e-4
+
+
+def test_agrees_beyond_the_guard_band_and_for_degenerate_shapes(kernels):
+    scene = changed(n=8, means=lambda m: m * torch.tensor([8.0, 5.0, 1.0]), scales=lambda s: s * 4)
+    scene["quats"][:2] *= 1e-8
+    scene["quats"][2] = 0
+    scene["scales"][3:5, 0] = 1e-7
+    check(scene)
+
+
+def test_agrees_for_far_gaussians(kernels):
+    scene = make_scene(50, size=0.01)
+    shift = torch.tensor([1000.0, -2000.0, 500.0], dtype=torch.float64)
+    scene["means"] = (scene["means"] + shift).float().double()
+    scene["viewmat"][:3, 3] = (scene["viewmat"][:3, 3] - scene["viewmat"][:3, :3] @ shift).float().double()
+    check(scene)
+
+
+@pytest.mark.parametrize("case", HARD)
+def test_hard_cases_give_finite_images_and_gradients(case, kernels):
+    results, rendering = run(HARD[case], "wgpu")
+    for key, value in results.items():
+        assert value.isfinite().all(), key
+    assert (rendering.alpha >= 0).all() and (rendering.alpha <= 1).all()
+    if " in " in case:  # the bad one is out
+        assert rendering.radii[1] == 0 and all((results[name][1] == 0).all() for name in GRADIENTS[:-1])
+
+
+@pytest.mark.parametrize("case", ["huge scales", "vanishing scales", "pancakes", "opacity 1", "thousands of equals"])
+def test_hard_cases_match_the_reference(case, kernels):
+    truth, _ = run(HARD[case], "torch", torch.float64)
+    result, _ = run(HARD[case], "wgpu")
+    for key in ("channels_out", "alpha"):
+        assert relative_error(result[key], truth[key]) < 1e-4, key
+
+
+@pytest.mark.parametrize("degree, stored", [(0, 0), (0, 3), (2, 3), (3, 3)])
+def test_sh_colors_agree_with_torch(degree, stored, kernels):
+    generator = torch.Generator().manual_seed(degree)
+    shapes = (1, 3), ((stored + 1) ** 2 - 1, 3), (3,), (3,)
+    sh0, shN, directions, weights = (torch.randn(300, *shape, generator=generator).double() for shape in shapes)
+    directions /= directions.norm(dim=1, keepdim=True)
+
+    def colors_and_gradients(backend, dtype):
+        inputs = [tensor.to(dtype, copy=True).requires_grad_() for tensor in (sh0, shN)]
+        colors = evaluate_sh(inputs[0], inputs[1], directions.to(dtype), degree, backend)
+        (colors * weights.to(colors)).sum().backward()
+        return [value.detach().double() for value in (colors, *(tensor.grad for tensor in inputs))]
+
+    truth = colors_and_gradients("torch", torch.float64)
+    for value, expected in zip(colors_and_gradients("wgpu", torch.float32), truth, strict=True):
+        torch.testing.assert_close(value, expected, atol=2e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("height, width", [(1, 1), (7, 40), (45, 35)])
+def test_l1_ssim_agrees_with_torch(height, width, kernels):
+    generator = torch.Generator().manual_seed(height)
+    target = torch.rand(height, width, 3, generator=generator, dtype=torch.float64)
+    image = (target + 0.2 * torch.randn(height, width, 3, generator=generator, dtype=torch.float64)).clamp(0, 1)
+    image[2:3] = target[2:3]  # |image - target| has no slope there
+
+    def losses(backend, dtype):
+        a, b = image.to(dtype, copy=True).requires_grad_(), target.to(dtype)
+        loss = photometric(a, b, None, 0.7, 0.3, backend=backend)
+        loss.backward()
+        return [value.detach().double() for value in (loss, a.grad)]
+
+    truth = losses("torch", torch.float64)
+    for value, expected in zip(losses("wgpu", torch.float32), truth, strict=True):
+        assert relative_error(value, expected) < 1e-5
+
+
+def trajectory(backend, dtype):
+    generator = torch.Generator().manual_seed(0)
+    parameter = torch.randn(40, 5, 3, generator=generator, dtype=torch.float64).to(dtype)
+    moments = torch.zeros_like(parameter), torch.zeros_like(parameter)
+    for step in range(1, 6):
+        gradient = torch.randn(40, 5, 3, generator=generator, dtype=torch.float64).to(dtype)
+        adam_step(parameter, gradient, *moments, 0.1, step, backend)
+    return [value.double() for value in (parameter, *moments)]
+
+
+def test_adam_agrees_with_torch(kernels):
+    truth = trajectory("torch", torch.float64)
+    for value, expected in zip(trajectory("wgpu", torch.float32), truth, strict=True):
+        torch.testing.assert_close(value, expected, atol=2e-6, rtol=1e-5)
+
+
+# -- limits ------------------------------------------------------------------------------------------------------------
+
+
+def test_operations_on_each_gaussian_run_in_parts_that_fit_a_binding(kernels, gpu, monkeypatch):
+    scene = next(clear_scenes(1, n=50))
+    tensors = {k: v.float() if isinstance(v, torch.Tensor) else v for k, v in scene.items()}
+    del tensors["background"]
+    whole, adam = kernels.project(**tensors), trajectory("wgpu", torch.float32)
+    monkeypatch.setattr(gpu, "largest_binding", 4 * 4 * 7)  # seven Gaussians
+    before = gpu.counters.dispatches
+    parts = kernels.project(**tensors)
+    assert gpu.counters.dispatches - before == 8
+    assert all(torch.equal(getattr(whole, name), getattr(parts, name)) for name in ("means2d", "conics", "radii"))
+    assert all(torch.equal(a, b) for a, b in zip(adam, trajectory("wgpu", torch.float32), strict=True))
+
+
+def test_lists_that_a_card_cannot_read_at_once_are_refused(kernels, gpu, monkeypatch):
+    monkeypatch.setattr(gpu, "largest_binding", 1000)
+    with pytest.raises(InputError, match="The Gaussians take 2.0 kB, more than the 1.0 kB that .* reads at once"):
+        run(changed(n=50), "wgpu")
+
+
+def test_more_groups_than_a_dimension_holds(kernels, gpu, monkeypatch):
+    scene = next(clear_scenes(1, n=700, width=47, height=35, size=0.05))
+    truth, _ = run(scene, "wgpu")
+    monkeypatch.setitem(DEFAULT_LIMITS, "max-compute-workgroups-per-dimension", 2)
+    result, _ = run(scene, "wgpu")
+    assert max(relative_error(result[key], truth[key]) for key in truth) < 1e-5
+
+
+def test_dispatches_and_bytes_of_an_image_are_counted(kernels, gpu):
+    scene = next(clear_scenes(1, n=50, width=47, height=35))
+    before = gpu.counters.dispatches, gpu.counters.downloaded
+    run(scene, "wgpu")
+    # project both ways 2; pack, count, fill, ranges 4; sum of counts 3; sort by depth 8 x 5, by tile (9 tiles) 1 x 5;
+    # blend both ways 2, moments 1
+    assert gpu.counters.dispatches - before[0] == 2 + 4 + 3 + 40 + 5 + 3
+    projected, gradients, pixels = 4 * 50 * (7 + 10), 4 * 50 * (6 + 10), 4 * 47 * 35 * (4 + 2)
+    assert gpu.counters.downloaded - before[1] == projected + gradients + pixels + 4
+
+
+# -- adapters ----------------------------------------------------------------------------------------------------------
+
+
+class Adapter:
+    features: set[str] = set()
+    limits = {"max-storage-buffer-binding-size": 2**27, "max-buffer-size": 2**28}
+
+    def __init__(self, name, kind, api="Vulkan"):
+        self.info = {"device": name, "adapter_type": kind, "backend_type": api, "description": "driver 1"}
+
+    def request_device_sync(self, **_):
+        return self.info["device"]
+
+
+def adapters_are(monkeypatch, *found):
+    monkeypatch.setattr(webgpu_device, "_adapters", lambda: list(found))
+
+
+def test_a_card_comes_before_a_graphics_chip_and_software_comes_last(monkeypatch):
+    software, chip, card = Adapter("llvm", "CPU"), Adapter("chip", "IntegratedGPU"), Adapter("card", "DiscreteGPU")
+    monkeypatch.setenv(ALLOW_SOFTWARE, "1")
+    adapters_are(monkeypatch, software, chip, card)
+    assert request().adapter_name == "card"
+    adapters_are(monkeypatch, software, chip)
+    assert request().adapter_name == "chip"
+    adapters_are(monkeypatch, software)
+    assert request().adapter_name == "llvm" and request().software
+
+
+def test_software_is_refused_unless_asked_for(monkeypatch):
+    monkeypatch.delenv(ALLOW_SOFTWARE, raising=False)
+    adapters_are(monkeypatch, Adapter("llvm", "CPU"))
+    monkeypatch.setitem(KERNELS, "wgpu", WebGpuKernels(CPU))
+    with pytest.raises(InputError, match="llvm, which computes on the processor; set SWAG_WGPU_SOFTWARE=1"):
+        device_for("wgpu")
+    with pytest.raises(InputError, match="The wgpu backend cannot run here: the only adapter is llvm"):
+        kernels_for("wgpu", torch.zeros(1))
+
+
+def test_no_adapter_and_no_package_are_said(monkeypatch):
+    adapters_are(monkeypatch)
+    with pytest.raises(WebGpuUnavailable, match="no graphics adapter"):
+        request()
+    monkeypatch.undo()
+    monkeypatch.setitem(sys.modules, "wgpu", None)
+    kernels = WebGpuKernels(CPU)
+    assert "the package wgpu is not installed" in kernels.unavailable_reason()
+    assert kernels.details() == {"device": None, "adapters": []} and not kernels.can_run(torch.zeros(1))
+
+
+def test_auto_does_not_take_it(kernels):
+    assert kernels_for("auto", torch.zeros(1)) is CPU
+
+
+def test_the_doctor_lists_the_adapters(driver):
+    command = [sys.executable, "-m", "swag_engine", "doctor"]
+    environment = {name: value for name, value in os.environ.items() if name != ALLOW_SOFTWARE}
+    text = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    assert "backend wgpu: " in text and "  adapter " in text and ", Vulkan, " in text
+
+
+def test_constants_of_the_kernels_are_those_of_the_reference():
+    text = webgpu_device.constants()
+    assert "const MAX_ALPHA = 0.99;" in text and "const NEAR = 0.01;" in text
+    assert (webgpu.TILE, webgpu.MOMENTS) == (16, 6)
