@@ -1,8 +1,9 @@
 """Compare our densification with gsplat's DefaultStrategy and MCMCStrategy, all on our rasteriser.
 
 Run: `pip install --no-deps gsplat==1.5.3 jaxtyping wadler-lindig rich`, then
-`python benchmarks/strategies.py [--iterations 1000 4000] [--seeds 0 1 2]`
-Results: benchmarks/results/strategies.json
+`python benchmarks/strategies.py [--iterations 1000 4000] [--seeds 0 1 2] [--scenes demo]`
+Results: benchmarks/results/strategies.json, written after each run; runs that are in it are not repeated, so that the
+script can be stopped and started again.
 
 The recipe is `3dgs` everywhere, so that nothing but the strategy and its rates differs. gsplat's strategies get what
 they ask for: parameters, optimisers with their moments, gradients on screen and radii of each step. They run with
@@ -14,6 +15,8 @@ DefaultStrategy has no limit of the number of Gaussians: the limit of all others
 
 import argparse
 import contextlib
+import itertools
+import json
 import math
 import sys
 import tempfile
@@ -31,7 +34,7 @@ from torch import Tensor
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.common import DEMO, SHARED, machine, write_results
+from benchmarks.common import DEMO, RESULTS, SHARED, machine, write_results
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.densify import MAX_SHARERS, rotation_matrices, share_opacity
@@ -232,24 +235,39 @@ def run(scene: Path, name: str, iterations: int, most: int, seed: int) -> dict[s
     return {"psnr": metrics["test_psnr"], "gaussians": metrics["gaussians"], "processor_seconds": round(seconds, 1)}
 
 
-def compare(scene: str, iterations: int, seed: int) -> list[dict[str, Any]]:
-    """Train with all strategies: equal iterations, then ours in the processor time that each of gsplat's took."""
-    rows = []
+def earlier_runs() -> list[dict[str, Any]]:
+    """Return the runs of the results file, none where there is no such file."""
+    path = RESULTS / "strategies.json"
+    return json.loads(path.read_text(encoding="utf-8"))["runs"] if path.exists() else []
 
-    def add(name: str, planned: int, most: int, **more: Any) -> dict[str, Any]:
-        row = {"scene": scene, "strategy": name, "iterations": planned, "seed": seed}
-        rows.append(row | run(SCENES[scene], name, planned, most, seed) | more)
+
+def compare(scene: str, iterations: int, seed: int, rows: list[dict[str, Any]]) -> None:
+    """Train with all strategies: equal iterations, then ours in the processor time that each of gsplat's took.
+
+    Args:
+        scene: Name of the scene.
+        iterations: Iterations of each run but those of equal processor time.
+        seed: Seed of all runs.
+        rows: Runs that were made; those that are missing are made and added.
+    """
+
+    def add(name: str, planned: int, most: int, equal: str, to: str) -> dict[str, Any]:
+        key = {"scene": scene, "strategy": name, "length": iterations, "seed": seed, "equal": equal, "to": to}
+        for row in rows:
+            if key.items() <= row.items():
+                return row
+        rows.append(key | {"iterations": planned} | run(SCENES[scene], name, planned, most, seed))
+        write_results("strategies", {"machine": machine(), "width": WIDTH, "runs": rows})
         print(rows[-1], flush=True)
         return rows[-1]
 
     for rates in ("published rates", "our rates"):
-        default = add(f"gsplat default, {rates}", iterations, MOST)
-        mcmc = add(f"gsplat mcmc, {rates}", iterations, default["gaussians"])
-        ours = add("ours", iterations, default["gaussians"], equal="iterations", to=rates)
+        default = add(f"gsplat default, {rates}", iterations, MOST, "iterations", rates)
+        mcmc = add(f"gsplat mcmc, {rates}", iterations, default["gaussians"], "iterations", rates)
+        ours = add("ours", iterations, default["gaussians"], "iterations", rates)
         slowest = max(default["processor_seconds"], mcmc["processor_seconds"])
         longer = round(iterations * slowest / ours["processor_seconds"])
-        add("ours", longer, default["gaussians"], equal="processor time", to=rates)
-    return rows
+        add("ours", longer, default["gaussians"], "processor time", rates)
 
 
 def main() -> None:
@@ -259,15 +277,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--scenes", nargs="+", choices=SCENES, default=list(SCENES))
     arguments = parser.parse_args()
-    rows = []
-    for scene in arguments.scenes:
-        if not SCENES[scene].exists():
+    rows = earlier_runs()
+    for iterations, seed, scene in itertools.product(arguments.iterations, arguments.seeds, arguments.scenes):
+        if SCENES[scene].exists():
+            compare(scene, iterations, seed, rows)
+        else:
             print(f"{scene} is not on this machine.")
-            continue
-        for iterations in arguments.iterations:
-            for seed in arguments.seeds:
-                rows += compare(scene, iterations, seed)
-                write_results("strategies", {"machine": machine(), "width": WIDTH, "runs": rows})
 
 
 if __name__ == "__main__":

@@ -303,6 +303,23 @@ def speed_ideas() -> str:
 
 
 @table
+def zoom() -> str:
+    """Held-out views at three widths, by the least variance of Gaussians."""
+    runs = results("zoom")["runs"]
+
+    def psnr(scene: str, variance: float, width: str) -> float:
+        known = [run[width]["psnr"] for run in runs if (run["scene"], run["least_variance"]) == (scene, variance)]
+        return sum(known) / len(known)
+
+    rows = []
+    for scene, words in SCENES.items():
+        for width, label in (("x0.5", "half"), ("x1", "equal"), ("x2", "double")):
+            none, used, published = (psnr(scene, variance, width) for variance in (0.0, 0.1, 0.2))
+            rows.append([words, label, f"{none:.2f} dB", f"{used - none:+.2f} dB", f"{published - none:+.2f} dB"])
+    return markdown(["scene", "width", "without", "with .1", "with .2"], rows)
+
+
+@table
 def long_runs() -> str:
     """Stability and memory of long runs."""
     rows = []

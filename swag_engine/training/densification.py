@@ -5,6 +5,7 @@ from torch import Tensor
 
 from ..base.timing import part
 from ..gaussians.densify import DensificationStrategy, McmcStrategy, SplitStrategy, random_of
+from ..gaussians.least_size import enforce_least_size
 from ..gaussians.relocate import relocate
 from ..rendering.importance import scores
 from ..settings.recipes import Recipe
@@ -53,6 +54,14 @@ class Densification:
             strategy_of(state.recipe).perturb(state.cloud, means_rate, self.inputs.median_range, random)
             self._densify(state, random)
             self._relocate(state, sh_degree, water_degree)
+            self._enforce_least_size(state)
+
+    def _enforce_least_size(self, state: RunState) -> None:
+        """Enlarge Gaussians that are too thin: as often as others are added, and once when geometry is final."""
+        final = state.clock.fraction >= state.recipe.stage_two_from
+        if final or state.iteration % self.inputs.schedule.densify_every == 0:
+            cameras = [image.camera for image in self.inputs.training]
+            enforce_least_size(state.cloud, cameras, self.inputs.median_range)
 
     def _densify(self, state: RunState, random: torch.Generator) -> None:
         schedule, fraction, until = self.inputs.schedule, state.clock.fraction, state.recipe.densify_until

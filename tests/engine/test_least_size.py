@@ -1,0 +1,86 @@
+"""Least size of Gaussians: what the training images sample, and views from nearer and farther."""
+
+import math
+
+import numpy as np
+import torch
+
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.gaussians.least_size import LEAST_VARIANCE, enforce_least_size, sampling_rates
+from swag_engine.rasterize.api import rasterize
+from swag_engine.scene.cameras import Camera
+from swag_engine.settings.settings import TrainSettings
+from tests.scenes.runs import train_with
+
+FOCAL = 64.0
+"""Focal length of the cameras, pixels, and width of their images."""
+
+
+def camera_at(z, kind="perspective"):
+    """A camera at (0, 0, z) that looks along z."""
+    pose = np.eye(4)
+    pose[2, 3] = -z
+    return Camera("", 64, 64, FOCAL, FOCAL, 32, 32, pose, kind)
+
+
+def cloud_at(means, sigma):
+    """White, nearly opaque Gaussians of one standard deviation."""
+    count = len(means)
+    return GaussianCloud(
+        means=torch.as_tensor(means, dtype=torch.float32),
+        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
+        log_scales=torch.full((count, 3), math.log(sigma)),
+        opacity_logits=torch.full((count,), 3.0),
+        sh0=torch.ones(count, 1, 3),
+        shN=torch.zeros(count, 0, 3),
+        background=torch.zeros(3),
+    )
+
+
+def test_the_nearest_image_that_sees_a_gaussian_samples_it_most_finely():
+    means = torch.tensor([[0.0, 0, 8], [0, 0, 3], [100, 0, 8], [0, 0, -5]])
+    rates = sampling_rates(means, [camera_at(0), camera_at(4)], 8.0)
+    # The second is behind the nearer camera, the third beside both images, the fourth behind both cameras.
+    torch.testing.assert_close(rates, torch.tensor([FOCAL / 4, FOCAL / 3, 0, 0]))
+    torch.testing.assert_close(sampling_rates(means[:1], [camera_at(0, "orthographic")], 8.0), torch.tensor([FOCAL]))
+
+
+def test_only_axes_that_no_image_could_show_are_enlarged():
+    cloud = cloud_at([[0.0, 0, 8], [100, 0, 8]], 1e-4)
+    cloud.log_scales[:, 1] = 0.0
+    enforce_least_size(cloud, [camera_at(0)], 8.0)
+    least = math.sqrt(LEAST_VARIANCE) * 8 / FOCAL
+    torch.testing.assert_close(cloud.scales, torch.tensor([[least, 1, least], [1e-4, 1, 1e-4]]))
+
+
+def least_alpha(cloud, zoom):
+    """Least alpha in the middle of an image at `zoom` times the training width."""
+    camera = camera_at(0).resized(round(64 * zoom))
+    alpha = rasterize(
+        cloud.means, cloud.quats, cloud.scales, cloud.opacities, torch.ones(len(cloud), 1), torch.eye(4),
+        torch.from_numpy(camera.K).float(), camera.width, camera.height, torch.zeros(1), "torch",
+    ).alpha  # fmt: skip
+    rim = round(12 * zoom)
+    return float(alpha[rim:-rim, rim:-rim].min())
+
+
+def test_a_surface_that_is_closed_in_training_is_closed_from_nearer_and_farther():
+    steps = (np.arange(-28, 28) + 0.5) * 8 / FOCAL  # one Gaussian per pixel, at distance 8
+    grid = np.stack([*np.meshgrid(steps, steps), np.full((56, 56), 8.0)], -1).reshape(-1, 3)
+    thin, kept = cloud_at(grid, 1e-4), cloud_at(grid, 1e-4)
+    enforce_least_size(kept, [camera_at(0)], 8.0)
+    assert least_alpha(thin, 1) > 0.95 and least_alpha(thin, 2) < 0.5
+    assert all(least_alpha(kept, zoom) > 0.75 for zoom in (0.5, 1, 2))
+
+
+def test_no_gaussian_of_a_result_is_thinner(tiny_scene, tmp_path):
+    checked = []
+
+    def keep(trainer):
+        checked.append(trainer)
+
+    train_with(tiny_scene, tmp_path / "run", TrainSettings(iterations=60, width=64, max_gaussians=300), keep)
+    state, inputs = checked[0].state, checked[0].inputs
+    rates = sampling_rates(state.cloud.means, [image.camera for image in inputs.training], inputs.median_range)
+    pixels = state.cloud.scales * rates[:, None]
+    assert (rates > 0).any() and pixels[rates > 0].min() > 0.999 * math.sqrt(LEAST_VARIANCE)
