@@ -79,11 +79,11 @@ def make_change(
     """
     require_packages()
     first, second = load_map_scene(earlier, plane), load_map_scene(later, plane)
-    if first.unit != second.unit and scale == "fixed":
-        known, unknown = (earlier, later) if first.unit == "m" else (later, earlier)
+    unknown = [source.name for source, one in ((earlier, first), (later, second)) if one.unit != "m"]
+    if unknown and scale == "fixed":
         raise InputError(
-            f"The scale of {known.name} is known and that of {unknown.name} is not: measure it with the command scale, "
-            "or let the alignment find it with --scale free."
+            f"The scale of {' and of '.join(unknown)} is not known: measure it with the command scale, or let the "
+            "alignment find the scale of the later run with --scale free."
         )
     alignment = align(second.splats, first.splats, _initial(first, second), scale == "free")
     moved = replace(second, splats=transformed(second.splats, alignment.matrix))

@@ -189,7 +189,11 @@ def test_what_cannot_be_compared_is_explained(tmp_path, pair, capsys):
     earlier, _, _, _ = pair
     unknown = write_run(tmp_path / "b", [survey(1)], measured=None)
     assert main(["change", str(earlier), str(unknown), "--out", str(tmp_path / "change")]) == 2
-    assert "let the alignment find it with --scale free" in capsys.readouterr().err
+    assert "The scale of run is not known" in (error := capsys.readouterr().err) and "--scale free" in error
+    with pytest.raises(InputError, match="The scale of run and of run is not known"):
+        make_change(unknown, unknown, tmp_path / "change", PIXEL)
+    found = make_change(earlier, unknown, tmp_path / "free", 0.05, scale="free")
+    assert found["alignment"]["scale"] == pytest.approx(0.5, rel=0.005) and found["objects"] == []
     write_ply(tmp_path / "a.ply", survey(0))
     with pytest.raises(InputError, match="more than the 8192 a side that are compared"):
         make_change(earlier, earlier, tmp_path / "change", 0.0001)
