@@ -6,7 +6,8 @@ The kernels are the .wgsl files beside this one. A kernel's bindings and the fie
 import os
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..base.errors import InputError
 from .reference import blending, projection, similarity
 
 FOLDER = Path(__file__).parent
@@ -93,13 +95,32 @@ class WebGpu:
     _pipelines: dict[str, Any] = field(default_factory=dict)
     _pending: list[tuple[Any, Any, tuple[int, int]]] = field(default_factory=list)
 
+    @contextmanager
+    def _errors_named(self) -> Iterator[None]:
+        """Turn an error of the driver, a lost device among them, into one sentence."""
+        import wgpu
+
+        try:
+            yield
+        except wgpu.GPUError as error:
+            self._pending.clear()
+            reason = " ".join(str(error).split())
+            raise InputError(
+                f"The graphics card {self.adapter_name} failed: {reason[:300]} Train with the backend cpu instead."
+            ) from error
+
     def upload(self, values: Tensor) -> Any:
-        """Return a buffer with the numbers of a tensor on the CPU."""
+        """Return a buffer with the numbers of a tensor on the CPU.
+
+        Raises:
+            InputError: The driver failed; so do the other methods.
+        """
         data = values.detach().contiguous().numpy()
         self.counters.uploaded += data.nbytes
         buffer = self.empty(data.size)
         if data.size:
-            self.device.queue.write_buffer(buffer, 0, data)
+            with self._errors_named():
+                self.device.queue.write_buffer(buffer, 0, data)
         return buffer
 
     def empty(self, count: int) -> Any:
@@ -107,7 +128,8 @@ class WebGpu:
         import wgpu
 
         usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
-        return self.device.create_buffer(size=max(LEAST_BUFFER, 4 * count), usage=usage)
+        with self._errors_named():
+            return self.device.create_buffer(size=max(LEAST_BUFFER, 4 * count), usage=usage)
 
     def read(self, buffer: Any, shape: tuple[int, ...], dtype: torch.dtype = torch.float32) -> Tensor:
         """Run what is pending and return the first numbers of a buffer.
@@ -122,7 +144,8 @@ class WebGpu:
         if not size:
             return torch.zeros(shape, dtype=dtype)
         self.counters.downloaded += size
-        data = bytearray(self.device.queue.read_buffer(buffer, 0, size))
+        with self._errors_named():
+            data = bytearray(self.device.queue.read_buffer(buffer, 0, size))
         return torch.frombuffer(data, dtype=dtype).view(shape)
 
     def run(self, kernel: str, groups: int, call: Mapping[str, Any], **buffers: Any) -> None:
@@ -136,6 +159,10 @@ class WebGpu:
         """
         if groups == 0:
             return
+        with self._errors_named():
+            self._add(kernel, groups, call, buffers)
+
+    def _add(self, kernel: str, groups: int, call: Mapping[str, Any], buffers: Mapping[str, Any]) -> None:
         pipeline = self._pipeline(kernel, tuple(buffers))
         source = _source(STAGES[kernel], self.float_atomics)
         entries = [(0, self._uniform(source.pack(call)))]
@@ -156,14 +183,15 @@ class WebGpu:
         if not self._pending:
             return
         pending, self._pending = self._pending, []
-        encoder = self.device.create_command_encoder()
-        commands = encoder.begin_compute_pass()
-        for pipeline, group, groups in pending:
-            commands.set_pipeline(pipeline)
-            commands.set_bind_group(0, group)
-            commands.dispatch_workgroups(*groups)
-        commands.end()
-        self.device.queue.submit([encoder.finish()])
+        with self._errors_named():
+            encoder = self.device.create_command_encoder()
+            commands = encoder.begin_compute_pass()
+            for pipeline, group, groups in pending:
+                commands.set_pipeline(pipeline)
+                commands.set_bind_group(0, group)
+                commands.dispatch_workgroups(*groups)
+            commands.end()
+            self.device.queue.submit([encoder.finish()])
 
     def _uniform(self, data: bytes) -> Any:
         import wgpu

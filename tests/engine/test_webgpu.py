@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
@@ -13,8 +14,10 @@ from swag_engine.kernels import webgpu, webgpu_device
 from swag_engine.kernels.backends import CPU, KERNELS, device_for, kernels_for
 from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.kernels.webgpu_device import ALLOW_SOFTWARE, DEFAULT_LIMITS, WebGpuUnavailable, request
+from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.losses import photometric
 from swag_engine.training.optimizer import adam_step
+from swag_engine.training.trainer import train
 from tests.engine.raster_scenes import (
     GRADIENTS,
     HARD,
@@ -170,6 +173,34 @@ def test_adam_agrees_with_torch(kernels):
     truth = trajectory("torch", torch.float64)
     for value, expected in zip(trajectory("wgpu", torch.float32), truth, strict=True):
         torch.testing.assert_close(value, expected, atol=2e-6, rtol=1e-5)
+
+
+# -- runs --------------------------------------------------------------------------------------------------------------
+
+FEW = TrainSettings(recipe="swag", iterations=5, width=32, max_gaussians=100, backend="cpu")
+
+
+def test_a_run_learns_what_it_learns_on_the_cpu(gpu, kernels, tiny_scene, tmp_path):
+    if not gpu.float_atomics:
+        pytest.skip("five iterations are enough once")
+    psnr = {}
+    for backend in ("cpu", "wgpu"):
+        done = train(tiny_scene, tmp_path / backend, replace(FEW, backend=backend))
+        psnr[backend] = done["metrics"]["test_psnr"]
+    assert gpu.counters.dispatches > 300 and abs(psnr["wgpu"] - psnr["cpu"]) < 0.01, psnr
+
+
+def test_a_driver_that_fails_is_one_sentence(gpu, kernels, monkeypatch):
+    import wgpu
+
+    def fail(*_):
+        raise wgpu.GPUError("Parent device\n  is lost.")
+
+    monkeypatch.setattr(gpu.device.queue, "submit", fail)
+    with pytest.raises(InputError, match=r"^The graphics card \S.* failed: Parent device is lost. Train with"):
+        run(changed(), "wgpu")
+    monkeypatch.undo()
+    assert not gpu._pending
 
 
 # -- limits ------------------------------------------------------------------------------------------------------------
