@@ -320,6 +320,24 @@ def zoom() -> str:
 
 
 @table
+def strategies() -> str:
+    """Our densification and gsplat's strategies on our rasteriser; rows of one comparison have equal Gaussians."""
+    header = ["scene", "iterations", "strategy", "limit of", "equal", "Gaussians", "time", "test PSNR", "seeds"]
+    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for run in results("strategies")["runs"]:
+        strategy = run["strategy"].split(",")[0]
+        groups.setdefault((run["scene"], run["length"], run["to"], strategy, run["equal"]), []).append(run)
+    rows = []
+    for (scene, length, rates, strategy, equal), runs in groups.items():
+        gaussians, seconds, psnr = (
+            sum(run[name] for run in runs) / len(runs) for name in ("gaussians", "processor_seconds", "psnr")
+        )
+        figures = [f"{gaussians:.0f}", f"{seconds:.0f} s", f"{psnr:.2f} dB", len(runs)]
+        rows.append([scene, length, strategy, f"gsplat default, {rates}", equal, *figures])
+    return markdown(header, rows)
+
+
+@table
 def long_runs() -> str:
     """Stability and memory of long runs."""
     rows = []
