@@ -258,8 +258,16 @@ class SwagScene(PropertyGroup):
 
     @property
     def size(self) -> Size:
-        """Size that the quality gives."""
+        """Size that the quality gives these photos where a forecast knows it, else its typical size."""
+        known = self._forecast_presets().get(self.preset)
+        if known:
+            return Size(*(known[name] for name in SIZES))
         return PRESETS.get(self.preset, PRESETS[TrainSettings.preset])
+
+    def _forecast_presets(self) -> dict[str, dict[str, Any]]:
+        """What the forecast for the present settings says of each quality; empty without one."""
+        known = json.loads(self.forecast) if self.forecast else {}
+        return known["presets"] if known.get("question") == self.forecast_question() else {}
 
     def forecast_question(self) -> str:
         """What a forecast depends on, as text: the images and the settings that qualities do not change."""
@@ -274,11 +282,8 @@ class SwagScene(PropertyGroup):
 
     def forecast_lines(self) -> list[tuple[str, str, str, str]]:
         """Name, time, PSNR and memory of each quality; empty without a forecast for the present settings."""
-        known = json.loads(self.forecast) if self.forecast else {}
-        if known.get("question") != self.forecast_question():
-            return []
         lines = []
-        for name, expected in known["presets"].items():
+        for name, expected in self._forecast_presets().items():
             least, _, most = map(time_text, expected["seconds"])
             psnr = "{0:.1f}-{2:.1f} dB".format(*expected["psnr"]) if expected["psnr"] else "PSNR unknown"
             lines.append((name, f"{least}-{most}", psnr, f"{expected['memory_mb'] / 1000:.1f} GB"))

@@ -28,6 +28,7 @@ from ..settings.presets import PRESETS, Size
 from ..settings.recipes import recipe_of
 from ..settings.settings import TrainSettings
 from ..training.pacing.memory import needed
+from ..training.pacing.preset_size import fit_preset
 from ..training.pacing.speed import Extent, Speed, measure_speed, predicted_seconds
 from ..training.trainer import train
 
@@ -100,7 +101,7 @@ def forecast_scene(
     past = [entry for entry in past_outcomes() if entry["machine"] == document["machine"]]
     presets = {}
     for name in PRESETS:
-        sized = replace(settings, preset=name, time_budget="").sized()
+        sized = fit_preset(scene, replace(settings, preset=name, time_budget=""), speed)
         presets[name] = _expected(document, extent, sized, past, scene_folder)
     progress("Probe runs", 1.0)
     return document | {"presets": presets}
@@ -140,7 +141,8 @@ def expected_outcome(scene_folder: Path, settings: TrainSettings) -> dict[str, A
         if settings.budget or not same or document["machine"] != machine(settings):
             return None
         past = [entry for entry in past_outcomes() if entry["machine"] == document["machine"]]
-        return _expected(document, Extent.of(scene), settings.sized(), past, scene_folder)
+        sized = fit_preset(scene, settings, Speed(**document["speed"]))
+        return _expected(document, Extent.of(scene), sized, past, scene_folder)
     except (OSError, ValueError, LookupError, TypeError, InputError):  # there is no forecast, or its file is damaged
         return None
 
@@ -194,7 +196,7 @@ def machine(settings: TrainSettings) -> str:
 
 def describe(forecast: dict[str, Any]) -> str:
     """Format a forecast as the table that `forecast SCENE` prints."""
-    lines = [f"{'':<10}{'time':<26}{'validation PSNR':<28}memory"]
+    lines = [f"{'':<10}{'time':<26}{'validation PSNR':<28}{'memory':<10}size"]
     for name, line in forecast["presets"].items():
         least, likely, most = (time_text(seconds) for seconds in line["seconds"])
         psnr = "too few photos"
@@ -202,7 +204,8 @@ def describe(forecast: dict[str, Any]) -> str:
             low, middle, high = line["psnr"]
             psnr = f"{middle:.1f} dB ({low:.1f} to {high:.1f})"
         time_range = f"{likely} ({least} to {most})"
-        lines.append(f"{name:<10}{time_range:<26}{psnr:<28}{line['memory_mb'] / 1000:.1f} GB")
+        size = f"{line['iterations']} iterations, {line['width']} px, {line['max_gaussians']} Gaussians"
+        lines.append(f"{name:<10}{time_range:<26}{psnr:<28}{line['memory_mb'] / 1000:<7.1f}GB {size}")
     return "\n".join(lines)
 
 

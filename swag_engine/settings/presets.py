@@ -1,4 +1,7 @@
-"""Size of a run: three presets, and the sizes between and beyond them that a time budget chooses from."""
+"""Size of a run: three presets, and the sizes between and beyond them that a time budget chooses from.
+
+Presets are typical sizes: training/pacing/preset_size.py suits them to the photos and the machine.
+"""
 
 import re
 from dataclasses import dataclass, field
@@ -37,6 +40,13 @@ PRESETS: dict[str, Size] = {
     "standard": Size(3000, 640, 60_000, "A good result in moderate time"),
     "high": Size(9000, 960, 150_000, "For a result to keep"),
 }
+
+CARD_PRESETS: dict[str, Size] = {
+    "draft": Size(3000, 960, 500_000),
+    "standard": Size(7000, 1600, 2_000_000),
+    "high": Size(30_000, 20_000, 20_000_000),
+}
+"""The largest sizes of the presets on a graphics card: what the photos and the memory hold limits them."""
 
 LADDER = (Size(60, 240, 5_000), *PRESETS.values(), Size(30_000, 1600, 1_000_000))
 """Sizes in ascending order, from a run of seconds to one that only a fast graphics card finishes."""

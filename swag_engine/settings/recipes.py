@@ -71,7 +71,7 @@ class Recipe:
 
     densification: Literal["default", "mcmc"] = "default"
     """Strategy that adds and removes Gaussians (gaussians/densify.py)."""
-    densify_until: float = 0.5
+    densify_until: float = 0.6
     """Fraction of the run after which the number of Gaussians stays the same."""
     undimmed_densification: bool = False
     """Whether the gradients that densification compares are divided by the water's transmission (UW-GS)."""

@@ -6,7 +6,7 @@ from typing import Any
 from ..base.errors import InputError
 from .field import check_settings, setting
 from .jerlov import water_of_type
-from .presets import PRESETS, seconds_of
+from .presets import PRESETS, Size, seconds_of
 from .recipes import RECIPES, recipe_of
 
 BACKENDS = {
@@ -138,6 +138,11 @@ class TrainSettings:
             return self
         preset = PRESETS[self.preset].numbers()
         return replace(self, **{name: getattr(self, name) or number for name, number in preset.items()})
+
+    @property
+    def size(self) -> Size:
+        """The sizes, 0 where the user gave none."""
+        return Size(self.iterations, self.width, self.max_gaussians)
 
     @property
     def budget(self) -> float:

@@ -31,7 +31,7 @@ class LearningRates:
 class Schedule:
     """When things happen, as fractions of all iterations unless said otherwise, and the learning rates."""
 
-    coarse: tuple[tuple[float, int], ...] = ((0.1, 4), (0.3, 2))
+    coarse: tuple[tuple[float, int], ...] = ((0.2, 4), (0.5, 2))
     """(until, factor): images are reduced to 1/factor of their size until that fraction."""
     sh_degrees: tuple[float, ...] = (0.2, 0.35, 0.5)
     """From where spherical harmonics of degree 1, 2 and 3 are used."""

@@ -43,6 +43,7 @@ from .pacing.budget import Budget, fit_budget
 from .pacing.clock import FLAT_DB, FLAT_FRACTION, Clock, is_flat, next_minute
 from .pacing.memory import TOO_LITTLE, fit_memory, free_memory, none_if_out_of_memory, reduced
 from .pacing.pacer import Pacer
+from .pacing.preset_size import fit_preset
 from .pacing.speed import Extent
 from .run_plan import plan_of_run
 from .schedule import SETTLED_BY, STANDARD, Schedule
@@ -120,7 +121,7 @@ def make_trainer(
     scene = load_scene(scene_folder)
     if not resume:
         settings = with_scale_of(scene, settings)
-    settings, budget = fit_budget(scene, settings.sized(), started, schedule.closing_seconds)
+    settings, budget = fit_budget(scene, fit_preset(scene, settings), started, schedule.closing_seconds)
     note = ""
     if not resume:
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))

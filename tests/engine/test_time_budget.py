@@ -84,7 +84,7 @@ def test_a_time_budget_chooses_the_size_and_a_faster_machine_a_larger_one(tiny_s
     config = RunFolder(tmp_path / "small").read_config()[1]
     assert config.width == 48 and 0 < config.max_gaussians < LADDER[-1].max_gaussians
     assert not small["interrupted"] and small["iteration"] == small["iterations"] > REPLAN_EVERY
-    extent, slow, fast = Extent(10, 2, 1000, 640, 480), Speed(5, 2e-4, 4e-5, 0.1), Speed(1, 4e-5, 8e-6, 0.02)
+    extent, slow, fast = Extent(10, 2, 1000, 5, 640, 480), Speed(5, 2e-4, 4e-5, 0.1), Speed(1, 4e-5, 8e-6, 0.02)
     assert predicted_seconds(fast, extent, LADDER[1], 0.5) < predicted_seconds(slow, extent, LADDER[1], 0.5) / 4
 
 

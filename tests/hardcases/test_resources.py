@@ -35,7 +35,7 @@ from tests.scenes.runs import train_with
 from tests.scenes.tiny import make_tiny_scene
 
 SETTINGS = TrainSettings(iterations=60, width=64, max_gaussians=500, sh_degree=1)
-EXTENT = Extent(training=90, held_out=10, points=9000, width=1000, height=800)
+EXTENT = Extent(training=90, held_out=10, points=9000, overlap=5, width=1000, height=800)
 
 
 @pytest.mark.parametrize("free", [4e9, 1e9, 2e8, 1e8])

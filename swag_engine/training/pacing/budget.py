@@ -5,9 +5,11 @@ from dataclasses import dataclass, replace
 
 from ...base.errors import InputError
 from ...scene.colmap import Scene
+from ...scene.resolved_width import resolved_width
 from ...settings.presets import LADDER, Size, size_at
 from ...settings.recipes import recipe_of
 from ...settings.settings import TrainSettings
+from .preset_size import suited
 from .speed import Extent, Speed, measure_speed, predicted_milliseconds, predicted_seconds
 
 
@@ -76,9 +78,10 @@ def fit_budget(
     densify_until = recipe_of(settings.recipe, settings.effects).densify_until
     left = settings.budget - (time.monotonic() - started) - closing
 
+    widest = resolved_width(scene, LADDER[-1].width)
+
     def size(rung: float) -> Size:
-        asked, own = settings, size_at(rung)
-        return Size(own.iterations, asked.width or own.width, asked.max_gaussians or own.max_gaussians)
+        return suited(settings, size_at(rung), extent, widest)
 
     low, high = 0.0, float(len(LADDER) - 1)
     needed = predicted_seconds(speed, extent, size(low), densify_until)

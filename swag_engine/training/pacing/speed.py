@@ -68,6 +68,7 @@ class Extent:
         training: Number of training images.
         held_out: Number of validation and test images.
         points: Number of sparse points.
+        overlap: Mean number of images that see a point of the surface.
         width: Width of the largest image, pixels.
         height: Its height, pixels.
     """
@@ -75,6 +76,7 @@ class Extent:
     training: int
     held_out: int
     points: int
+    overlap: float
     width: int
     height: int
 
@@ -84,7 +86,9 @@ class Extent:
         split = split_views([view.camera.name for view in scene.views])
         camera = max((view.camera for view in scene.views), key=lambda camera: camera.width)
         held_out = len(split.validation) + len(split.test)
-        return cls(len(split.train), held_out, len(scene.points.positions), camera.width, camera.height)
+        tracks = scene.points.track_lengths
+        overlap = max(2.0, float(tracks.mean())) if len(tracks) else 2.0
+        return cls(len(split.train), held_out, len(tracks), overlap, camera.width, camera.height)
 
     def pixels(self, width: int) -> float:
         """Return the number of pixels of an image reduced to `width`."""

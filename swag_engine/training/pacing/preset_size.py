@@ -1,0 +1,97 @@
+"""The size of a run that suits its photos and its machine, where the user leaves it to a preset."""
+
+from dataclasses import replace
+
+from ...kernels.backends import device_for
+from ...scene.colmap import Scene
+from ...scene.resolved_width import resolved_width
+from ...settings.presets import CARD_PRESETS, LADDER, PRESETS, Size, size_at
+from ...settings.recipes import recipe_of
+from ...settings.settings import TrainSettings
+from .speed import Extent, Speed, measure_speed, predicted_seconds
+
+PIXELS_PER_GAUSSIAN = 10.0
+"""Pixels of the surface that one Gaussian is for. On three scenes of 24 to 40 photos this is what the draft had when it
+was chosen by hand; far more Gaussians than that overfit (docs/accuracy.md)."""
+ON_CARD = 3.0
+"""The same on a graphics card: large scenes in the literature have 1 to 5 million Gaussians at full size."""
+FEWEST = 5_000
+"""Gaussians that a run may always have."""
+MOST_GROWTH = 3
+"""Largest number of Gaussians on a processor, for scenes of much surface, as a factor of the preset's."""
+DRAFT_SECONDS = 100.0
+"""Predicted time of a draft up to which it is not reduced: with planning and the report it then ends in two minutes."""
+DRAFT_STEPS = 40
+"""Sizes below that of the draft that are tried."""
+
+
+def suitable_gaussians(extent: Extent, width: int, on_card: bool) -> int:
+    """Estimate how many Gaussians the surface in a scene's photos calls for.
+
+    Args:
+        extent: Size of the scene; its surface in pixels is that of all images over the number of images that see a
+            point.
+        width: Width of the training images, pixels.
+        on_card: Whether a graphics card trains.
+
+    Returns:
+        Number of Gaussians.
+    """
+    surface = extent.pixels(width) * (extent.training + extent.held_out) / extent.overlap
+    return max(FEWEST, round(surface / (ON_CARD if on_card else PIXELS_PER_GAUSSIAN)))
+
+
+def suited(settings: TrainSettings, size: Size, extent: Extent, widest: int) -> Size:
+    """Return the sizes of a run: those that the user chose, and suitable ones.
+
+    Args:
+        settings: What the user chose.
+        size: The largest sizes.
+        extent: Size of the scene.
+        widest: Width that the photos resolve, pixels.
+
+    Returns:
+        The sizes.
+    """
+    width = settings.width or min(size.width, widest)
+    most = suitable_gaussians(extent, width, device_for(settings.backend).type == "cuda")
+    gaussians = settings.max_gaussians or min(size.max_gaussians, most)
+    return Size(settings.iterations or size.iterations, width, gaussians)
+
+
+def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None) -> TrainSettings:
+    """Fill in the sizes that the user left to the preset: no larger than the photos and the machine call for.
+
+    The width is at most what the photos resolve, the number of Gaussians follows the surface that they show, and a
+    draft is reduced where the machine would need more than two minutes.
+
+    Args:
+        scene: The scene.
+        settings: What the user chose.
+        speed: Speed of the machine on the scene; None to measure it where it matters.
+
+    Returns:
+        The settings; unchanged with a time budget.
+
+    Raises:
+        InputError: If a photo cannot be read.
+    """
+    if settings.budget or all(settings.size.numbers().values()):
+        return settings
+    extent, on_card = Extent.of(scene), device_for(settings.backend).type == "cuda"
+    preset = (CARD_PRESETS if on_card else PRESETS)[settings.preset]
+    widest = settings.width or resolved_width(scene, preset.width)
+    if on_card:
+        return replace(settings, **suited(settings, preset, extent, widest).numbers())
+    growth = {"max_gaussians": MOST_GROWTH * preset.max_gaussians}
+    found = suited(settings, replace(preset, **growth), extent, widest)
+    if settings.preset == "draft":
+        speed = speed or measure_speed(scene, settings)
+        densify_until = recipe_of(settings.recipe, settings.effects).densify_until
+        for step in range(1, DRAFT_STEPS):
+            if predicted_seconds(speed, extent, found, densify_until) <= DRAFT_SECONDS:
+                break
+            smaller = size_at(LADDER.index(preset) * (1 - step / DRAFT_STEPS))
+            growth = {"max_gaussians": MOST_GROWTH * smaller.max_gaussians}
+            found = suited(settings, replace(smaller, **growth), extent, widest)
+    return replace(settings, **found.numbers())

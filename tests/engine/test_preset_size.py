@@ -1,0 +1,76 @@
+"""Sizes that a preset gives: what the photos resolve, the surface they show, and what the machine does in two minutes."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.resolved_width import resolved_width
+from swag_engine.settings.presets import CARD_PRESETS, PRESETS
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.pacing import preset_size
+from swag_engine.training.pacing.preset_size import DRAFT_SECONDS, FEWEST, fit_preset, suitable_gaussians
+from swag_engine.training.pacing.speed import Extent, Speed, predicted_seconds
+from tests.scenes.tiny import make_tiny_scene
+
+SURVEY = Extent(training=90, held_out=10, points=9000, overlap=8, width=1280, height=960)
+FAST, SLOW = Speed(1, 2e-4, 2e-5, 0.01), Speed(20, 4e-3, 4e-4, 0.2)
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    """The scene of discs: as it is, with blurred photos, and with noise on these."""
+    folder, random, made = tmp_path_factory.mktemp("scenes"), np.random.default_rng(0), {}
+    for kind in ("sharp", "soft", "noisy"):
+        made[kind] = load_scene(make_tiny_scene(folder / kind))
+        for view in made[kind].views if kind != "sharp" else ():
+            photo = cv2.GaussianBlur(cv2.imread(str(view.path)).astype(np.float32), None, 3)
+            photo += random.normal(0, 4, photo.shape) if kind == "noisy" else 0
+            cv2.imwrite(str(view.path), photo.round().clip(0, 255).astype(np.uint8))
+    return made
+
+
+def test_only_what_photos_resolve_counts_and_noise_is_no_detail(scenes):
+    full = scenes["sharp"].views[0].camera.width
+    assert resolved_width(scenes["sharp"], 2000) == full
+    assert resolved_width(scenes["soft"], 2000) < full
+    assert resolved_width(scenes["noisy"], 2000) < full
+    assert resolved_width(scenes["sharp"], full // 2) == full // 2
+
+
+def test_gaussians_follow_the_surface_that_photos_show():
+    few = suitable_gaussians(SURVEY, 640, on_card=False)
+    assert few == pytest.approx(640 * 480 * 100 / 8 / 10)
+    assert suitable_gaussians(replace(SURVEY, overlap=16), 640, on_card=False) == pytest.approx(few / 2, abs=1)
+    assert suitable_gaussians(replace(SURVEY, training=190), 640, on_card=False) == pytest.approx(2 * few, abs=1)
+    assert suitable_gaussians(SURVEY, 1280, on_card=True) > 10 * few
+    assert suitable_gaussians(replace(SURVEY, training=1, held_out=0), 64, on_card=False) == FEWEST
+
+
+def test_a_draft_ends_in_two_minutes_on_a_slow_machine(scenes, monkeypatch):
+    monkeypatch.setattr(Extent, "of", lambda scene: SURVEY)
+    monkeypatch.setattr(preset_size, "resolved_width", lambda scene, most: min(most, SURVEY.width))
+    fast, slow = (fit_preset(scenes["sharp"], TrainSettings(preset="draft"), speed) for speed in (FAST, SLOW))
+    assert (fast.iterations, fast.width) == (PRESETS["draft"].iterations, PRESETS["draft"].width)
+    assert all(a < b for a, b in zip(slow.size.numbers().values(), fast.size.numbers().values(), strict=True))
+    assert 0.7 * DRAFT_SECONDS < predicted_seconds(SLOW, SURVEY, slow.size, 0.5) <= 1.05 * DRAFT_SECONDS
+    high = fit_preset(scenes["sharp"], TrainSettings(preset="high"), SLOW)
+    assert high.iterations == PRESETS["high"].iterations  # a result to keep may take its time
+
+
+def test_a_card_takes_photos_at_full_size(scenes, monkeypatch):
+    monkeypatch.setattr(Extent, "of", lambda scene: replace(SURVEY, training=2000, width=6000, height=4000))
+    monkeypatch.setattr(preset_size, "resolved_width", lambda scene, most: min(most, 6000))
+    monkeypatch.setattr(preset_size, "device_for", lambda backend: type("Card", (), {"type": "cuda"}))
+    high = fit_preset(scenes["sharp"], TrainSettings(preset="high"))
+    assert high.size.numbers() == CARD_PRESETS["high"].numbers() | {"width": 6000}
+
+
+def test_what_the_user_chose_stays(scenes):
+    chosen = TrainSettings(preset="draft", iterations=7, width=31, max_gaussians=123)
+    assert fit_preset(scenes["sharp"], chosen) is chosen
+    partly = fit_preset(scenes["sharp"], TrainSettings(preset="standard", width=31))
+    assert partly.width == 31 and partly.max_gaussians == FEWEST
+    assert partly.iterations == PRESETS["standard"].iterations
