@@ -1,4 +1,4 @@
-"""Sizes that a preset gives: what the photos resolve, the surface they show, and what the machine does in two minutes."""
+"""Sizes of presets: what the photos resolve, the surface they show, and what the machine does in two minutes."""
 
 from dataclasses import replace
 
