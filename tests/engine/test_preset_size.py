@@ -26,8 +26,8 @@ def scenes(tmp_path_factory):
     for kind in ("sharp", "soft", "noisy"):
         made[kind] = load_scene(make_tiny_scene(folder / kind))
         for view in made[kind].views if kind != "sharp" else ():
-            photo = cv2.GaussianBlur(cv2.imread(str(view.path)).astype(np.float32), None, 3)
-            photo += random.normal(0, 4, photo.shape) if kind == "noisy" else 0
+            blurred = cv2.GaussianBlur(cv2.imread(str(view.path)).astype(np.float32), (0, 0), 3)
+            photo = blurred + random.normal(0, 4 if kind == "noisy" else 0, blurred.shape)
             cv2.imwrite(str(view.path), photo.round().clip(0, 255).astype(np.uint8))
     return made
 

@@ -132,7 +132,7 @@ def test_a_run_ends_early_when_its_curve_is_flat(tiny_scene, tmp_path):
     effects = "water=off,lamp=off,exposure=off,caustics=off,moving_objects=off"
     settings = replace(SHORT, effects=effects, iterations=100, stop_when_flat=True)
     metrics = train_with(tiny_scene, tmp_path / "run", settings, schedule=UNCHANGING)["metrics"]
-    # Flat at 70 %, the earliest that is examined; the frozen last tenth still follows.
+    # Flat at 80 %, the earliest that is examined; the frozen last tenth still follows.
     assert 88 <= metrics["iteration"] <= 92
     assert not metrics["interrupted"] and "Finished early" in metrics["notes"][-1]
     stops = iter([False] * 40 + [True])

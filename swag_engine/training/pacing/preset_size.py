@@ -83,8 +83,7 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
     widest = settings.width or resolved_width(scene, preset.width)
     if on_card:
         return replace(settings, **suited(settings, preset, extent, widest).numbers())
-    growth = {"max_gaussians": MOST_GROWTH * preset.max_gaussians}
-    found = suited(settings, replace(preset, **growth), extent, widest)
+    found = suited(settings, _grown(preset), extent, widest)
     if settings.preset == "draft":
         speed = speed or measure_speed(scene, settings)
         densify_until = recipe_of(settings.recipe, settings.effects).densify_until
@@ -92,6 +91,10 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
             if predicted_seconds(speed, extent, found, densify_until) <= DRAFT_SECONDS:
                 break
             smaller = size_at(LADDER.index(preset) * (1 - step / DRAFT_STEPS))
-            growth = {"max_gaussians": MOST_GROWTH * smaller.max_gaussians}
-            found = suited(settings, replace(smaller, **growth), extent, widest)
+            found = suited(settings, _grown(smaller), extent, widest)
     return replace(settings, **found.numbers())
+
+
+def _grown(size: Size) -> Size:
+    """Allow the Gaussians of a scene of much surface."""
+    return replace(size, max_gaussians=MOST_GROWTH * size.max_gaussians)
