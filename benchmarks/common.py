@@ -14,7 +14,7 @@ PICTURES = ROOT / "docs" / "images"
 SHARED = ROOT.parent / "shared" / "data"
 """Scenes that are not part of the repository; a benchmark leaves out those that are missing."""
 DEMO = ROOT / "tests" / "scenes" / "reef_wreck"
-WEBP_QUALITY = 90
+WEBP_QUALITY = 70
 """Quality of written pictures, 0 to 100: keeps each below 300 kB."""
 
 

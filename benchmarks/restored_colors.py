@@ -59,7 +59,7 @@ PICTURED_VIEW = 1
 """Number of the test view in the picture."""
 LABEL = 20
 """Height of the line above each row of the picture, pixels."""
-MOST_BYTES = 300_000
+MOST_BYTES = 200_000
 """Of the picture: it is compressed as much as this needs."""
 
 

@@ -125,7 +125,7 @@ def find_development(colors: np.ndarray, weights: np.ndarray) -> tuple[Developme
     white, neutral = _white_point(light, weights)
     bright = _weighted_quantile(light @ (LUMINANCE * white), weights, BRIGHT_QUANTILE)
     highlights = np.quantile((light * white).max(axis=1), 1 - MOST_CLIPPED)
-    median = _weighted_quantile(light @ (LUMINANCE * white), weights, 0.5)
+    median = float(np.median(light @ (LUMINANCE * white)))  # far parts count as much: they are as visible
     raised = min(np.log2(BRIGHT_LIGHT / bright), max(0.0, np.log2(MEDIAN_LIGHT / median)))
     stops = min(np.clip(raised, -MOST_STOPS, MOST_STOPS), np.log2(HEADROOM / highlights))
     red, green, blue = white.tolist()
