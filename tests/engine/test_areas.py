@@ -6,6 +6,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+import rasterio
 import torch
 
 from swag_engine.app.cli import main
@@ -23,7 +24,6 @@ from swag_engine.settings.settings import TrainSettings
 from tests.scenes.flat_splats import sheet, write_run
 from tests.scenes.tiny import make_tiny_scene
 
-rasterio = pytest.importorskip("rasterio")
 LABELS = ("sand", "coral", "sponge", "seagrass")
 PIXEL = 0.02
 

@@ -7,6 +7,7 @@ import subprocess
 import cv2
 import numpy as np
 import pytest
+import rasterio
 
 from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
@@ -20,7 +21,6 @@ from swag_engine.scene.georeference import Georeference, Placement
 from swag_engine.splats.splats import concatenate
 from tests.scenes.flat_splats import GEOREFERENCE, sheet, write_run
 
-rasterio = pytest.importorskip("rasterio")
 RED, BLUE = (0.8, 0.2, 0.2), (0.1, 0.2, 0.9)
 
 
@@ -55,8 +55,9 @@ def test_an_orthomosaic_is_a_cloud_optimized_geotiff_at_its_place(two_colors, tm
     assert colors[3, 375, 500] > 230
 
 
-@pytest.mark.skipif(not shutil.which("gdalinfo"), reason="gdalinfo is not installed")
-def test_gdalinfo_reads_an_orthomosaic(two_colors, tmp_path):
+def test_gdalinfo_reads_an_orthomosaic(two_colors, tmp_path, missing):
+    if not shutil.which("gdalinfo"):
+        missing("gdalinfo is not here: on Debian, apt-get install gdal-bin.")
     make_ortho(two_colors, tmp_path / "map.tif", pixel=0.02)
     answer = subprocess.run(["gdalinfo", "-json", tmp_path / "map.tif"], check=True, capture_output=True)
     assert json.loads(answer.stdout)["metadata"]["IMAGE_STRUCTURE"]["LAYOUT"] == "COG"
