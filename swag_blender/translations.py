@@ -278,6 +278,9 @@ GERMAN = {
     "The fastest that runs on this machine": "Das Schnellste, was auf diesem Rechner läuft",
     "Native code on the processor": "Maschinencode auf dem Prozessor",
     "Native code on an NVIDIA graphics card": "Maschinencode auf einer NVIDIA-Grafikkarte",
+    "Native code on a graphics card of any make, through Vulkan, Metal or DirectX 12": (
+        "Maschinencode auf einer Grafikkarte jedes Herstellers, über Vulkan, Metal oder DirectX 12"
+    ),
     "PyTorch without native code: slow, the reference for the others": (
         "PyTorch ohne Maschinencode: langsam, der Maßstab für die anderen"
     ),
