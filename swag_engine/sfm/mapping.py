@@ -106,6 +106,8 @@ def _map(scene: Path, scratch: Path, names: list[str], hypothesis: Hypothesis) -
     doubts += alternative.doubts
     if not hypothesis.calibrate_view_graph and not priors:
         doubts += _compare_with_pairs(model, quality, database, models)
+    if not model.num_points3D():  # poses alone cannot be trained from
+        return asdict(Outcome(hypothesis.name, []))
     model.extract_colors_for_all_images(str(scene / "images"))
     folder = model_folder(scratch, hypothesis.name)
     folder.mkdir()
