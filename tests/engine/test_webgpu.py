@@ -180,9 +180,8 @@ def test_adam_agrees_with_torch(kernels):
 FEW = TrainSettings(recipe="swag", iterations=5, width=32, max_gaussians=100, backend="cpu")
 
 
+@pytest.mark.parametrize("gpu", ["atomic floats"], indirect=True)
 def test_a_run_learns_what_it_learns_on_the_cpu(gpu, kernels, tiny_scene, tmp_path):
-    if not gpu.float_atomics:
-        pytest.skip("five iterations are enough once")
     psnr = {}
     for backend in ("cpu", "wgpu"):
         done = train(tiny_scene, tmp_path / backend, replace(FEW, backend=backend))
