@@ -10,6 +10,7 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from textwrap import fill
 from typing import Any
 
@@ -834,6 +835,31 @@ def moving_objects() -> str:
             *("mask pixels that are fish", "pixels masked where there are no fish"),
         ],
         rows,
+    )
+
+
+@table
+def presets() -> str:
+    """Presets against those of an earlier version: processor time, quality and Gaussians."""
+    groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in results("presets")["rows"]:
+        groups.setdefault((row["preset"], row["scene"]), []).append(row)
+
+    def mean(rows: Sequence[Mapping[str, Any]], version: str, figure: str) -> float:
+        return sum(row[version][figure] for row in rows) / len(rows)
+
+    return markdown(
+        ["preset", "scene (seeds)", "processor time", "test PSNR before", "now", "Gaussians before", "now"],
+        [
+            [
+                preset,
+                f"{scene} ({len(rows)})",
+                percent(median(row["now"]["seconds"] / row["earlier"]["seconds"] for row in rows)),
+                *(f"{mean(rows, version, 'psnr'):.2f} dB" for version in ("earlier", "now")),
+                *(f"{mean(rows, version, 'gaussians'):.0f}" for version in ("earlier", "now")),
+            ]
+            for (preset, scene), rows in groups.items()
+        ],
     )
 
 

@@ -1,0 +1,84 @@
+"""Compare the presets with those of an earlier checkout: processor time and quality of the same scenes and seeds.
+
+Run: `python benchmarks/presets.py EARLIER_CHECKOUT [--presets draft] [--seeds 0 1 2]`
+Results: benchmarks/results/presets.json
+
+Both checkouts take turns, each run in a process of its own with one thread. Runs that the results have already are not
+repeated. The kernels of the earlier checkout must be built (`python -m swag_engine.kernels.build` there).
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from argparse import ArgumentParser
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.common import DEMO, RESULTS, SHARED, machine, write_results
+
+SCENES = {"demo": DEMO} | {name: SHARED / name for name in ("aqualoc_amphorae", "japanese_gardens")}
+TRAIN = """
+import json, sys, time
+from pathlib import Path
+import swag_engine.base.threads
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.trainer import train
+
+scene, out, preset, seed = sys.argv[1:]
+metrics = train(Path(scene), Path(out), TrainSettings(preset=preset, seed=int(seed)))["metrics"]
+print(json.dumps({"seconds": time.process_time(), "psnr": metrics["test_psnr"], "gaussians": metrics["gaussians"]}))
+"""
+"""Trains a scene in whichever checkout is first on Python's path."""
+
+
+def run_once(checkout: Path, scene: Path, preset: str, seed: int) -> dict[str, float]:
+    """Train once.
+
+    Args:
+        checkout: Folder of the project.
+        scene: Folder of the scene.
+        preset: Name of the preset.
+        seed: Seed of the run.
+
+    Returns:
+        Processor time of the process in seconds, test PSNR in dB, and number of Gaussians.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-c", TRAIN, str(scene), str(Path(folder) / "run"), preset, str(seed)]
+        environment = os.environ | {"PYTHONPATH": str(checkout), "OMP_NUM_THREADS": "1"}
+        answer = subprocess.run(command, cwd=checkout, env=environment, check=True, capture_output=True, text=True)
+    found = json.loads(answer.stdout.splitlines()[-1])
+    return {"seconds": round(found["seconds"], 1), "psnr": round(found["psnr"], 3), "gaussians": found["gaussians"]}
+
+
+def main() -> None:
+    """Run what is missing, print and write the figures."""
+    parser = ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("earlier", type=Path)
+    parser.add_argument("--presets", nargs="+", default=["draft"])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    asked = parser.parse_args()
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=asked.earlier, check=True, capture_output=True, text=True
+    ).stdout.strip()
+    stored = RESULTS / "presets.json"
+    rows: list[dict[str, Any]] = json.loads(stored.read_text("utf-8"))["rows"] if stored.exists() else []
+    for seed in asked.seeds:
+        for preset in asked.presets:
+            for name, scene in SCENES.items():
+                key = {"preset": preset, "scene": name, "seed": seed}
+                if any(key.items() <= row.items() for row in rows):
+                    continue
+                earlier, now = (run_once(root, scene, preset, seed) for root in (asked.earlier.resolve(), ROOT))
+                rows.append(key | {"earlier": earlier, "now": now})
+                print(rows[-1], flush=True)
+                write_results("presets", {"machine": machine(), "earlier": commit, "rows": rows})
+
+
+if __name__ == "__main__":
+    main()
