@@ -1,7 +1,7 @@
 """The panels of the sidebar tab SWAG, in the order of work: Cameras, Train, Result, Labels, Export.
 
-Further panels are in files of their own; bl_order is 30 for Edit, 35 for Film and 40 for Water. Train and Result have a
-closed panel until their stage is reached; the panel that replaces it then is open.
+Further panels are in files of their own; bl_order is 30 for Edit, 35 for Film, 40 for Water and 55 for Maps. Train and
+Result have a closed panel until their stage is reached; the panel that replaces it then is open.
 """
 
 import bpy

@@ -71,6 +71,24 @@ class MeasureTool(PointTool):
         return text
 
 
+class LineTool(MeasureTool):
+    """Tool that ends with the second of two points that the user clicks, and gives `on_line`."""
+
+    def on_line(self, context: bpy.types.Context, start: Vector, end: Vector) -> None:
+        """Handle the two points, in Blender's world."""
+        raise NotImplementedError
+
+    def on_event(
+        self, context: bpy.types.Context, event: bpy.types.Event, region: bpy.types.Region, position: Pixel
+    ) -> OperatorResult:
+        """Set a point by a click, and end with the second."""
+        result = super().on_event(context, event, region, position)
+        if len(self._points) < 2:
+            return result
+        self.on_line(context, *self._points)
+        return {"FINISHED"}
+
+
 class ReadTool(PointTool):
     """Tool that shows what is known of the splat under the pointer; a click puts the 3D cursor there."""
 

@@ -966,6 +966,74 @@ GERMAN = {
     "Patch Left Out": "Feld ausgelassen",
     "From Chart": "Aus der Tafel",
     "Found in these photos:": "Gefunden in diesen Fotos:",
+    "Maps": "Karten",
+    "Made Maps": "Fertige Karten",
+    "Orthomosaic": "Orthomosaik",
+    "Heights": "Höhen",
+    "Areas by Label": "Flächen je Etikett",
+    "Profile": "Profil",
+    "Pick Profile": "Profil wählen",
+    "Change": "Veränderung",
+    "Folder of the maps; empty: the folder maps in the folder of the run": (
+        "Ordner der Karten; leer: der Ordner maps im Ordner des Laufs"
+    ),
+    "Pixel Size (m)": "Pixelgröße (m)",
+    "Edge of a pixel in metres, or in units without a scale; 0: the size of the splats": (
+        "Kante eines Pixels in Metern, ohne Maßstab in Einheiten; 0: die Größe der Splats"
+    ),
+    "Seen From": "Gesehen von",
+    "Direction that maps are seen from": "Richtung, aus der Karten gesehen werden",
+    "From Above": "Von oben",
+    "Straight from above": "Senkrecht von oben",
+    "Fitted Plane": "Angepasste Ebene",
+    "Perpendicular to the plane that fits the splats, as for a wall": (
+        "Senkrecht zu der Ebene, die zu den Splats passt, etwa für eine Wand"
+    ),
+    "3D Viewport": "3D-Ansicht",
+    "As the 3D viewport looks now": "So, wie die 3D-Ansicht jetzt blickt",
+    "For TagLab": "Für TagLab",
+    "Write an orthomosaic without alpha, and a file with the pixel size": (
+        "Ein Orthomosaik ohne Alpha schreiben, und eine Datei mit der Pixelgröße"
+    ),
+    "Further Maps": "Weitere Karten",
+    "Maps that are made from the heights": "Karten, die aus den Höhen entstehen",
+    "Hillshade": "Schummerung",
+    "Heights shaded by light from the upper left": "Höhen, von links oben beleuchtet",
+    "Slope": "Neigung",
+    "Steepness in degrees": "Steilheit in Grad",
+    "Rugosity": "Rauheit",
+    "Surface over planar area in windows of a metre": "Oberfläche durch Grundfläche in Fenstern von einem Meter",
+    "Corrected Labels": "Korrigierte Etiketten",
+    "Corrected copy of labels.tif; its labels go to the splats, and the areas are made again": (
+        "Korrigierte Kopie von labels.tif; die Splats übernehmen die Etiketten, und die Flächen werden neu gemessen"
+    ),
+    "Later Run": "Späterer Lauf",
+    "Folder of a later run of the same place": "Ordner eines späteren Laufs vom selben Ort",
+    "Find Scale": "Maßstab finden",
+    "Find the scale of the later run by the alignment, where it was not measured": (
+        "Den Maßstab des späteren Laufs durch das Ausrichten finden, wenn er nicht gemessen wurde"
+    ),
+    "Write a GeoTIFF of the run of the splats along parallel rays, with the water that the viewport shows": (
+        "Ein GeoTIFF vom Lauf der Splats schreiben, mit parallelen Strahlen und dem Wasser, das die Ansicht zeigt"
+    ),
+    "Write a GeoTIFF of the heights of the run of the splats; places that no photo shows stay empty": (
+        "Ein GeoTIFF mit den Höhen vom Lauf der Splats schreiben; was kein Foto zeigt, bleibt leer"
+    ),
+    "Measure the area of each label of the run: a table with errors, a label map and outlines": (
+        "Die Fläche jedes Etiketts des Laufs messen: Tabelle mit Fehlern, Etikettenkarte und Umrisse"
+    ),
+    "Align a later run of the same place to this one, and map what changed": (
+        "Einen späteren Lauf vom selben Ort auf diesen ausrichten und kartieren, was sich verändert hat"
+    ),
+    "Write a table and a diagram of the heights between two points, or two selected objects beside the splats": (
+        "Tabelle und Diagramm der Höhen zwischen zwei Punkten schreiben, oder zwei gewählten Objekten neben den Splats"
+    ),
+    "Click two points of the splats to write the heights between them": (
+        "Zwei Punkte der Splats anklicken, um die Höhen dazwischen zu schreiben"
+    ),
+    "Click both ends of the profile; Escape: end": "Beide Enden des Profils anklicken; Escape: Ende",
+    "Height": "Höhe",
+    "Length": "Länge",
 }
 
 

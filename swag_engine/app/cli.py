@@ -685,10 +685,11 @@ class Ortho:
     def run(self) -> int:
         """Run the command and return its exit code."""
         from ..products.ortho import describe, make_ortho
+        from .progress import stage_progress
 
-        result = make_ortho(
-            self.source, self.out, self.pixel, self.box, self.plane, self.water, self.develop, self.taglab
-        )
+        options = self.plane, self.water, self.develop, self.taglab
+        with stage_progress() as progress:
+            result = make_ortho(self.source, self.out, self.pixel, self.box, *options, progress=progress)
         show(result, self.json, describe(result))
         return 0
 
@@ -721,8 +722,11 @@ class Dem:
     def run(self) -> int:
         """Run the command and return its exit code."""
         from ..products.dem import describe, make_dem
+        from .progress import stage_progress
 
-        result = make_dem(self.source, self.out, self.pixel, self.box, self.plane, self.derived, self.window)
+        options = self.plane, self.derived, self.window
+        with stage_progress() as progress:
+            result = make_dem(self.source, self.out, self.pixel, self.box, *options, progress=progress)
         show(result, self.json, describe(result))
         return 0
 
@@ -758,9 +762,11 @@ class Areas:
     def run(self) -> int:
         """Run the command and return its exit code."""
         from ..products.areas import describe, make_areas
+        from .progress import stage_progress
 
         options = self.plane, self.masks, self.least_patch, self.corrected
-        result = make_areas(self.source, self.out, self.pixel, self.box, *options)
+        with stage_progress() as progress:
+            result = make_areas(self.source, self.out, self.pixel, self.box, *options, progress=progress)
         show(result, self.json, describe(result))
         return 0
 
@@ -788,8 +794,10 @@ class Profile:
     def run(self) -> int:
         """Run the command and return its exit code."""
         from ..products.profile import describe, make_profile
+        from .progress import stage_progress
 
-        result = make_profile(self.source, self.line, self.out, self.pixel, self.plane)
+        with stage_progress() as progress:
+            result = make_profile(self.source, self.line, self.out, self.pixel, self.plane, progress=progress)
         show(result, self.json, describe(result))
         return 0
 
@@ -821,8 +829,11 @@ class Change:
     def run(self) -> int:
         """Run the command and return its exit code."""
         from ..products.change import describe, make_change
+        from .progress import stage_progress
 
-        result = make_change(self.earlier, self.later, self.out, self.pixel, self.box, self.plane, self.scale)
+        options = self.plane, self.scale
+        with stage_progress() as progress:
+            result = make_change(self.earlier, self.later, self.out, self.pixel, self.box, *options, progress=progress)
         show(result, self.json, describe(result))
         return 0
 

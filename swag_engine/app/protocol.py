@@ -12,6 +12,10 @@ from ..splats.development import AS_RESTORED, ColorView
 
 Color = tuple[float, float, float]
 """Display values, 0..1."""
+Line = tuple[float, float, float, float, float, float]
+"""Coordinates of two points."""
+NUMBERS = (Color, Line)
+"""Types of fields that are lists of numbers."""
 
 
 @dataclass(frozen=True)
@@ -228,6 +232,84 @@ class ChartRequest:
 
 
 @dataclass(frozen=True)
+class MapRequest:
+    """What the requests for maps of a run have in common; the commands of their names have the same options.
+
+    Attributes:
+        run: Folder of the run.
+        out: File or folder of the map.
+        pixel: Edge of a pixel, 0 for the size of the splats.
+        plane: Where the map is seen from.
+    """
+
+    run: Path
+    out: Path
+    pixel: float = 0.0
+    plane: str = "up"
+
+
+@dataclass(frozen=True)
+class OrthoRequest(MapRequest):
+    """Write an orthomosaic.
+
+    Attributes:
+        water: Amount of water, 0 to 1.
+        develop: Development of the colors.
+        taglab: Whether TagLab must open the file.
+    """
+
+    water: float = 0.0
+    develop: str = "auto"
+    taglab: bool = False
+
+
+@dataclass(frozen=True)
+class DemRequest(MapRequest):
+    """Write heights.
+
+    Attributes:
+        derived: Names of further maps, separated by commas.
+    """
+
+    derived: str = ""
+
+
+@dataclass(frozen=True)
+class AreasRequest(MapRequest):
+    """Write areas by label.
+
+    Attributes:
+        corrected: Corrected copy of the label map, None without one.
+    """
+
+    corrected: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProfileRequest(MapRequest):
+    """Write heights along a line.
+
+    Attributes:
+        line: x, y and z of its two ends in the coordinates of the scene.
+    """
+
+    line: Line
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeRequest(MapRequest):
+    """Compare a run with a later one.
+
+    Attributes:
+        later: Folder of the later run.
+        free_scale: Whether the alignment finds the scale of the later run.
+    """
+
+    later: Path
+    free_scale: bool = False
+
+
+@dataclass(frozen=True)
 class CancelRequest:
     """Stop the request at hand; what exists is kept."""
 
@@ -256,6 +338,11 @@ Request = (
     | SearchRequest
     | ScoreEditRequest
     | ChartRequest
+    | OrthoRequest
+    | DemRequest
+    | AreasRequest
+    | ProfileRequest
+    | ChangeRequest
     | CancelRequest
     | PauseRequest
     | GoOnRequest
@@ -274,6 +361,11 @@ REQUESTS: dict[str, type[Request]] = {
     "search": SearchRequest,
     "score_edit": ScoreEditRequest,
     "chart": ChartRequest,
+    "ortho": OrthoRequest,
+    "dem": DemRequest,
+    "areas": AreasRequest,
+    "profile": ProfileRequest,
+    "change": ChangeRequest,
     "cancel": CancelRequest,
     "pause": PauseRequest,
     "go_on": GoOnRequest,
@@ -341,7 +433,7 @@ def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
         return ColorView.from_json(value)
     if kind is float and is_number(value):
         return float(value)
-    if kind is Color and isinstance(value, list) and len(value) == 3 and all(map(is_number, value)):
+    if kind in NUMBERS and isinstance(value, list) and len(value) == len(get_args(kind)) and all(map(is_number, value)):
         return tuple(map(float, value))
     if kind is FormatName and value in get_args(FormatName):
         return value
@@ -362,7 +454,7 @@ def describe(kind: Any) -> str:
         TrainSettings: "an object of settings",
         ColorView: "an object of developments",
         float: "a number",
-        Color: "three numbers",
+        **{kind: f"{len(get_args(kind))} numbers" for kind in NUMBERS},
     }
     words[Path | None] = words[Path]
     return words.get(kind) or f"one of {', '.join(get_args(kind))}"

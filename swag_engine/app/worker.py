@@ -18,6 +18,7 @@ from ..base.errors import InputError
 from ..base.strict_json import to_json
 from .answers import missing_package
 from .interrupts import interrupts
+from .map_requests import make_map
 from .protocol import (
     CancelRequest,
     ChartRequest,
@@ -28,6 +29,7 @@ from .protocol import (
     ImportCamerasRequest,
     InspectRequest,
     LabelRequest,
+    MapRequest,
     PauseRequest,
     PlanRequest,
     Request,
@@ -220,6 +222,10 @@ class Worker:
                 progress = self.stoppable("The search for a color chart was stopped; nothing was written.")
                 document = measure_chart(request.run, progress=progress)
             return {"event": "result", "request": "chart", "run": str(request.run)} | document
+        if isinstance(request, MapRequest):
+            with interrupts.deferred():
+                progress = self.stoppable("The map was stopped before it was done.")
+                return {"event": "result"} | make_map(request, progress)
         assert isinstance(request, ExportRequest)
         from ..formats.export import export_run
 

@@ -31,7 +31,8 @@ from .map_frame import MapScene, load_map_scene
 from .ortho import map_answer
 from .packages import require_packages
 from .patches import Patch, find_patches, to_coco, to_geojson
-from .tiles import tiles_of
+from .preview import write_preview
+from .tiles import Progress, tiles_of
 
 LEAST_PATCH = 10
 """Smallest number of pixels of a patch that is counted: smaller ones are mostly noise at edges."""
@@ -58,6 +59,7 @@ def make_areas(
     least_patch: int = LEAST_PATCH,
     corrected: Path | None = None,
     backend: str = "auto",
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write the label map of a labelled run, the areas of its labels with errors, and its patches.
 
@@ -72,6 +74,7 @@ def make_areas(
         corrected: Corrected copy of the label map in `out`; its labels go to the splats of the run before the files are
             made again, with the pixels that they had.
         backend: What renders.
+        progress: As in `make_ortho`.
 
     Returns:
         As `make_ortho`; `labels`, a dict with the columns of the table each; `held_out`, the number of images that the
@@ -85,14 +88,14 @@ def make_areas(
         raise InputError(f"The smallest patch is {least_patch} pixels: it must have at least 1.")
     changed, made = None, None
     if corrected:
-        changed, made, plane = correct_labels(source, out, corrected, backend)
+        changed, made, plane = correct_labels(source, out, corrected, backend, progress)
     scene = load_map_scene(source, plane)
     splat_labels(scene.splats)
     grid = made or make_grid(scene.splats, pixel, box)
     crs = map_crs(scene)
     files = {name: out / file for name, file in FILES.items()}
-    labels = write_label_map(files["labels"], scene, grid, backend)
-    write_heights(files["heights"], scene, grid, backend)
+    labels = write_label_map(files["labels"], scene, grid, backend, progress)
+    write_heights(files["heights"], scene, grid, backend, progress)
     present = sorted({*scene.labels, *np.unique(labels[labels != NO_LABEL]).tolist()})
     names = {label: label_name(scene, label) for label in present}
     confusion = np.zeros((0, 1, 1))
@@ -107,7 +110,8 @@ def make_areas(
     seen = int((labels != NO_LABEL).sum())
     notes = [*scene.notes, *_error_notes(len(confusion), scene)]
     notes += [f"No pixel shows the label {row['name']}." for row in rows if not row["pixels"]]
-    answer = map_answer(out, list(files.values()), grid, scene, crs) | {
+    preview = write_preview(files["labels"], scene, grid)
+    answer = map_answer(out, [*files.values(), preview], preview, grid, scene, crs) | {
         "covered": seen / labels.size,
         "plane": plane,
         "grid": vars(grid),
@@ -120,7 +124,9 @@ def make_areas(
     return answer
 
 
-def correct_labels(folder: Path, areas: Path, corrected: Path, backend: str = "auto") -> tuple[int, MapGrid, str]:
+def correct_labels(
+    folder: Path, areas: Path, corrected: Path, backend: str = "auto", progress: Progress | None = None
+) -> tuple[int, MapGrid, str]:
     """Give the splats of a run the labels of a corrected label map, and write its result files.
 
     Args:
@@ -128,6 +134,7 @@ def correct_labels(folder: Path, areas: Path, corrected: Path, backend: str = "a
         areas: Folder that `make_areas` wrote.
         corrected: The corrected label map.
         backend: What renders.
+        progress: As in `make_ortho`.
 
     Returns:
         Number of splats that have another label now, and grid and plane of the label map.
@@ -147,7 +154,7 @@ def correct_labels(folder: Path, areas: Path, corrected: Path, backend: str = "a
     colors = label_colors([0, *sorted({*scene.labels, *splat_labels(scene.splats).tolist()})])
     before = read_corrected(areas / FILES["labels"], (grid.height, grid.width), colors)
     after = read_corrected(corrected, (grid.height, grid.width), colors)
-    labels = corrected_splats(scene, grid, before, after, backend).astype(np.int32)
+    labels = corrected_splats(scene, grid, before, after, backend, progress).astype(np.int32)
     splats = read_ply(run.ply)
     changed = int((labels != splats.extras[LABEL]).sum())
     if changed:

@@ -25,7 +25,8 @@ from .label_map import label_name, tile_labels
 from .map_frame import MapScene, load_map_scene
 from .ortho import map_answer
 from .packages import require_packages
-from .tiles import TileRenderer, tiles_of
+from .preview import write_preview
+from .tiles import Progress, TileRenderer, tiles_of
 
 ScaleChoice = Literal["fixed", "free"]
 MOST_PIXELS = 8192
@@ -57,6 +58,7 @@ def make_change(
     plane: str = "up",
     scale: ScaleChoice = "fixed",
     backend: str = "auto",
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Compare two runs of one place.
 
@@ -69,10 +71,12 @@ def make_change(
         plane: As in `load_map_scene`.
         scale: Whether the scale of the later survey is kept, or found by the alignment.
         backend: What renders.
+        progress: As in `make_ortho`.
 
     Returns:
-        As `make_ortho`, with `alignment` (matrix, scale, residual, static fraction), `height_noise` (the median of the
-        smallest change that is told), `objects`, and `changed`, the fraction of the seen pixels that changed.
+        As `make_ortho` for the earlier run, with `alignment` (matrix, scale, residual, static fraction),
+        `height_noise` (the median of the smallest change that is told), `objects`, and `changed`, the fraction of the
+        seen pixels that changed.
 
     Raises:
         InputError: If an option or a file cannot be used.
@@ -85,6 +89,8 @@ def make_change(
             f"The scale of {' and of '.join(unknown)} is not known: measure it with the command scale, or let the "
             "alignment find the scale of the later run with --scale free."
         )
+    if progress:
+        progress("Aligning", 0.0)
     alignment = align(second.splats, first.splats, _initial(first, second), scale == "free")
     moved = replace(second, splats=transformed(second.splats, alignment.matrix))
     grid = make_grid(first.splats, pixel, box)
@@ -94,7 +100,10 @@ def make_change(
             "compared: choose a larger --pixel or a smaller --box."
         )
     crs = map_crs(first)
-    before, after = (_survey(scene, grid, backend) for scene in (first, moved))
+    before, after = (
+        _survey(scene, grid, backend, f"Rendering the {which} run", progress)
+        for scene, which in ((first, "earlier"), (moved, "later"))
+    )
     after = _same_labels(first, second, after)
     changes = find_changes(before, after, grid.pixel, alignment.residual)
     if not np.isfinite(changes.height).any():
@@ -106,7 +115,8 @@ def make_change(
     transitions = label_transitions(before, after, grid.pixel)
     _write_transitions(files["labels"], transitions, first)
     seen = changes.flags != NO_LABEL
-    answer = map_answer(out, list(files.values()), grid, first, crs) | {
+    preview = write_preview(files["flags"], first, grid)
+    answer = map_answer(out, [*files.values(), preview], preview, grid, first, crs) | {
         "covered": float(seen.mean()),
         "alignment": {
             "matrix": alignment.matrix.tolist(),
@@ -156,7 +166,7 @@ def _initial(first: MapScene, second: MapScene) -> np.ndarray | None:
     return matrix
 
 
-def _survey(scene: MapScene, grid: MapGrid, backend: str) -> Survey:
+def _survey(scene: MapScene, grid: MapGrid, backend: str, stage: str, progress: Progress | None) -> Survey:
     """Render colors, heights and labels of a survey."""
     renderer = TileRenderer(scene.splats, grid, backend)
     colors = renderer.colors()
@@ -165,7 +175,7 @@ def _survey(scene: MapScene, grid: MapGrid, backend: str) -> Survey:
     shape = grid.height, grid.width
     image, heights = np.zeros((*shape, 3), np.float32), np.full(shape, np.nan, np.float32)
     found = None if labels is None else np.full(shape, NO_LABEL, np.uint8)
-    for tile in tiles_of(grid, EDGE):
+    for tile in tiles_of(grid, EDGE, stage, progress):
         place = slice(tile.row, tile.row + tile.height), slice(tile.column, tile.column + tile.width)
         chosen = renderer.inside(tile)
         values, alpha = renderer.render(tile, chosen, colors[chosen])

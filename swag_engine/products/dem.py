@@ -8,17 +8,15 @@ import numpy as np
 from ..base.errors import InputError
 from .geotiff import NO_HEIGHT, create_map, map_crs
 from .grid import MapGrid, make_grid
-from .heights import EDGE, gradients, surface_factor, tile_heights
+from .heights import EDGE, surface_factor, tile_heights
 from .map_frame import MapScene, load_map_scene
 from .ortho import describe as describe_map
 from .ortho import map_answer
 from .packages import require_packages
-from .tiles import Tile, TileRenderer, tiles_of
+from .preview import write_preview
+from .relief import hillshade, rugosity, slope
+from .tiles import Progress, Tile, TileRenderer, tiles_of
 
-SUN_AZIMUTH = 315.0
-"""Direction of the light of a hillshade, degrees from the top of the map, clockwise: the custom of maps."""
-SUN_HEIGHT = 45.0
-"""Height of that light above the horizon, degrees."""
 WINDOW = 1.0
 """Usual edge of the windows of rugosity, metres or units."""
 DERIVED = ("hillshade", "slope", "rugosity")
@@ -34,6 +32,7 @@ def make_dem(
     derived: tuple[str, ...] = (),
     window: float = WINDOW,
     backend: str = "auto",
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write the heights of a run or of a splat PLY: band 1 the first surface, band 2 the median height.
 
@@ -46,6 +45,7 @@ def make_dem(
         derived: Names of DERIVED; each becomes NAME_hillshade.tif and so on, from the median height.
         window: Edge of the windows over which rugosity is taken.
         backend: What renders.
+        progress: As in `make_ortho`.
 
     Returns:
         As `make_ortho`, with `heights`, the lowest and the highest, and `rugosity`, surface over planar area of the
@@ -60,16 +60,17 @@ def make_dem(
     scene = load_map_scene(source, plane)
     grid = make_grid(scene.splats, pixel, box)
     crs = map_crs(scene)
+    low, high, seen = write_heights(out, scene, grid, backend, progress)
+    preview = write_preview(out, scene, grid)
     files = [out]
-    low, high, seen = write_heights(out, scene, grid, backend)
     for name in derived:
         path = out.with_name(f"{out.stem}_{name}.tif")
-        _write_derived(path, out, name, scene, grid, window)
+        _write_derived(path, out, name, scene, grid, window, progress)
         files.append(path)
     notes = list(scene.notes)
     if not seen:
         notes.append("Nothing was seen in the map: all heights are nodata.")
-    return map_answer(out, files, grid, scene, crs) | {
+    return map_answer(out, [*files, preview], preview, grid, scene, crs) | {
         "covered": seen / (grid.width * grid.height),
         "heights": [low, high] if seen else None,
         "rugosity": _total_rugosity(out, grid),
@@ -77,13 +78,15 @@ def make_dem(
     }
 
 
-def write_heights(out: Path, scene: MapScene, grid: MapGrid, backend: str = "auto") -> tuple[float, float, int]:
+def write_heights(
+    out: Path, scene: MapScene, grid: MapGrid, backend: str = "auto", progress: Progress | None = None
+) -> tuple[float, float, int]:
     """Write the DEM of splats; return the lowest and highest median height and the number of pixels that have one."""
     offset = scene.placement.offset[2] if scene.placement else 0.0
     renderer = TileRenderer(scene.splats, grid, backend)
     low, high, seen = np.inf, -np.inf, 0
     with create_map(out, scene, grid, ("first surface", "median height"), "float32", NO_HEIGHT) as writer:
-        for tile in tiles_of(grid, EDGE):
+        for tile in tiles_of(grid, EDGE, "Rendering heights", progress):
             heights = tile_heights(renderer, tile)
             known = heights.median[np.isfinite(heights.median)]
             if len(known):
@@ -114,42 +117,6 @@ def read_heights(path: Path, band: int = 2, tile: Tile | None = None, margin: in
     return np.where(values == NO_HEIGHT, np.nan, values.astype(np.float64))
 
 
-def hillshade(heights: np.ndarray, pixel: float) -> np.ndarray:
-    """Shade heights (H, W) as a matt surface in parallel light, 0 to 1, NaN where nothing was seen."""
-    down, right = gradients(heights, pixel)
-    azimuth, elevation = np.radians(SUN_AZIMUTH), np.radians(SUN_HEIGHT)
-    light = np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), np.sin(elevation)
-    # The normal is (-dz/dx, -dz/dy, 1) and y goes up where rows go down.
-    shade = (-right * light[0] + down * light[1] + light[2]) / np.sqrt(1 + right * right + down * down)
-    return np.clip(shade, 0, 1)
-
-
-def slope(heights: np.ndarray, pixel: float) -> np.ndarray:
-    """Return the steepness of heights (H, W) in degrees, NaN where nothing was seen."""
-    down, right = gradients(heights, pixel)
-    return np.degrees(np.arctan(np.hypot(down, right)))
-
-
-def rugosity(heights: np.ndarray, pixel: float, window: int) -> np.ndarray:
-    """Return surface over planar area in a window around each pixel, NaN where nothing was seen.
-
-    Args:
-        heights: (H, W), NaN where nothing was seen.
-        pixel: Edge of a pixel.
-        window: Edge of the window, an odd number of pixels.
-    """
-    import cv2
-
-    factor = surface_factor(heights, pixel)
-    known = np.isfinite(factor)
-    size = window, window
-    sums = cv2.boxFilter(
-        np.where(known, factor, 0.0), cv2.CV_64F, size, normalize=False, borderType=cv2.BORDER_CONSTANT
-    )
-    counts = cv2.boxFilter(known.astype(np.float64), cv2.CV_64F, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
-    return np.where(known, sums / np.maximum(counts, 1), np.nan)
-
-
 def describe(document: dict[str, Any]) -> str:
     """Return the lines that the command `dem` prints.
 
@@ -165,14 +132,16 @@ def describe(document: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _write_derived(path: Path, dem: Path, name: str, scene: MapScene, grid: MapGrid, window: float) -> None:
+def _write_derived(
+    path: Path, dem: Path, name: str, scene: MapScene, grid: MapGrid, window: float, progress: Progress | None
+) -> None:
     """Write hillshade (8 bits), slope (degrees) or rugosity (float32) of a DEM, tile by tile."""
     pixels = 2 * max(1, round(window / grid.pixel / 2)) + 1
     margin = pixels // 2 + 1 if name == "rugosity" else 1
     dtype, nodata = ("uint8", 0.0) if name == "hillshade" else ("float32", NO_HEIGHT)
     tags = {"WINDOW": f"{pixels * grid.pixel:g}"} if name == "rugosity" else {}
     with create_map(path, scene, grid, (name,), dtype, nodata, tags=tags) as writer:
-        for tile in tiles_of(grid):
+        for tile in tiles_of(grid, stage=f"Computing {name}", progress=progress):
             heights = read_heights(dem, tile=tile, margin=margin)
             if name == "hillshade":
                 values = np.round(1 + 254 * hillshade(heights, grid.pixel))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from ..base.errors import InputError
@@ -23,8 +22,6 @@ NO_HEIGHT = -9999.0
 """Value of pixels without a height."""
 NO_LABEL = 255
 """Value of pixels in which nothing was seen, in a label map."""
-PREVIEW = 1600
-"""Largest edge of a preview, pixels."""
 LOCAL_METRES = 'LOCAL_CS["Local metres",UNIT["metre",1.0]]'
 Color = tuple[int, int, int]
 
@@ -185,69 +182,3 @@ def read_map(path: Path) -> MapImage:
             )
     except rasterio.errors.RasterioError as error:
         raise InputError(f"{path} cannot be read: {error}.") from error
-
-
-def write_preview(path: Path, scene: MapScene, grid: MapGrid) -> Path:
-    """Write a small PNG of a color map beside it, with a scale bar, and an arrow to the north where that is known.
-
-    Args:
-        path: The map.
-        scene: What it shows.
-        grid: Its pixels.
-
-    Returns:
-        The file.
-    """
-    rasterio = require_packages()
-    factor = min(1.0, PREVIEW / max(grid.width, grid.height))
-    shape = max(1, round(grid.height * factor)), max(1, round(grid.width * factor))
-    with rasterio.open(path) as dataset:
-        bands = np.moveaxis(dataset.read(out_shape=(dataset.count, *shape)), 0, -1)
-    image = np.ascontiguousarray(bands[..., 2::-1])
-    if bands.shape[2] == 4:
-        cover = bands[..., 3:] / 255
-        image = np.round(image * cover + 255 * (1 - cover)).astype(np.uint8)
-    draw_scale(image, grid.pixel * grid.width / shape[1], scene.unit, scene.north)
-    out = path.with_name(f"{path.stem}_preview.png")
-    write_png(out, image)
-    return out
-
-
-def write_png(path: Path, image: np.ndarray) -> None:
-    """Write an image (H, W) or (H, W, 3) in the order of OpenCV."""
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(cv2.imencode(".png", image)[1].tobytes())
-
-
-def draw_scale(image: np.ndarray, pixel: float, unit: str, north: bool) -> None:
-    """Draw a scale bar, and an arrow to the north, into an image.
-
-    Args:
-        image: (H, W, 3) uint8, changed in place.
-        pixel: Edge of its pixels, length units.
-        unit: Name of the length unit.
-        north: Whether the top is north.
-    """
-    height, width = image.shape[:2]
-    power = 10.0 ** np.floor(np.log10(max(width * pixel / 4, 1e-30)))
-    length = float(max(step * power for step in (1, 2, 5) if step * power <= width * pixel / 4 + 1e-12))
-    bar, margin, size = max(1, round(length / pixel)), max(2, width // 40), max(0.3, width / 1600)
-    y = height - margin
-    for color, thickness in (((0, 0, 0), 5), ((255, 255, 255), 2)):
-        thick = max(1, round(thickness * size))
-        cv2.line(image, (margin, y), (margin + bar, y), color, thick)
-        cv2.putText(
-            image,
-            f"{length:g} {unit}",
-            (margin, y - round(10 * size)),
-            cv2.FONT_HERSHEY_SIMPLEX,
-            0.8 * size,
-            color,
-            thick,
-        )
-        if north:
-            top = width - margin, margin
-            cv2.arrowedLine(image, (top[0], 3 * margin), top, color, thick, tipLength=0.3)
-            cv2.putText(
-                image, "N", (top[0] - round(9 * size), 4 * margin), cv2.FONT_HERSHEY_SIMPLEX, 0.8 * size, color, thick
-            )

@@ -13,7 +13,7 @@ from .geotiff import NO_LABEL, Color, create_map, read_map
 from .grid import MapGrid
 from .heights import SEEN
 from .map_frame import MapScene
-from .tiles import Tile, TileRenderer, tiles_of
+from .tiles import Progress, Tile, TileRenderer, tiles_of
 
 UNLABELLED = "unlabelled"
 """Name of label 0."""
@@ -49,7 +49,9 @@ def splat_labels(splats: Splats) -> np.ndarray:
     return labels
 
 
-def write_label_map(out: Path, scene: MapScene, grid: MapGrid, backend: str = "auto") -> np.ndarray:
+def write_label_map(
+    out: Path, scene: MapScene, grid: MapGrid, backend: str = "auto", progress: Progress | None = None
+) -> np.ndarray:
     """Render the label map of splats to a GeoTIFF with a palette.
 
     Args:
@@ -57,6 +59,7 @@ def write_label_map(out: Path, scene: MapScene, grid: MapGrid, backend: str = "a
         scene: The splats.
         grid: Its pixels.
         backend: What renders.
+        progress: Called before each tile.
 
     Returns:
         Labels (H, W) uint8, 0 for none, NO_LABEL where nothing was seen.
@@ -67,7 +70,7 @@ def write_label_map(out: Path, scene: MapScene, grid: MapGrid, backend: str = "a
     colors = label_colors([0, *sorted(scene.labels | dict.fromkeys(np.unique(labels).tolist(), ""))])
     names = {f"LABEL_{label}": label_name(scene, label) for label in colors}
     with create_map(out, scene, grid, ("label",), "uint8", NO_LABEL, colors, names) as writer:
-        for tile in tiles_of(grid):
+        for tile in tiles_of(grid, stage="Rendering labels", progress=progress):
             values = tile_labels(renderer, tile, labels)
             found[tile.row : tile.row + tile.height, tile.column : tile.column + tile.width] = values
             writer.write(tile, values[..., None])
@@ -137,7 +140,12 @@ def read_corrected(path: Path, shape: tuple[int, int], colors: dict[int, Color])
 
 
 def corrected_splats(
-    scene: MapScene, grid: MapGrid, before: np.ndarray, after: np.ndarray, backend: str = "auto"
+    scene: MapScene,
+    grid: MapGrid,
+    before: np.ndarray,
+    after: np.ndarray,
+    backend: str = "auto",
+    progress: Progress | None = None,
 ) -> np.ndarray:
     """Give splats the labels of corrected pixels.
 
@@ -150,6 +158,7 @@ def corrected_splats(
         before: (H, W) the label map.
         after: (H, W) the corrected one.
         backend: What renders.
+        progress: Called before each tile.
 
     Returns:
         Labels (N,) of all splats.
@@ -159,7 +168,7 @@ def corrected_splats(
     present = np.unique(after[changed])
     renderer = TileRenderer(scene.splats, grid, backend)
     sums = np.zeros((len(labels), len(present) + 1))
-    for tile in tiles_of(grid):
+    for tile in tiles_of(grid, stage="Correcting labels", progress=progress):
         place = slice(tile.row, tile.row + tile.height), slice(tile.column, tile.column + tile.width)
         chosen = renderer.inside(tile)
         if not len(chosen):

@@ -7,13 +7,16 @@ from typing import Any
 import numpy as np
 
 from ..base.files import atomic_path
-from .geotiff import create_map, map_crs, write_preview
+from .geotiff import create_map, map_crs
 from .grid import MapGrid, make_grid
 from .map_frame import MapScene, load_map_scene
 from .packages import require_packages
-from .tiles import TileRenderer, tiles_of
+from .preview import write_preview
+from .tiles import Progress, TileRenderer, tiles_of
 
 MILLIMETRES = 1000
+HIGHEST = 0.999
+"""Quantile of the splats' heights above which a preview is shown: a few float far above."""
 
 
 def make_ortho(
@@ -26,6 +29,7 @@ def make_ortho(
     develop: str = "auto",
     taglab: bool = False,
     backend: str = "auto",
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write the orthomosaic of a run or of a splat PLY, with a preview.
 
@@ -39,10 +43,12 @@ def make_ortho(
         develop: Development of the colors.
         taglab: Write what TagLab opens: RGB without alpha, at most 32767 pixels a side, and a file with the pixel size.
         backend: What renders.
+        progress: Called with the stage and its fraction; what it raises ends the work, and no file is left.
 
     Returns:
         `out`, `files`, `width`, `height`, `pixel`, `unit`, `crs`, `covered` (fraction of the pixels in which something
-        was seen) and `notes`.
+        was seen), `notes`, and what shows the map in its scene: `preview` (a PNG of its extent), `extent` (left,
+        bottom, right, top), `top` (height of the highest splats) and `to_map` (4 x 4, from the scene to the map).
 
     Raises:
         InputError: If an option or a file cannot be used.
@@ -51,7 +57,7 @@ def make_ortho(
     scene = load_map_scene(source, plane, water, develop)
     grid = make_grid(scene.splats, pixel, box, taglab)
     crs = map_crs(scene)
-    covered = write_ortho(out, scene, grid, taglab, backend)
+    covered = write_ortho(out, scene, grid, taglab, backend, progress)
     files = [out, write_preview(out, scene, grid)]
     notes = list(scene.notes)
     if not scene.north:
@@ -60,17 +66,24 @@ def make_ortho(
         files.append(write_pixel_size(out, grid, scene.unit))
         if scene.unit != "m":
             notes.append("TagLab needs millimetres per pixel, which are not known without a scale.")
-    return map_answer(out, files, grid, scene, crs) | {"covered": covered, "notes": notes}
+    return map_answer(out, files, files[1], grid, scene, crs) | {"covered": covered, "notes": notes}
 
 
-def write_ortho(out: Path, scene: MapScene, grid: MapGrid, taglab: bool = False, backend: str = "auto") -> float:
+def write_ortho(
+    out: Path,
+    scene: MapScene,
+    grid: MapGrid,
+    taglab: bool = False,
+    backend: str = "auto",
+    progress: Progress | None = None,
+) -> float:
     """Render an orthomosaic to a GeoTIFF and return the fraction of pixels in which something was seen."""
     renderer = TileRenderer(scene.splats, grid, backend)
     colors = renderer.colors()
     bands = ("red", "green", "blue") if taglab else ("red", "green", "blue", "alpha")
     covered = 0
     with create_map(out, scene, grid, bands, "uint8") as writer:
-        for tile in tiles_of(grid):
+        for tile in tiles_of(grid, stage="Rendering colors", progress=progress):
             chosen = renderer.inside(tile)
             image, alpha = renderer.render(tile, chosen, colors[chosen])
             shown = scene.development.apply(image / np.maximum(alpha, 1e-6)[..., None])
@@ -90,7 +103,7 @@ def write_pixel_size(out: Path, grid: MapGrid, unit: str) -> Path:
     return path
 
 
-def map_answer(out: Path, files: list[Path], grid: MapGrid, scene: MapScene, crs: Any) -> dict[str, Any]:
+def map_answer(out: Path, files: list[Path], preview: Path, grid: MapGrid, scene: MapScene, crs: Any) -> dict[str, Any]:
     """Describe a map for the answer of a command."""
     known = scene.placement is not None and scene.placement.crs is not None and crs is not None
     return {
@@ -103,6 +116,9 @@ def map_answer(out: Path, files: list[Path], grid: MapGrid, scene: MapScene, crs
         "crs": scene.placement.crs if known and scene.placement else None,
         "scale_error": scene.scale_error,
         "extent": list(grid.extent),
+        "preview": str(preview),
+        "top": float(np.quantile(scene.splats.positions[:, 2], HIGHEST)),
+        "to_map": scene.matrix.tolist(),
     }
 
 

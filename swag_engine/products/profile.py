@@ -15,6 +15,7 @@ from .geotiff import map_crs
 from .grid import USUAL_PIXELS, MapGrid, make_grid
 from .map_frame import load_map_scene
 from .packages import require_packages
+from .tiles import Progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,26 +27,29 @@ MOST_STEPS = 100_000
 
 def make_profile(
     source: Path,
-    line: tuple[float, float, float, float],
+    line: tuple[float, ...],
     out: Path,
     pixel: float = 0.0,
     plane: str = "up",
     backend: str = "auto",
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write the heights of a run or of a splat PLY along a straight line, as a table and a picture.
 
     Args:
         source: Folder of the run, or a PLY file.
-        line: x and y of the first and of the last point, in the frame of the map without the offset of its system.
+        line: x and y of the first and of the last point, in the frame of the map without the offset of its system; or
+            x, y and z of both in the coordinates of the scene.
         out: The CSV file; NAME.png is the picture.
         pixel: Distance between heights; chosen from the splats and the line where it is 0.
         plane: As in `load_map_scene`.
         backend: What renders.
+        progress: As in `make_ortho`.
 
     Returns:
         `out`, `files`, `unit`, `length` (planar), `surface_length` (along the surface where it was seen), `rugosity`
         (surface over planar length of what was seen), `heights` (lowest and highest, None where nothing was seen),
-        `covered` and `notes`.
+        `covered`, `notes`, `to_map` (4 x 4, from the scene to the map) and `curve` (x, y, median height in the map).
 
     Raises:
         InputError: If an option or a file cannot be used.
@@ -53,11 +57,14 @@ def make_profile(
     require_packages()
     if out.suffix.lower() != ".csv":
         raise InputError(f"{out.name} is no table: choose a name that ends in .csv.")
-    start, end = np.array(line[:2], np.float64), np.array(line[2:], np.float64)
+    scene = load_map_scene(source, plane)
+    ends = np.reshape(np.array(line, np.float64), (2, -1))
+    if ends.shape[1] == 3:
+        ends = ends @ scene.matrix[:3, :3].T + scene.matrix[:3, 3]
+    start, end = ends[:, :2]
     length = float(np.linalg.norm(end - start))
     if not (np.isfinite(length) and length > 0):
-        raise InputError("--line must be x y x y of two different points.")
-    scene = load_map_scene(source, plane)
+        raise InputError("The line of the profile needs two different points, as --line x y x y.")
     map_crs(scene)
     pixel = pixel or max(float(np.median(scene.splats.scales.max(axis=1))), length / USUAL_PIXELS)
     low, high = np.minimum(start, end) - MARGIN * pixel, np.maximum(start, end) + MARGIN * pixel
@@ -68,12 +75,14 @@ def make_profile(
         )
     with TemporaryDirectory() as folder:
         dem = Path(folder) / "dem.tif"
-        write_heights(dem, scene, grid, backend)
+        write_heights(dem, scene, grid, backend, progress)
         bands = [read_heights(dem, band) for band in (1, 2)]
     distances = np.linspace(0, length, max(2, round(length / pixel) + 1))
     places = start + distances[:, None] / length * (end - start)
     first, median = (sample(band, grid, places) for band in bands)
-    offset = np.array(scene.placement.offset[:2]) if scene.placement else np.zeros(2)
+    offset, height_offset = np.zeros(2), 0.0
+    if scene.placement:
+        offset, height_offset = np.array(scene.placement.offset[:2]), scene.placement.offset[2]
     _write_table(out, distances, places + offset, first, median)
     picture = out.with_suffix(".png")
     with atomic_path(picture) as temporary:
@@ -94,6 +103,8 @@ def make_profile(
         "covered": float(seen.mean()),
         "scale_error": scene.scale_error,
         "notes": list(scene.notes),
+        "to_map": scene.matrix.tolist(),
+        "curve": np.column_stack([places, median - height_offset])[seen].tolist(),
     }
 
 

@@ -1,6 +1,6 @@
 """Orthographic rendering of splats tile by tile, in memory that does not grow with the size of the map."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,8 @@ from ..splats.splats import Splats
 from ..splats.transform import covariances
 from .grid import MapGrid
 
+Progress = Callable[[str, float], None]
+"""Called with the stage of the work and its fraction, 0 to 1; what it raises ends the work."""
 TILE = 512
 """Edge of a tile, pixels: a multiple of the blocks that GeoTIFF files have."""
 MOST_FINE = 2048
@@ -39,10 +41,19 @@ class Tile:
     height: int
 
 
-def tiles_of(grid: MapGrid, edge: int = TILE) -> Iterator[Tile]:
-    """Yield the tiles of a grid, row by row."""
+def tiles_of(grid: MapGrid, edge: int = TILE, stage: str = "", progress: Progress | None = None) -> Iterator[Tile]:
+    """Yield the tiles of a grid, row by row.
+
+    Args:
+        grid: The pixels.
+        edge: Largest edge of a tile, pixels.
+        stage: What is done to the tiles, for `progress`.
+        progress: Called before each tile.
+    """
     for row in range(0, grid.height, edge):
         for column in range(0, grid.width, edge):
+            if progress:
+                progress(stage, (row + min(edge, grid.height - row) * column / grid.width) / grid.height)
             yield Tile(column, row, min(edge, grid.width - column), min(edge, grid.height - row))
 
 

@@ -13,9 +13,10 @@ from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
 from swag_engine.formats.ply import write_ply
 from swag_engine.products import grid, tiles
-from swag_engine.products.dem import hillshade, make_dem, read_heights, rugosity, slope
+from swag_engine.products.dem import make_dem, read_heights
 from swag_engine.products.grid import make_grid
 from swag_engine.products.ortho import make_ortho
+from swag_engine.products.relief import hillshade, rugosity, slope
 from swag_engine.products.tiles import TileRenderer, tiles_of
 from swag_engine.scene.georeference import Georeference, Placement
 from swag_engine.splats.splats import concatenate
@@ -76,7 +77,7 @@ def test_pixels_without_splats_are_transparent_and_the_preview_has_a_scale_bar(t
 
 def test_tiles_join_without_a_seam(two_colors, tmp_path, monkeypatch):
     make_ortho(two_colors, tmp_path / "whole.tif", pixel=0.02)
-    monkeypatch.setattr(tiles.tiles_of, "__defaults__", (64,))
+    monkeypatch.setattr(tiles.tiles_of, "__defaults__", (64, "", None))
     make_ortho(two_colors, tmp_path / "tiles.tif", pixel=0.02)
     with rasterio.open(tmp_path / "whole.tif") as whole, rasterio.open(tmp_path / "tiles.tif") as parts:
         assert np.abs(whole.read().astype(int) - parts.read().astype(int)).max() <= 1
@@ -275,3 +276,15 @@ def test_the_command_tells_heights(tmp_path, capsys):
     assert "Heights -11.5 to -11.5 m, surface over planar area 1.000" in capsys.readouterr().out
     assert main([*arguments, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["files"][1].endswith("dem_slope.tif")
+
+
+def test_previews_are_transparent_where_nothing_was_seen_and_in_the_colors_of_the_map(tmp_path):
+    run = write_run(tmp_path, [sheet(0, 0, 2, 2, 0.05), sheet(2, 0, 4, 2, 0.05, 0.5)])
+    found = make_dem(run, tmp_path / "dem.tif", pixel=0.02, box=(-1, 0, 4, 2))
+    image = cv2.imread(found["preview"], cv2.IMREAD_UNCHANGED)
+    assert image.shape == (100, 250, 4) and not image[40:60, 20:45, 3].any() and (image[:, 60:, 3] == 255).all()
+    low, high = image[60, 90, :3].astype(int), image[60, 200, :3].astype(int)
+    assert high[1] > low[1] + 80 and low[0] > high[0]  # from blue to yellow
+    to_map, extent = np.array(found["to_map"]), found["extent"]
+    np.testing.assert_allclose(to_map, GEOREFERENCE.matrix)
+    assert extent == pytest.approx([-1, 0, 4, 2]) and found["top"] == pytest.approx(0.5)
