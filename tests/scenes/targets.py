@@ -7,6 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from swag_engine.base.transfer import linear_to_srgb, srgb_to_linear
+
 SIZE = (800, 600)
 FOCAL = 700.0
 
@@ -105,7 +107,8 @@ def make_target_scene(
                 warp(picture, cv2.cvtColor(marker, cv2.COLOR_GRAY2BGR), wide, pose)
             if distortion:
                 picture = distort(picture, distortion)
-            picture = cv2.resize(picture, SIZE, interpolation=cv2.INTER_AREA)
+            light = srgb_to_linear(picture / 255).astype(np.float32)  # what a lens blurs
+            picture = 255 * linear_to_srgb(cv2.resize(light, SIZE, interpolation=cv2.INTER_AREA))
             picture = picture * [0.45, 0.4, 0.2] + [40, 35, 5] + random.normal(0, 2, picture.shape)
         else:
             picture = np.full((SIZE[1] // 20, SIZE[0] // 20, 3), 90.0)

@@ -1,0 +1,189 @@
+"""Compare maps and changes of trained surveys with the known seabed that they show.
+
+Run: `python benchmarks/products.py FOLDER [--iterations 1500]`
+Results: benchmarks/results/products.json
+
+Photos of a seabed of known heights, labels and scale (tests/scenes/seabed.py) are written to FOLDER in four kinds of
+water and trained there, unless they are there already. The scale is measured from the coded targets, the axes from the
+places of their middles. Labels are learned from masks of the training photos. Later surveys, in which three corals are
+gone, one has grown by 10 % and a bank of sand has moved, are compared with the survey in ocean water.
+"""
+
+import json
+import sys
+from argparse import ArgumentParser
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.common import write_results
+from swag_engine.experiments.label_run import label_run
+from swag_engine.formats.run_folder import RunFolder
+from swag_engine.georeference.measure import Measurements, scale_scene
+from swag_engine.products.areas import make_areas
+from swag_engine.products.change import make_change
+from swag_engine.products.dem import make_dem, read_heights
+from swag_engine.products.geotiff import read_map
+from swag_engine.products.grid import MapGrid
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.trainer import train
+from tests.scenes.seabed import COAST, EXTENT, LABELS, METRES_PER_UNIT, OCEAN, TARGET_SIZE, WATERS, Seabed, write_survey
+
+PIXEL = 0.01
+"""Edge of a pixel, metres."""
+BOX = (-EXTENT[0] / 2, -EXTENT[1] / 2, EXTENT[0] / 2, EXTENT[1] / 2)
+LEAST_PATCH = 400
+"""Pixels of the smallest patch whose area is compared."""
+LEAST_CHANGE = 20
+"""Pixels of the smallest change that must be found."""
+SLACK = 3
+"""Pixels around a true change within which a found one belongs to it."""
+FOUND = 0.25
+"""Fraction of a true change that must be found."""
+PAIRS: dict[str, dict[str, Any]] = {
+    "same water and path": {"water": OCEAN, "seed": 1},
+    "other water, light and path": {"water": COAST, "turned": True, "light": 0.8, "seed": 2},
+    "nothing changed; other water, light and path": {"water": COAST, "turned": True, "light": 0.8, "seed": 3},
+}
+
+
+def trained(folder: Path, bed: Seabed, settings: TrainSettings, **options: Any) -> tuple[Path, dict[str, Any]]:
+    """Write, measure, train and label a survey that is not there yet; return its run and the document of its scale."""
+    scene, run = folder / "scene", folder / "run"
+    if not (run / "labels.json").exists():
+        if not (scene / "points.csv").exists():
+            write_survey(scene, bed, **options)
+        known = Measurements(targets="aruco_4x4_50", size=TARGET_SIZE, points=scene / "points.csv")
+        scale_scene(scene, known)
+        train(scene, run, settings)
+        label_run(run, (), scene / "labels")
+    return run, json.loads((scene / "scale.json").read_text())
+
+
+def truth(bed: Seabed, grid: MapGrid) -> tuple[np.ndarray, np.ndarray]:
+    """True heights (H, W) and labels (H, W) at the middles of pixels."""
+    x = grid.left + grid.pixel * (np.arange(grid.width) + 0.5)
+    y = grid.top - grid.pixel * (np.arange(grid.height) + 0.5)
+    xs, ys = np.meshgrid(x, y)
+    heights, labels, _ = bed.fields
+    return bed.sample(heights, xs, ys), bed.sample(labels, xs, ys, cv2.INTER_NEAREST)
+
+
+def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> dict[str, Any]:
+    """Compare scale, heights and areas of a survey with the truth."""
+    dem = make_dem(run, out / "dem.tif", PIXEL, BOX)
+    areas = make_areas(run, out / "areas", PIXEL, BOX)
+    grid = MapGrid(**areas["grid"])
+    heights, labels = truth(bed, grid)
+    errors = read_heights(out / "dem.tif") - heights
+    errors = errors[np.isfinite(errors)]
+    found = read_map(out / "areas" / "labels.tif").values
+    rows = {row["name"]: row for row in areas["labels"]}
+    figures: dict[str, Any] = {
+        "scale_error": scale["metres_per_unit"] / METRES_PER_UNIT - 1,
+        "stated_scale_error": scale["error"],
+        "covered": dem["covered"],
+        "height_median_error": float(np.median(np.abs(errors))) / PIXEL,
+        "height_p95_error": float(np.quantile(np.abs(errors), 0.95)) / PIXEL,
+        "height_bias": float(np.median(errors)) / PIXEL,
+        "agreement": float((found == labels).mean()),
+        "areas": {},
+        "patches": [],
+    }
+    for number, name in enumerate(LABELS, start=1):
+        true = int((labels == number).sum()) * PIXEL**2
+        row = rows[name]
+        figures["areas"][name] = {
+            "true": true,
+            "error": row["planar_area"] / true - 1,
+            "corrected_error": row["planar_corrected"] / true - 1,
+            "in_interval": bool(row["planar_low"] <= true <= row["planar_high"]),
+        }
+    for number in range(2, len(LABELS) + 1):
+        count, parts, stats, _ = cv2.connectedComponentsWithStats((labels == number).astype(np.uint8))
+        for part in range(1, count):
+            size = int(stats[part, cv2.CC_STAT_AREA])
+            if size > LEAST_PATCH:
+                near = cv2.dilate((parts == part).astype(np.uint8), np.ones((15, 15))) > 0
+                mine = int(((found == number) & near).sum())
+                figures["patches"].append({"label": LABELS[number - 1], "pixels": size, "error": mine / size - 1})
+    return figures
+
+
+def true_changes(before: Seabed, after: Seabed, grid: MapGrid) -> list[np.ndarray]:
+    """Masks of the connected places whose height differs by a pixel or whose label differs."""
+    (first, first_labels), (second, second_labels) = truth(before, grid), truth(after, grid)
+    difference = second - first
+    masks = []
+    for mask in (
+        difference > PIXEL,
+        difference < -PIXEL,
+        (first_labels != second_labels) & (np.abs(difference) <= PIXEL),
+    ):
+        count, parts, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+        masks += [parts == part for part in range(1, count) if stats[part, cv2.CC_STAT_AREA] > LEAST_CHANGE]
+    return masks
+
+
+def change_figures(first: Path, second: Path, before: Seabed, after: Seabed, out: Path) -> dict[str, Any]:
+    """Compare the changes that are found between two surveys with the true ones."""
+    answer = make_change(first, second, out, PIXEL, BOX)
+    flags = read_map(out / "changed.tif").values
+    grid = MapGrid(BOX[0], BOX[3], PIXEL, flags.shape[1], flags.shape[0])
+    told = (flags > 0) & (flags != 255)
+    expected = true_changes(before, after, grid)
+    around = np.zeros(told.shape, np.uint8)
+    for mask in expected:
+        around |= cv2.dilate(mask.astype(np.uint8), np.ones((2 * SLACK + 1, 2 * SLACK + 1)))
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(told.astype(np.uint8), connectivity=8)
+    invented = [
+        {"pixels": int(stats[part, cv2.CC_STAT_AREA]), "flag": int(np.median(flags[parts == part]))}
+        for part in range(1, count)
+        if not around[parts == part].any() and stats[part, cv2.CC_STAT_AREA] > LEAST_CHANGE
+    ]
+    return {
+        "expected": [{"pixels": int(mask.sum()), "found": float(told[mask].mean())} for mask in expected],
+        "found": sum(told[mask].mean() >= FOUND for mask in expected),
+        "invented": invented,
+        "residual": answer["alignment"]["residual"] / PIXEL,
+        "static": answer["alignment"]["static"],
+        "scale": answer["alignment"]["scale"],
+        "height_limit": answer["height_noise"] / PIXEL,
+    }
+
+
+def main() -> None:
+    """Write, train and compare all surveys."""
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--iterations", type=int, default=1500)
+    options = parser.parse_args()
+    settings = TrainSettings(iterations=options.iterations, width=480, max_gaussians=45_000)
+    bed, later = Seabed(), Seabed().changed()
+    document: dict[str, Any] = {"settings": settings.to_json(), "pixel": PIXEL, "surveys": {}, "changes": {}}
+    runs = {}
+    for name, water in WATERS.items():
+        run, scale = trained(options.folder / name, bed, settings, water=water)
+        metrics = json.loads(RunFolder(run).metrics.read_text())
+        runs[name] = run
+        document["surveys"][name] = {"test_psnr": metrics["test_psnr"]} | survey_figures(
+            run, scale, bed, options.folder / name / "maps"
+        )
+        print(name, json.dumps(document["surveys"][name]), flush=True)
+        write_results("products", document)
+    for name, changes in PAIRS.items():
+        after = bed if name.startswith("nothing") else later
+        place = options.folder / f"later-{changes['seed']}"
+        run, _ = trained(place, after, settings, **changes)
+        document["changes"][name] = change_figures(runs["ocean"], run, bed, after, place / "change")
+        print(name, json.dumps(document["changes"][name]), flush=True)
+        write_results("products", document)
+
+
+if __name__ == "__main__":
+    main()
