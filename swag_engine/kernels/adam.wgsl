@@ -5,12 +5,13 @@ struct Call { count: u32, step_size: f32, root: f32, weight1: f32, weight2: f32,
 @group(0) @binding(2) var<storage, read> gradient: array<f32>;
 @group(0) @binding(3) var<storage, read_write> mean: array<f32>;
 @group(0) @binding(4) var<storage, read_write> square: array<f32>;
+@group(0) @binding(5) var<storage, read> skipped: array<u32>;  // nothing changes where the first is not 0
 
 @compute @workgroup_size(256)
 fn adam_step(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
              @builtin(local_invocation_index) thread: u32) {
     let i = group_index(group, groups) * THREADS + thread;
-    if (i >= call.count) { return; }
+    if (i >= call.count || skipped[0] != 0u) { return; }
     let g = gradient[i];
     let m = mean[i] + call.weight1 * (g - mean[i]);
     let s = square[i] + call.weight2 * (g * g - square[i]);

@@ -13,7 +13,18 @@ from .webgpu import WebGpuKernels
 CPU = CpuKernels()
 """The CPU kernels, which the backend "wgpu" needs too."""
 KERNELS: dict[str, Kernels] = {"cpu": CPU, "cuda": CudaKernels(), "wgpu": WebGpuKernels(CPU), "torch": REFERENCE}
-"""The backends by name; "auto" takes the first that can run, so "wgpu" only runs where it is named."""
+"""The backends by name; for single operations "auto" takes the first that can run, for runs `automatic_backend`."""
+
+
+def automatic_backend() -> str:
+    """Return the backend that a run with "auto" takes: cuda, then wgpu on a card, then cpu, then torch."""
+    if not KERNELS["cuda"].unavailable_reason():
+        return "cuda"
+    wgpu = KERNELS["wgpu"]
+    assert isinstance(wgpu, WebGpuKernels)
+    if not wgpu.unavailable_reason() and not wgpu.gpu.software and not wgpu.failure:
+        return "wgpu"
+    return "torch" if CPU.unavailable_reason() else "cpu"
 
 
 def kernels_for(backend: str, *tensors: Tensor) -> Kernels:
@@ -35,6 +46,8 @@ def kernels_for(backend: str, *tensors: Tensor) -> Kernels:
     if backend not in KERNELS:
         raise ValueError(f"backend {backend!r} is none of {', '.join(('auto', *KERNELS))}")
     kernels = KERNELS[backend]
+    if isinstance(kernels, WebGpuKernels) and kernels.failure:
+        return kernels.cpu
     if not kernels.can_run(*tensors):
         kind = f"{tensors[0].dtype} on {tensors[0].device}".removeprefix("torch.")
         reason = kernels.unavailable_reason() or f"it takes float32 on its own device, not {kind}."

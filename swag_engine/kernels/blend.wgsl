@@ -10,6 +10,7 @@ struct Call {
     background: vec4f,
     width: u32, height: u32, first_channel: u32, row: u32,  // row: numbers in a row of gradients
     count: u32,
+    first_tile: u32, end_tile: u32,  // the tiles that are blended
 }
 @group(0) @binding(0) var<uniform> call: Call;
 @group(0) @binding(1) var<storage, read> splats: array<Splat>;
@@ -37,8 +38,7 @@ var<workgroup> uniform_word: u32;
 fn blend_forward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
                  @builtin(local_invocation_index) thread: u32) {
     let across = (call.width + TILE - 1u) / TILE;
-    let tiles = across * ((call.height + TILE - 1u) / TILE);
-    let tile = min(group_index(group, groups), tiles - 1u);  // a group beyond the last tile repeats it
+    let tile = min(call.first_tile + group_index(group, groups), call.end_tile - 1u);  // a group beyond the last tile repeats it
     let range = ranges[tile];
     let corner = vec2u(tile % across, tile / across) * TILE + vec2u(thread % TILE, thread / TILE * 4u);
     let x = f32(corner.x) + 0.5;
@@ -114,8 +114,8 @@ var<workgroup> pixel_ended: array<u32, 256>;
 fn blend_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
                   @builtin(local_invocation_index) thread: u32) {
     let across = (call.width + TILE - 1u) / TILE;
-    let tile = group_index(group, groups);
-    if (tile >= across * ((call.height + TILE - 1u) / TILE)) { return; }
+    let tile = call.first_tile + group_index(group, groups);
+    if (tile >= call.end_tile) { return; }
     let range = ranges[tile];
     let corner = vec2u(tile % across, tile / across) * TILE;
     if (thread == 0u) { atomicStore(&tile_ended, range.x); }

@@ -34,14 +34,13 @@ def examine() -> dict[str, Any]:
 
 
 def _backends() -> dict[str, Any]:
-    from .backends import KERNELS
+    from .backends import KERNELS, automatic_backend
 
     backends = {}
     for name, kernels in KERNELS.items():
         reason = kernels.unavailable_reason()
         backends[name] = {"runs": reason is None, "reason": reason} | kernels.details()
-    auto = next(name for name in ("cuda", "cpu", "torch") if backends[name]["runs"])
-    return {"backends": backends, "auto": auto}
+    return {"backends": backends, "auto": automatic_backend()}
 
 
 def engine_version() -> str | None:

@@ -16,7 +16,7 @@ struct Call {
 @group(0) @binding(6) var<storage, read_write> conics: array<f32>;
 @group(0) @binding(7) var<storage, read_write> depths: array<f32>;
 @group(0) @binding(8) var<storage, read_write> radii: array<f32>;
-@group(0) @binding(9) var<storage, read> incoming: array<f32>;  // (N, 6): radius, gradients by means2d and conics
+@group(0) @binding(9) var<storage, read> incoming: array<f32>;  // (N, 6): gradients by means2d, conics and opacities
 @group(0) @binding(10) var<storage, read_write> by_means: array<f32>;
 @group(0) @binding(11) var<storage, read_write> by_quats: array<f32>;
 @group(0) @binding(12) var<storage, read_write> by_scales: array<f32>;
@@ -124,7 +124,7 @@ fn project_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups
     let i = group_index(group, groups) * THREADS + thread;
     if (i >= call.count) { return; }
     let p = project_one(i);
-    if (!(incoming[6u * i] > 0.0 && p.drawn)) {
+    if (!(radii[i] > 0.0 && p.drawn)) {
         for (var k = 0u; k < 3u; k++) {
             by_means[3u * i + k] = 0.0;
             by_scales[3u * i + k] = 0.0;
@@ -134,7 +134,7 @@ fn project_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups
     }
     // By the covariance: -Q G Q, with Q the conic and G its gradient as a symmetric matrix.
     let A = p.conic.x; let B = p.conic.y; let C = p.conic.z;
-    let ga = incoming[6u * i + 3u]; let gb = 0.5 * incoming[6u * i + 4u]; let gc = incoming[6u * i + 5u];
+    let ga = incoming[6u * i + 2u]; let gb = 0.5 * incoming[6u * i + 3u]; let gc = incoming[6u * i + 4u];
     let xx = -(A * A * ga + 2.0 * A * B * gb + B * B * gc);
     let yy = -(B * B * ga + 2.0 * B * C * gb + C * C * gc);
     let xy = -2.0 * (A * B * ga + (A * C + B * B) * gb + B * C * gc);
@@ -151,8 +151,8 @@ fn project_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups
         by_axes[k] = p.sigma[k] * (by_mx * p.row_x + by_my * p.row_y);
     }
     let f = call.intrinsics.xy;
-    var by_u = f.x * incoming[6u * i + 1u];
-    var by_v = f.y * incoming[6u * i + 2u];
+    var by_u = f.x * incoming[6u * i];
+    var by_v = f.y * incoming[6u * i + 1u];
     var by_mean: vec3f;
     if (call.orthographic == 1u) {  // the covariance does not depend on the place
         by_mean = by_u * call.row0.xyz + by_v * call.row1.xyz;

@@ -10,6 +10,9 @@ struct Call { count: u32, higher: u32, degree: u32 }
 @group(0) @binding(6) var<storage, read> by_colors: array<f32>;
 @group(0) @binding(7) var<storage, read_write> by_sh0: array<f32>;
 @group(0) @binding(8) var<storage, read_write> by_shN: array<f32>;
+@group(0) @binding(9) var<storage, read_write> flags: array<atomic<u32>>;  // as in gaussians.wgsl
+
+const SH0 = 16u;  // bit of `flags`
 
 fn basis_of(i: u32) -> array<f32, 16> { return basis_at(vec3f(directions[3u * i], directions[3u * i + 1u], directions[3u * i + 2u])); }
 
@@ -40,6 +43,7 @@ fn sh_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) gro
     let to = 3u * call.higher * i + at % 3u;
     let gradient = select(by_colors[at], 0.0, shown[at] == 0.0);
     by_sh0[at] = basis[0] * gradient;
+    if (!is_finite(gradient)) { atomicOr(&flags[0], SH0); }
     for (var k = 0u; k < call.higher; k++) {
         by_shN[to + 3u * k] = select(0.0, basis[min(k + 1u, 15u)] * gradient, k < used);
     }

@@ -3,7 +3,13 @@ const LOG255 = 5.54126355;      // ln(255): alpha falls below 1/255 where s > ln
 const ROW_MARGIN = 0.01;        // pixels; for rounding, since each pixel is tested again
 const NOT_DRAWN = 0xffffffffu;  // key that sorts behind all others
 
-struct Call { count: u32, width: u32, height: u32, pairs: u32 }
+struct Call {
+    count: u32, width: u32, height: u32,
+    room: u32,                     // pairs that the lists hold
+    first_row: u32, end_row: u32,  // rows of tiles whose pairs are listed
+    band: u32,                     // number of these rows' entry in `found`
+    first: u32,                    // number of the first Gaussian
+}
 @group(0) @binding(0) var<uniform> call: Call;
 @group(0) @binding(1) var<storage, read> means2d: array<f32>;
 @group(0) @binding(2) var<storage, read> conics: array<f32>;
@@ -19,6 +25,8 @@ struct Call { count: u32, width: u32, height: u32, pairs: u32 }
 @group(0) @binding(12) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(13) var<storage, read> starts: array<u32>;
 @group(0) @binding(14) var<storage, read_write> ranges: array<u32>;
+@group(0) @binding(15) var<storage, read> totals: array<u32>;           // first the number of pairs
+@group(0) @binding(16) var<storage, read_write> found: array<vec2u>;    // of each band: pairs there are, and that fit
 
 // Packs the Gaussians and writes their depths as keys. The comparisons are written so that NaN is never drawn.
 @compute @workgroup_size(256)
@@ -26,7 +34,7 @@ fn pack(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         @builtin(local_invocation_index) thread: u32) {
     let i = group_index(group, groups) * THREADS + thread;
     if (i >= call.count) { return; }
-    ids[i] = i;
+    ids[i] = call.first + i;
     keys[i] = NOT_DRAWN;
     let a = conics[3u * i]; let b = conics[3u * i + 1u]; let c = conics[3u * i + 2u];
     let bb = b * b;
@@ -74,7 +82,8 @@ fn tile_rows(g: Splat, column: i32) -> vec2i {
     low = max(0.0, ceil(g.y + low - ROW_MARGIN - 0.5));
     high = min(f32(call.height) - 1.0, floor(g.y + high + ROW_MARGIN - 0.5));
     if (!(low <= high)) { return vec2i(0, -1); }
-    return vec2i(i32(low), i32(high)) / i32(TILE);
+    let rows = vec2i(i32(low), i32(high)) / i32(TILE);
+    return vec2i(max(rows.x, i32(call.first_row)), min(rows.y, i32(call.end_row) - 1));
 }
 
 // How many tiles the Gaussian of each rank of the depth order meets.
@@ -102,8 +111,9 @@ fn fill_tiles(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
     let rank = group_index(group, groups) * THREADS + thread;
     if (rank >= call.count) { return; }
     var at = starts[rank];
-    var end = call.pairs;
+    var end = totals[0];
     if (rank + 1u < call.count) { end = starts[rank + 1u]; }
+    end = min(end, call.room);
     if (at >= end) { return; }
     let i = order[rank];
     let g = splats[i];
@@ -123,14 +133,25 @@ fn fill_tiles(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
     }
 }
 
+// Fills what is left of the lists, so that they can be sorted without knowing how many pairs there are.
+@compute @workgroup_size(256)
+fn pad_tiles(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
+             @builtin(local_invocation_index) thread: u32) {
+    let at = group_index(group, groups) * THREADS + thread;
+    if (at == 0u) { found[call.band] = vec2u(totals[0], call.room); }
+    if (at >= call.room || at < totals[0]) { return; }
+    keys[at] = NOT_DRAWN;
+    ids[at] = 0u;
+}
+
 // Where the pairs of each tile begin and end; ranges (tiles, 2) are 0 before.
 @compute @workgroup_size(256)
 fn find_ranges(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
                @builtin(local_invocation_index) thread: u32) {
     let at = group_index(group, groups) * THREADS + thread;
-    if (at >= call.pairs) { return; }
+    if (at >= call.room) { return; }
     let tile = sorted_keys[at];
     if (tile == NOT_DRAWN) { return; }
     if (at == 0u || sorted_keys[at - 1u] != tile) { ranges[2u * tile] = at; }
-    if (at + 1u == call.pairs || sorted_keys[at + 1u] != tile) { ranges[2u * tile + 1u] = at + 1u; }
+    if (at + 1u == call.room || sorted_keys[at + 1u] != tile) { ranges[2u * tile + 1u] = at + 1u; }
 }

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -19,22 +19,21 @@ from ..base.timing import part
 from . import elementwise
 from .cpu import CpuKernels
 from .protocol import Projection, check_pairs
-from .webgpu_device import WebGpu, WebGpuUnavailable, adapters, request
+from .webgpu_device import WebGpu, WebGpuFailure, WebGpuUnavailable, Workspace, adapters, request
+from .webgpu_tiles import (
+    GROUP,
+    MOMENTS,
+    SPLAT_NUMBERS,
+    THREADS,
+    TILE,
+    TileGrid,
+    TileRows,
+    count_tiles,
+    depth_order,
+    list_tiles,
+)
 
-THREADS = 256
-"""Threads of a group that takes an item each; as in common.wgsl."""
-TILE = 16
-"""Width and height of a tile, pixels; as in splat.wgsl and ssim.wgsl."""
-SPLAT_NUMBERS = 10
-"""Size of a packed Gaussian, numbers; as in splat.wgsl."""
-MOMENTS = 6
-"""Sums that the gradients by the geometry are made of; as in blend.wgsl."""
-GROUP = 4
-"""Channels that a kernel takes at once; as in blend.wgsl."""
-RADIX_BITS = 4
-"""Bits of a key that one pass of the sort takes; as in sort.wgsl."""
-BLOCK = 1024
-"""Keys that a group of threads sorts; as in sort.wgsl."""
+T = TypeVar("T")
 
 
 @dataclass
@@ -58,10 +57,31 @@ class WebGpuKernels:
     Args:
         make_device: Gets the device when it is first needed; raises WebGpuUnavailable where that is impossible.
         cpu: Computes what has no kernel here.
+
+    Attributes:
+        failure: A sentence for the user on how the device failed, empty while it works.
     """
 
     def __init__(self, cpu: CpuKernels, make_device: Callable[[], WebGpu] = request) -> None:
-        self._cpu, self._make_device = cpu, make_device
+        self.cpu, self._make_device = cpu, make_device
+        self.failure = ""
+
+    def fail(self, failure: WebGpuFailure) -> None:
+        """Compute everything on the CPU from now on.
+
+        Args:
+            failure: Why.
+        """
+        self.failure = f"{failure.finding} Training continued on the processor."
+
+    def _or_on_cpu(self, on_gpu: Callable[[], T], on_cpu: Callable[[], T]) -> T:
+        """Return what the GPU computes; what the CPU computes once the GPU has failed."""
+        if not self.failure:
+            try:
+                return on_gpu()
+            except WebGpuFailure as failure:
+                self.fail(failure)
+        return on_cpu()
 
     @cached_property
     def _device_or_reason(self) -> WebGpu | str:
@@ -81,11 +101,11 @@ class WebGpuKernels:
         """Say why the kernels cannot run on this machine, None where they can."""
         if isinstance(self._device_or_reason, str):
             return self._device_or_reason
-        return self._cpu.unavailable_reason()
+        return self.cpu.unavailable_reason()
 
     def can_run(self, *tensors: Tensor) -> bool:
         """Return whether there is a device and all tensors are float32 on the CPU."""
-        return self._cpu.can_run(*tensors) and self.unavailable_reason() is None
+        return self.cpu.can_run(*tensors) and self.unavailable_reason() is None
 
     def device(self) -> torch.device:
         """Return the CPU: between operations the tensors are there."""
@@ -115,7 +135,7 @@ class WebGpuKernels:
     ) -> None:
         means, quats, scales, opacities, channels, *outputs = tensors
         shown = opacities.where(channels.isfinite().all(1), 0)
-        call = _camera(viewmat, K) | {"width": width, "height": height, "orthographic": kind}
+        call = camera_fields(viewmat, K) | {"width": width, "height": height, "orthographic": kind}
         gpu = self.gpu
         for rows in self._parts(count, 4):
             n = rows.stop - rows.start
@@ -135,13 +155,13 @@ class WebGpuKernels:
         self, count: int, width: int, height: int, viewmat: Tensor, K: Tensor, *tensors: Tensor, kind: int = 0
     ) -> None:
         means, quats, scales, radii, by_means2d, by_conics, *outputs = tensors
-        incoming = torch.cat([radii[:, None], by_means2d, by_conics], 1)
-        call = _camera(viewmat, K) | {"width": width, "height": height, "orthographic": kind}
+        incoming = torch.cat([by_means2d, by_conics, radii[:, None]], 1)
+        call = camera_fields(viewmat, K) | {"width": width, "height": height, "orthographic": kind}
         gpu = self.gpu
         for rows in self._parts(count, 6):
             n = rows.stop - rows.start
-            inputs = zip(("means", "quats", "scales", "incoming"), (means, quats, scales, incoming), strict=True)
-            buffers = {name: gpu.upload(tensor[rows]) for name, tensor in inputs}
+            inputs = {"means": means, "quats": quats, "scales": scales, "radii": radii, "incoming": incoming}
+            buffers = {name: gpu.upload(tensor[rows]) for name, tensor in inputs.items()}
             results = {name: gpu.empty(n * size) for name, size in (("by_means", 3), ("by_quats", 4), ("by_scales", 3))}
             gpu.run("project_backward", -(-n // THREADS), call | {"count": n}, **buffers, **results)
             for output, buffer in zip(outputs, results.values(), strict=True):
@@ -181,7 +201,7 @@ class WebGpuKernels:
             buffers = {name: gpu.upload(tensor[rows]) for name, tensor in inputs.items()}
             results = {"by_sh0": gpu.empty(3 * n), "by_shN": gpu.empty(3 * n * higher)}
             call = {"count": n, "higher": higher, "degree": degree}
-            gpu.run("sh_backward", -(-3 * n // THREADS), call, **buffers, **results)
+            gpu.run("sh_backward", -(-3 * n // THREADS), call, **buffers, **results, flags=gpu.empty(1))
             by_sh0[rows] = gpu.read(results["by_sh0"], (n, 1, 3))
             by_shN[rows] = gpu.read(results["by_shN"], (n, higher, 3))
 
@@ -200,7 +220,10 @@ class WebGpuKernels:
     ) -> Projection:
         """See `Kernels.project`."""
         gaussians = means, quats, scales, opacities, channels
-        return elementwise.project(self.run, torch.float64, *gaussians, viewmat, K, width, height, kind)
+        with_camera = *gaussians, viewmat, K, width, height, kind
+        return self._or_on_cpu(
+            lambda: elementwise.project(self.run, torch.float64, *with_camera), lambda: self.cpu.project(*with_camera)
+        )
 
     def _check_size(self, what: str, numbers: int) -> None:
         if 4 * numbers > self.gpu.largest_binding:
@@ -208,29 +231,6 @@ class WebGpuKernels:
                 f"{what} take {numbers * 4e-3:.1f} kB, more than the {self.gpu.largest_binding / 1e3:.1f} kB "
                 f"that {self.gpu.adapter_name} reads at once. Use fewer Gaussians, a smaller width or the backend cpu."
             )
-
-    def _sums(self, data: Any, count: int) -> Any:
-        """Replace the first numbers of a buffer by the sums of those before; return a buffer with the total first."""
-        blocks = -(-count // BLOCK)
-        sums, call = self.gpu.empty(blocks + 1), {"count": count, "blocks": blocks}
-        self.gpu.run("sum_blocks", blocks, call, data=data, sums=sums)
-        self.gpu.run("sum_totals", 1, call, sums=sums)
-        self.gpu.run("add_totals", blocks, call, data=data, sums=sums)
-        return sums
-
-    def _sort(self, keys: Any, values: Any, count: int, bits: int) -> tuple[Any, Any]:
-        """Sort by the lowest bits of the keys; equal keys keep their order."""
-        blocks = -(-count // BLOCK)
-        spare = self.gpu.empty(count), self.gpu.empty(count)
-        counts = self.gpu.empty(blocks << RADIX_BITS)
-        for shift in range(0, bits, RADIX_BITS):
-            call = {"count": count, "shift": shift, "blocks": blocks}
-            self.gpu.run("count_digits", blocks, call, keys_in=keys, data=counts)
-            self._sums(counts, blocks << RADIX_BITS)
-            moved = {"keys_in": keys, "values_in": values, "keys_out": spare[0], "values_out": spare[1]}
-            self.gpu.run("move_by_digit", blocks, call, **moved, data=counts)
-            (keys, values), spare = spare, (keys, values)
-        return keys, values
 
     def tile_pairs(self, projected: Projection, opacities: Tensor, width: int, height: int) -> TilePairs:
         """List the Gaussians of each tile in depth order.
@@ -250,28 +250,23 @@ class WebGpuKernels:
         """
         gpu, p, n = self.gpu, projected, len(opacities)
         self._check_size("The Gaussians", n * SPLAT_NUMBERS)
-        tiles = -(-width // TILE) * -(-height // TILE)
-        splats, keys, order, ranges = (gpu.empty(size) for size in (n * SPLAT_NUMBERS, n, n, 2 * tiles))
+        space, grid = Workspace(gpu, keeps=False), TileGrid(width, height)
+        splats, keys, ids, ranges = (gpu.empty(size) for size in (n * SPLAT_NUMBERS, n, n, 2 * grid.tiles))
         if n == 0:
-            return TilePairs(splats, order, ranges)
+            return TilePairs(splats, ids, ranges)
         inputs = {
             "means2d": p.means2d, "conics": p.conics, "opacities": opacities, "depths": p.depths, "radii": p.radii
         }  # fmt: skip
         buffers = {name: gpu.upload(tensor) for name, tensor in inputs.items()}
-        call, groups = {"count": n, "width": width, "height": height}, -(-n // THREADS)
-        gpu.run("pack", groups, call, **buffers, packed=splats, keys=keys, ids=order)
-        keys, order = self._sort(keys, order, n, 32)
-        starts = gpu.empty(n)
-        gpu.run("count_tiles", groups, call, splats=splats, sorted_keys=keys, order=order, counts=starts)
-        total = self._sums(starts, n)
-        pairs = int(gpu.read(total, (1,), torch.int32)) & 0xFFFFFFFF
+        call = {"count": n, "width": width, "height": height}
+        gpu.run("pack", -(-n // THREADS), call, **buffers, packed=splats, keys=keys, ids=ids)
+        order = depth_order(space, splats, keys, ids, n)
+        rows = TileRows(0, 0, grid.down)
+        counted = count_tiles(space, order, grid, rows)
+        pairs = int(gpu.read(counted.total, (1,), torch.int32)) & 0xFFFFFFFF
         check_pairs(pairs)
         self._check_size("The pairs of a Gaussian and a tile", pairs)
-        call["pairs"] = pairs
-        tile_of, ids = gpu.empty(pairs), gpu.empty(pairs)
-        gpu.run("fill_tiles", groups, call, splats=splats, order=order, starts=starts, keys=tile_of, ids=ids)
-        tile_of, ids = self._sort(tile_of, ids, pairs, tiles.bit_length())
-        gpu.run("find_ranges", -(-pairs // THREADS), call, sorted_keys=tile_of, ranges=ranges)
+        ids = list_tiles(space, order, counted, grid, rows, pairs, ranges, gpu.empty(2))
         return TilePairs(splats, ids, ranges)
 
     def blend(
@@ -280,7 +275,10 @@ class WebGpuKernels:
         """See `Kernels.blend`."""
         p = projected
         geometry = p.means2d, p.conics, opacities, channels, background, p.depths, p.radii
-        return _Blend.apply(*geometry, width, height, self)
+        return self._or_on_cpu(
+            lambda: _Blend.apply(*geometry, width, height, self),
+            lambda: self.cpu.blend(p, opacities, channels, background, width, height),
+        )
 
     def contributions(
         self,
@@ -295,21 +293,24 @@ class WebGpuKernels:
     ) -> tuple[Tensor, Tensor, Tensor]:
         """See `Kernels.contributions`; by the CPU kernels."""
         sizes = width, height, weights, image_gradient
-        return self._cpu.contributions(projected, opacities, channels, background, *sizes)
+        return self.cpu.contributions(projected, opacities, channels, background, *sizes)
 
     def sh_colors(self, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
         """See `Kernels.sh_colors`."""
-        return elementwise.sh_colors(self.run, sh0, shN, directions, degree)
+        return self._or_on_cpu(
+            lambda: elementwise.sh_colors(self.run, sh0, shN, directions, degree),
+            lambda: self.cpu.sh_colors(sh0, shN, directions, degree),
+        )
 
     def apply_gain(self, display: Tensor, log_gain: Tensor) -> Tensor:
         """See `Kernels.apply_gain`; by the CPU kernels."""
-        return self._cpu.apply_gain(display, log_gain)
+        return self.cpu.apply_gain(display, log_gain)
 
     def through_water(
         self, colors: Tensor, offsets: Tensor, coefficients: Tensor, degree: int, linear: bool, amount: float
     ) -> Tensor:
         """See `Kernels.through_water`; by the CPU kernels."""
-        return self._cpu.through_water(colors, offsets, coefficients, degree, linear, amount)
+        return self.cpu.through_water(colors, offsets, coefficients, degree, linear, amount)
 
     def open_water(
         self,
@@ -323,11 +324,11 @@ class WebGpuKernels:
         amount: float,
     ) -> Tensor:
         """See `Kernels.open_water`; by the CPU kernels."""
-        return self._cpu.open_water(coefficients, viewmat, K, width, height, degree, linear, amount)
+        return self.cpu.open_water(coefficients, viewmat, K, width, height, degree, linear, amount)
 
     def l1_ssim(self, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """See `Kernels.l1_ssim`."""
-        return _L1Ssim.apply(image, target, self)
+        return self._or_on_cpu(lambda: _L1Ssim.apply(image, target, self), lambda: self.cpu.l1_ssim(image, target))
 
     def adam_step(
         self,
@@ -341,23 +342,11 @@ class WebGpuKernels:
         eps: float,
         step: int,
     ) -> None:
-        """See `Kernels.adam_step`."""
-        call = {
-            "step_size": rate / (1 - beta1**step), "root": math.sqrt(1 - beta2**step), "weight1": 1 - beta1,
-            "weight2": 1 - beta2, "epsilon": eps,
-        }  # fmt: skip
-        gpu = self.gpu
-        tensors = {"parameter": parameter, "gradient": gradient, "mean": exp_avg, "square": exp_avg_sq}
-        flat = {name: tensor.detach().reshape(-1) for name, tensor in tensors.items()}
-        for rows in self._parts(parameter.numel(), 1):
-            n = rows.stop - rows.start
-            buffers = {name: gpu.upload(tensor[rows]) for name, tensor in flat.items()}
-            gpu.run("adam_step", -(-n // THREADS), call | {"count": n}, **buffers)
-            for name in ("parameter", "mean", "square"):
-                flat[name][rows] = gpu.read(buffers[name], (n,))
+        """See `Kernels.adam_step`; by the CPU kernels: the parameters of a step on the GPU are there already."""
+        self.cpu.adam_step(parameter, gradient, exp_avg, exp_avg_sq, rate, beta1, beta2, eps, step)
 
 
-def _camera(viewmat: Tensor, K: Tensor) -> dict[str, Any]:
+def camera_fields(viewmat: Tensor, K: Tensor) -> dict[str, Any]:
     """Return the fields of `Call` in project.wgsl for a float64 view matrix and intrinsics."""
     turn, shift = viewmat[:3, :3].double(), viewmat[:3, 3].double()
     origin = -torch.linalg.solve(turn, shift)
@@ -399,7 +388,12 @@ class _Blend(torch.autograd.Function):
         lists = {"splats": p.splats, "ids": p.ids, "ranges": p.ranges}
         for first in range(0, count, GROUP):
             image, values = gpu.empty(pixels * GROUP), gpu.upload(_padded(channels, first))
-            call = {"background": _padded(background, first).tolist(), "width": width, "height": height}
+            call = {
+                "background": _padded(background, first).tolist(),
+                "width": width,
+                "height": height,
+                "end_tile": tiles,
+            }
             gpu.run("blend_forward", tiles, call, **lists, channels=values, image=image, endings_out=endings)
             images.append(gpu.read(image, (height, width, GROUP)))
         transmittance = gpu.read(endings, (height, width, 2))[..., 0].clone()
@@ -418,8 +412,8 @@ class _Blend(torch.autograd.Function):
         row = MOMENTS + -(-count // GROUP) * GROUP
         kernels._check_size("The gradients of the Gaussians", n * row)
         gradients, geometry, by_alphas = gpu.empty(n * row), gpu.empty(n * MOMENTS), gpu.upload(by_alpha)
-        call = {"width": width, "height": height, "row": row, "count": n}
         tiles = -(-width // TILE) * -(-height // TILE)
+        call = {"width": width, "height": height, "row": row, "count": n, "end_tile": tiles}
         lists = {"splats": p.splats, "ids": p.ids, "ranges": p.ranges, "endings": ctx.endings}
         for first in range(0, count, GROUP):
             of_group = {

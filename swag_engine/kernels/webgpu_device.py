@@ -23,18 +23,23 @@ from .reference import blending, projection, similarity
 FOLDER = Path(__file__).parent
 """Folder of the sources."""
 STAGES = {
+    **dict.fromkeys(("activate", "activate_backward", "count_views", "conclude"), "gaussians"),
     "adam_step": "adam",
     "blend_backward": "splat blend",
     "blend_forward": "splat blend",
     "turn_moments": "splat blend",
     "l1_ssim_backward": "ssim",
     "l1_ssim_forward": "ssim",
+    "photo_backward": "basis light medium photo",
+    "photo_forward": "basis light medium photo",
     "project_backward": "project",
     "project_forward": "project",
+    "shade_backward": "basis light medium water",
+    "shade_forward": "basis light medium water",
     "sh_backward": "basis sh",
     "sh_forward": "basis sh",
     **dict.fromkeys(("sum_blocks", "sum_totals", "add_totals", "count_digits", "move_by_digit"), "sort"),
-    **dict.fromkeys(("pack", "count_tiles", "fill_tiles", "find_ranges"), "splat tiles"),
+    **dict.fromkeys(("pack", "count_tiles", "fill_tiles", "pad_tiles", "find_ranges"), "splat tiles"),
 }
 """The files of each kernel, after common.wgsl."""
 ALLOW_SOFTWARE = "SWAG_WGPU_SOFTWARE"
@@ -50,12 +55,43 @@ DEFAULT_LIMITS = {
 """WebGPU's default limits, which are all that the kernels need."""
 LEAST_BUFFER = 64
 """Smallest buffer, bytes: a kernel refuses one without room for an item."""
+CALL_BYTES = 256
+"""Bytes from one `Call` to the next in their buffer: what every device aligns to."""
+CALLS = 1024
+"""Dispatches of a command buffer, at most."""
 DEFAULT_BINDING = 2**27
 """Largest binding that every WebGPU device has, bytes."""
 
 
 class WebGpuUnavailable(Exception):
     """No kernels can run through WebGPU here; the message says why, as a clause."""
+
+
+class WebGpuFailure(InputError):
+    """The device failed while it was used: it was lost, or its driver refused something.
+
+    Attributes:
+        finding: What happened, a sentence.
+    """
+
+    def __init__(self, finding: str) -> None:
+        super().__init__(f"{finding} Train with the backend cpu instead.")
+        self.finding = finding
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Part of a buffer, for a binding.
+
+    Attributes:
+        buffer: The buffer.
+        offset: Where the part begins, bytes; a multiple of 256.
+        size: Its size, bytes.
+    """
+
+    buffer: Any
+    offset: int
+    size: int
 
 
 @dataclass
@@ -93,7 +129,9 @@ class WebGpu:
     largest_binding: int
     counters: Counters = field(default_factory=Counters)
     _pipelines: dict[str, Any] = field(default_factory=dict)
-    _pending: list[tuple[Any, Any, tuple[int, int]]] = field(default_factory=list)
+    _pending: list[Any] = field(default_factory=list)
+    _calls: bytearray = field(default_factory=bytearray)
+    _call_buffer: Any = None
 
     @contextmanager
     def _errors_named(self) -> Iterator[None]:
@@ -102,12 +140,13 @@ class WebGpu:
 
         try:
             yield
-        except wgpu.GPUError as error:
+        except (wgpu.GPUError, RuntimeError) as error:
             self._pending.clear()
+            self._calls.clear()
+            if isinstance(error, wgpu.GPUOutOfMemoryError):
+                raise MemoryError(f"{self.adapter_name} has too little memory.") from error
             reason = " ".join(str(error).split())
-            raise InputError(
-                f"The graphics card {self.adapter_name} failed: {reason[:300]} Train with the backend cpu instead."
-            ) from error
+            raise WebGpuFailure(f"The graphics card {self.adapter_name} failed: {reason[:300]}") from error
 
     def upload(self, values: Tensor) -> Any:
         """Return a buffer with the numbers of a tensor on the CPU.
@@ -148,57 +187,98 @@ class WebGpu:
             data = bytearray(self.device.queue.read_buffer(buffer, 0, size))
         return torch.frombuffer(data, dtype=dtype).view(shape)
 
-    def run(self, kernel: str, groups: int, call: Mapping[str, Any], **buffers: Any) -> None:
+    def write(self, buffer: Any, values: Any) -> None:
+        """Overwrite the first numbers of a buffer, after what is pending.
+
+        Args:
+            buffer: The buffer.
+            values: Contiguous array of numpy, of 32-bit numbers.
+        """
+        self.flush()
+        self.counters.uploaded += values.nbytes
+        if values.nbytes:
+            with self._errors_named():
+                self.device.queue.write_buffer(buffer, 0, values)
+
+    def run(
+        self, kernel: str, groups: int, call: Mapping[str, Any], kept: dict[Any, Any] | None = None, **buffers: Any
+    ) -> None:
         """Put a dispatch behind the others; `read` runs them all.
 
         Args:
             kernel: Name of the kernel.
             groups: Number of groups of threads; 0 runs nothing.
             call: Values of the fields of the kernel's `Call`; those it does not need may be left out.
-            **buffers: The kernel's buffers by the names of their bindings.
+            kept: Where the binding of these buffers is kept for the next time.
+            **buffers: The kernel's buffers, or `Rows` of them, by the names of their bindings.
         """
         if groups == 0:
             return
+        if len(self._pending) >= CALLS:
+            self.flush()
         with self._errors_named():
-            self._add(kernel, groups, call, buffers)
+            pipeline, layout = self._pipeline(kernel, tuple(buffers))
+            source = _source(STAGES[kernel], self.float_atomics)
+            key = (kernel, *((b.buffer, b.offset, b.size) if isinstance(b, Rows) else b for b in buffers.values()))
+            group = kept.get(key) if kept is not None else None
+            if group is None:
+                group = self._bound(source, layout, buffers)
+                if kept is not None:
+                    kept[key] = group
+            columns = min(groups, DEFAULT_LIMITS["max-compute-workgroups-per-dimension"])
+            self._pending.append((pipeline, group, len(self._calls), (columns, -(-groups // columns))))
+            packed = source.pack(call)
+            self._calls += packed + bytes(CALL_BYTES - len(packed))
+            self.counters.dispatches += 1
 
-    def _add(self, kernel: str, groups: int, call: Mapping[str, Any], buffers: Mapping[str, Any]) -> None:
-        pipeline = self._pipeline(kernel, tuple(buffers))
-        source = _source(STAGES[kernel], self.float_atomics)
-        entries = [(0, self._uniform(source.pack(call)))]
-        entries += [(source.bindings[name][0], buffer) for name, buffer in buffers.items()]
-        group = self.device.create_bind_group(
-            layout=pipeline[1],
+    def _bound(self, source: "Source", layout: Any, buffers: Mapping[str, Any]) -> Any:
+        import wgpu
+
+        if self._call_buffer is None:
+            usage = wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST
+            self._call_buffer = self.device.create_buffer(size=CALLS * CALL_BYTES, usage=usage)
+        entries = [(0, Rows(self._call_buffer, 0, len(source.pack({}))))]
+        for name, bound in buffers.items():
+            rows = bound if isinstance(bound, Rows) else Rows(bound, 0, bound.size)
+            entries.append((source.bindings[name][0], rows))
+        return self.device.create_bind_group(
+            layout=layout,
             entries=[
-                {"binding": number, "resource": {"buffer": buffer, "offset": 0, "size": buffer.size}}
-                for number, buffer in entries
+                {"binding": number, "resource": {"buffer": rows.buffer, "offset": rows.offset, "size": rows.size}}
+                for number, rows in entries
             ],
         )
-        columns = min(groups, DEFAULT_LIMITS["max-compute-workgroups-per-dimension"])
-        self._pending.append((pipeline[0], group, (columns, -(-groups // columns))))
-        self.counters.dispatches += 1
+
+    def clear(self, buffer: Any) -> None:
+        """Set all numbers of a buffer to 0, behind what is pending."""
+        self._pending.append(buffer)
 
     def flush(self) -> None:
         """Submit what is pending as one command buffer."""
         if not self._pending:
             return
         pending, self._pending = self._pending, []
+        calls, self._calls = self._calls, bytearray()
         with self._errors_named():
+            if calls:
+                self.device.queue.write_buffer(self._call_buffer, 0, calls)
             encoder = self.device.create_command_encoder()
-            commands = encoder.begin_compute_pass()
-            for pipeline, group, groups in pending:
+            commands = None
+            for entry in pending:
+                if not isinstance(entry, tuple):
+                    if commands:
+                        commands.end()
+                        commands = None
+                    encoder.clear_buffer(entry)
+                    continue
+                pipeline, group, at, groups = entry
+                commands = commands or encoder.begin_compute_pass()
                 commands.set_pipeline(pipeline)
-                commands.set_bind_group(0, group)
+                commands.set_bind_group(0, group, [at])
                 commands.dispatch_workgroups(*groups)
-            commands.end()
+            if commands:
+                commands.end()
             self.device.queue.submit([encoder.finish()])
-
-    def _uniform(self, data: bytes) -> Any:
-        import wgpu
-
-        buffer = self.device.create_buffer(size=len(data), usage=wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST)
-        self.device.queue.write_buffer(buffer, 0, data)
-        return buffer
 
     def _pipeline(self, kernel: str, names: tuple[str, ...]) -> tuple[Any, Any]:
         if kernel not in self._pipelines:
@@ -207,7 +287,11 @@ class WebGpu:
             source = _source(STAGES[kernel], self.float_atomics)
             kinds = [(0, "uniform"), *(source.bindings[name] for name in names)]
             entries = [
-                {"binding": number, "visibility": wgpu.ShaderStage.COMPUTE, "buffer": {"type": kind}}
+                {
+                    "binding": number,
+                    "visibility": wgpu.ShaderStage.COMPUTE,
+                    "buffer": {"type": kind, "has_dynamic_offset": number == 0},
+                }
                 for number, kind in kinds
             ]
             layout = self.device.create_bind_group_layout(entries=entries)
@@ -220,6 +304,45 @@ class WebGpu:
             )
             self._pipelines[kernel] = made, layout
         return self._pipelines[kernel]
+
+
+class Workspace:
+    """Buffers by name, and what is run on them.
+
+    Args:
+        gpu: The device.
+        keeps: Whether a buffer is there again, with what it held, when it is asked for by the same name. Nothing may be
+            pending then that needs what it held.
+    """
+
+    def __init__(self, gpu: WebGpu, keeps: bool) -> None:
+        self.gpu, self.keeps = gpu, keeps
+        self._buffers: dict[str, Any] = {}
+        self._bindings: dict[Any, Any] = {}
+
+    def empty(self, name: str, count: int) -> Any:
+        """Return a buffer of at least `count` 32-bit numbers; 0 where it is new.
+
+        Raises:
+            MemoryError: The device cannot read so much at once, or has too little memory.
+        """
+        if 4 * count > self.gpu.largest_binding:
+            raise MemoryError(
+                f"{4e-3 * count:.1f} kB are more than the {self.gpu.largest_binding / 1e3:.1f} kB that "
+                f"{self.gpu.adapter_name} reads at once."
+            )
+        if not self.keeps:
+            return self.gpu.empty(count)
+        known = self._buffers.get(name)
+        if known is None or known.size < 4 * count:
+            self._bindings.clear()
+            self._buffers.pop(name, None)
+            known = self._buffers[name] = self.gpu.empty(count)
+        return known
+
+    def run(self, kernel: str, groups: int, call: Mapping[str, Any], **buffers: Any) -> None:
+        """Put a dispatch behind the others; see `WebGpu.run`."""
+        self.gpu.run(kernel, groups, call, self._bindings if self.keeps else None, **buffers)
 
 
 @dataclass(frozen=True)

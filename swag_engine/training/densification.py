@@ -40,6 +40,21 @@ class Densification:
     ) -> None:
         self.inputs, self.selection, self.targets, self.guidance = inputs, selection, targets, guidance
 
+    def due(self, state: RunState) -> bool:
+        """Return whether `after_step` may read or change the cloud after this iteration."""
+        every_step = not isinstance(strategy_of(state.recipe), SplitStrategy)
+        final = state.clock.fraction >= state.recipe.stage_two_from
+        return (
+            every_step or final or state.iteration % self.inputs.schedule.densify_every == 0 or self._relocates(state)
+        )
+
+    def _relocates(self, state: RunState) -> bool:
+        """Whether Gaussians are relocated after this iteration."""
+        schedule, recipe, fraction = self.inputs.schedule, state.recipe, state.clock.fraction
+        every = max(1, round(schedule.relocate_every * state.clock.iterations))
+        last = recipe.stage_two_from - schedule.relocate_every
+        return recipe.reallocation != "off" and not state.iteration % every and recipe.densify_until <= fraction <= last
+
     def after_step(self, state: RunState, means_rate: float, sh_degree: int, water_degree: int) -> None:
         """Change the cloud where that is due after an iteration outside stage two.
 
@@ -83,11 +98,9 @@ class Densification:
 
     def _relocate(self, state: RunState, sh_degree: int, water_degree: int) -> None:
         """Move Gaussians to where the error is, a few times between densification and stage two."""
-        schedule, recipe, fraction = self.inputs.schedule, state.recipe, state.clock.fraction
-        every = max(1, round(schedule.relocate_every * state.clock.iterations))
-        last = recipe.stage_two_from - schedule.relocate_every
-        if recipe.reallocation == "off" or state.iteration % every or not recipe.densify_until <= fraction <= last:
+        if not self._relocates(state):
             return
+        recipe, fraction = state.recipe, state.clock.fraction
         objective = self.selection.objective(recipe)
 
         def loss(color: Tensor, target: Target) -> Tensor:

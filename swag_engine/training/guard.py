@@ -134,6 +134,10 @@ class Guard:
         record.losses += loss
         record.count += 1
 
+    def check_due(self, guarded: GuardedState, iteration: int) -> bool:
+        """Return whether `roll_back_if_bad` checks the parameters after `iteration` iterations."""
+        return guarded.record.in_a_row >= MOST_SKIPPED or iteration % self.interval == 0
+
     def roll_back_if_bad(self, guarded: GuardedState, optimizer: Optimizer, iteration: int) -> bool:
         """Check the parameters when a check is due, and roll them back to the last good ones if it fails.
 
@@ -145,10 +149,10 @@ class Guard:
         Returns:
             Whether the parameters were rolled back.
         """
+        if not self.check_due(guarded, iteration):
+            return False
         record = guarded.record
         stuck = record.in_a_row >= MOST_SKIPPED
-        if not stuck and iteration % self.interval:
-            return False
         mean = record.losses / max(record.count, 1)
         finding = not_finite(optimizer.parameters() | optimizer.state_tensors())
         if not finding and mean > DIVERGED_FACTOR * record.best + DIVERGED_OFFSET:

@@ -46,6 +46,8 @@ class RunState:
         psnr: Last validation PSNR, dB.
         ssim: Last validation SSIM.
         dropout: Fraction of the Gaussians that each iteration drops.
+        fetch: Brings Gaussians, moments and statistics up to date that steps have left on a device; None where they
+            are.
     """
 
     optimizer: Optimizer
@@ -65,6 +67,12 @@ class RunState:
     psnr: float | None = None
     ssim: float | None = None
     dropout: float = 0.0
+    fetch: Callable[[], None] | None = None
+
+    def synchronize(self) -> None:
+        """Bring Gaussians, moments and statistics up to date, in place; to be called before they are read."""
+        if self.fetch:
+            self.fetch()
 
     @classmethod
     def initial(
@@ -125,6 +133,7 @@ class RunState:
         Returns:
             Tensors by name, and the rest as a plain dict for JSON; `from_checkpoint` takes both.
         """
+        self.synchronize()
         tensors = {f"cloud.{name}": tensor for name, tensor in self.cloud.parameters().items()}
         tensors |= self.effects.parameters() | self.motion.tensors() | self.optimizer.state_tensors()
         tensors |= {f"guard.{name}": tensor for name, tensor in self.guarded.last_good.items()}

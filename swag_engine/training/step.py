@@ -53,14 +53,14 @@ class StepResult:
         loss: The loss.
         problem: What was not finite; then the parameters are as before. Empty where the step was made.
         means2d_gradient: (N, 2) gradient of the loss with respect to the projected centres, per pixel; None where
-            there is none.
-        radii: (N,) extent on screen in pixels, 0 where a Gaussian is not visible.
+            there is none, or where the step counts views itself.
+        radii: (N,) extent on screen in pixels, 0 where a Gaussian is not visible; None where means2d_gradient may be.
     """
 
     loss: float
     problem: str
     means2d_gradient: Tensor | None
-    radii: Tensor
+    radii: Tensor | None
 
 
 class Step(Protocol):
@@ -70,7 +70,8 @@ class Step(Protocol):
         """Make one step.
 
         Args:
-            state: State of the run; its parameters and moments are updated in place.
+            state: State of the run; its parameters and moments are updated in place, or by `RunState.synchronize`
+                where the step leaves them on a device.
             target: What is compared with.
             config: What the schedule says about this iteration.
 

@@ -19,7 +19,8 @@ from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud, to_numpy
 from ..gaussians.init import gaussians_from_points
-from ..kernels.backends import device_for
+from ..kernels.backends import KERNELS, device_for
+from ..kernels.webgpu import WebGpuKernels
 from ..planning.plan import write_plan
 from ..rendering.model import SceneModel
 from ..rendering.restoration import CONFIDENCE, RestorationLimit, describe_restored, restoration_limit
@@ -51,6 +52,7 @@ from .state import CPU, RunState
 from .step import GEOMETRY, AutogradStep, Step, StepConfig
 from .target_cache import Targets
 from .trials import run_trials, trials_due
+from .webgpu_step import WebGpuStep, with_backend_of_recipe
 
 InitialCloud = Callable[[Points, int, int, int, np.ndarray], GaussianCloud]
 
@@ -126,13 +128,14 @@ def make_trainer(
     if not resume:
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
+    settings, backend_note = with_backend_of_recipe(settings)
     try:
         trainer = none_if_out_of_memory(
             lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud)
         )
         if not trainer:
             raise InputError(TOO_LITTLE)
-        trainer.notes += filter(None, [note])
+        trainer.notes += filter(None, [note, backend_note])
     except InputError:
         if not resume:
             run.discard()
@@ -234,7 +237,11 @@ class Trainer:
     def _act_on(self, guidance: Guidance | None) -> None:
         self.guidance = guidance
         otherwise = AutogradStep(self.inputs, self.selection, guidance)
-        self.step: Step = NativeStep(self.inputs, self.selection, otherwise)
+        native = NativeStep(self.inputs, self.selection, otherwise)
+        kernels = KERNELS.get(self.inputs.settings.backend)
+        self.step: Step = native
+        if isinstance(kernels, WebGpuKernels):
+            self.step = WebGpuStep(self.inputs, self.selection, native, kernels)
         self.densification = Densification(self.inputs, self.selection, self.targets, guidance)
 
     # -- the run ------------------------------------------------------------------------------------------------------
@@ -277,6 +284,7 @@ class Trainer:
             if now - saved > schedule.checkpoint_seconds:
                 self.save()
                 saved = time.monotonic()
+        self.state.synchronize()
         self.guard.check_result(self.state.guarded, self.state.optimizer)
         self.save()  # before anything that takes long: whoever stops a run may not wait for it
         limit = none_if_out_of_memory(self._restoration_limit) if self._restores else None
@@ -307,8 +315,10 @@ class Trainer:
         phase = f"[{self.targets.factor}] {with_water} {config.stage_two} {state.dropout > 0}"
         phase = "" if target.interpolated else phase
         self.guard.record_step(state.guarded, result.loss, result.problem, target.camera.name, phase)
+        if self.densification.due(state) or self.guard.check_due(state.guarded, state.iteration):
+            state.synchronize()
         if not result.problem:
-            if result.means2d_gradient is not None and not target.interpolated:
+            if result.means2d_gradient is not None and result.radii is not None and not target.interpolated:
                 state.statistics.add(result.means2d_gradient, result.radii, target.camera.width)
             if not config.stage_two:
                 rate, fraction = config.learning_rates["means"], state.clock.fraction
@@ -354,6 +364,7 @@ class Trainer:
         return {name: state.guarded.record.rate_factor * rate for name, rate in rates.items()}
 
     def _mask_motion(self) -> None:
+        self.state.synchronize()
         state, settings = self.state, self.inputs.settings
         masks = find_motion(state.cloud, state.effects, self.inputs.training, settings.sh_degree, settings.backend)
         state.motion = MotionMasks(masks, state.motion.searches + 1)
@@ -370,6 +381,7 @@ class Trainer:
                 if should_stop():
                     return None
                 self.iterate()
+            fork.synchronize()
             return self._scores(self.inputs.validation, fork.cloud)
 
         best = run_trials(before, due, self._copied, self.selection.switch, score_after)
@@ -421,6 +433,7 @@ class Trainer:
         }
 
     def _write_preview(self) -> None:
+        self.state.synchronize()
         state = self.state
         write_ply(self.run.preview, state.cloud.to_splats(sh_degree=0))
         water = state.effects.medium.to_json() if state.effects.medium else None  # per scene unit
@@ -440,6 +453,7 @@ class Trainer:
 
     def _validate(self, loss: float) -> None:
         """Score the validation images and log the result. Test images are never scored here."""
+        self.state.synchronize()
         state, inputs = self.state, self.inputs
         started, seconds = time.monotonic(), self.pacer.seconds
         state.psnr, state.ssim = mean_score(self._scores(inputs.validation, state.cloud))
@@ -503,7 +517,9 @@ class Trainer:
         test_psnr, test_ssim = mean_score(scores)
         overfitting = dropout_note(dropped, self.training_psnr, state.psnr)
         guard_note = self.guard.note(state.guarded, state.iteration)
-        self.notes += filter(None, [state.motion.note, overfitting, guard_note, state.relief.note])
+        kernels = KERNELS.get(inputs.settings.backend)
+        failure = kernels.failure if isinstance(kernels, WebGpuKernels) else ""
+        self.notes += filter(None, [state.motion.note, overfitting, guard_note, state.relief.note, failure])
         metrics: Event = {
             "test_psnr": test_psnr,
             "test_ssim": test_ssim,

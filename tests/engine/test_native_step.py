@@ -1,94 +1,33 @@
 """The step of the CPU kernels does what the step by automatic differentiation does, and only where it can."""
 
-import time
-from copy import deepcopy
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import pytest
 import torch
 
-from swag_engine.formats.run_folder import RunFolder
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.native_step import NativeStep
 from swag_engine.training.step import AutogradStep
-from swag_engine.training.targets import Target
-from swag_engine.training.trainer import make_trainer, train
-
-NONE = "water=off,lamp=off,exposure=off,vignetting=off,caustics=off,moving_objects=off,depth_prior=off"
-WATER = NONE.replace("water=off", "attenuation=on,backscatter=on,separate_backscatter=on")
-ALL = WATER.replace("lamp=off,exposure=off,vignetting=off", "lamp=on,exposure=on,vignetting=on")
-NO_BACKSCATTER = NONE.replace("water=off", "attenuation=on").replace("lamp=off", "lamp=on")
+from swag_engine.training.trainer import train
+from tests.engine.step_scenes import (
+    ALL,
+    NO_BACKSCATTER,
+    NONE,
+    WATER,
+    DoubleTarget,
+    assert_close,
+    autograd,
+    gradients,
+    inputs_of_step,
+    native,
+    trainers,
+)
 
 
 @pytest.fixture(scope="module")
 def make(tiny_scene, tmp_path_factory):
-    """Call it with a recipe and effects for a trainer whose effects and Gaussians have left their initial values."""
-
-    @cache
-    def start(recipe, effects):
-        settings = TrainSettings(iterations=400, width=64, max_gaussians=600, recipe=recipe, effects=effects)
-        run = RunFolder(tmp_path_factory.mktemp("run"))
-        trainer = make_trainer(run, tiny_scene, settings, False, lambda event: None, None, time.monotonic())
-        trainer.selection.to_try = []
-        random = torch.Generator().manual_seed(3)
-        with torch.no_grad():
-            for parameter in trainer.state.optimizer.parameters().values():
-                parameter += 0.1 * torch.randn(parameter.shape, generator=random)
-        return trainer, trainer.state
-
-    def copied(recipe="swag", effects=ALL):
-        trainer, state = start(recipe, effects)
-        trainer.state = trainer._copied(state)
-        return trainer
-
-    return copied
-
-
-class Refusing(AutogradStep):
-    def __call__(self, *arguments: Any) -> Any:
-        raise NotImplementedError
-
-
-def native(trainer):
-    """Return the step, which fails where it is left to autograd."""
-    return NativeStep(trainer.inputs, trainer.selection, Refusing(trainer.inputs, trainer.selection, None))
-
-
-def autograd(trainer):
-    return AutogradStep(trainer.inputs, trainer.selection, None)
-
-
-def inputs_of_step(trainer, **changes):
-    """Return a target, part of which is not valid, and what the schedule says in the middle of the run."""
-    target = deepcopy(trainer.targets.at(trainer.state, 0.6)[0])
-    target.valid[:9, :13] = False
-    config = replace(trainer.step_config(), fraction=0.6, sh_degree=2, water_degree=2, with_water=True)
-    return target, replace(config, **changes)
-
-
-def gradients(step, state, target, config):
-    """Return the result of a step without its update, and the gradients by parameter name."""
-    found = {}
-
-    def keep(rates):
-        found.update({name: p.grad.clone() for name, p in state.optimizer.parameters().items() if p.grad is not None})
-        state.optimizer.clear_gradients()
-
-    state.optimizer.step = keep
-    result = step(state, target, config)
-    del state.optimizer.step
-    assert not result.problem
-    return result, found | {"means2d": result.means2d_gradient.clone(), "radii": result.radii.clone()}
-
-
-def assert_close(got, expected, tolerance):
-    assert got.keys() == expected.keys()
-    for name, value in expected.items():
-        error = float((got[name] - value).norm() / value.norm().clamp(min=1e-12))
-        assert error < tolerance, (name, error)
+    return trainers(tiny_scene, tmp_path_factory)
 
 
 CASES: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
@@ -121,12 +60,6 @@ def test_gradients_are_those_of_autograd(make, case):
     assert got[0].loss == pytest.approx(expected[0].loss, rel=1e-5)
     assert_close(got[1], expected[1], 2e-4)
     assert ("exposure.raw" in got[1]) == (effects == ALL)
-
-
-class DoubleTarget(Target):
-    @property
-    def color(self):
-        return super().color.double()
 
 
 def test_gradients_are_those_of_the_float64_reference(make, monkeypatch):

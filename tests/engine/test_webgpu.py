@@ -1,6 +1,7 @@
 """The WebGPU backend, on a driver that runs its kernels on the processor, with WebGPU's default limits."""
 
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,9 +15,10 @@ from swag_engine.kernels import webgpu, webgpu_device
 from swag_engine.kernels.backends import CPU, KERNELS, device_for, kernels_for
 from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.kernels.webgpu_device import ALLOW_SOFTWARE, DEFAULT_LIMITS, WebGpuUnavailable, request
+from swag_engine.kernels.webgpu_training import adam_fields
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.losses import photometric
-from swag_engine.training.optimizer import adam_step
+from swag_engine.training.optimizer import BETAS, EPS, adam_step
 from swag_engine.training.trainer import train
 from tests.engine.raster_scenes import (
     GRADIENTS,
@@ -159,19 +161,22 @@ def test_l1_ssim_agrees_with_torch(height, width, kernels):
         assert relative_error(value, expected) < 1e-5
 
 
-def trajectory(backend, dtype):
+def adam_steps(gpu):
+    """Return a parameter and its moments after five steps on the CPU in float64, and on the GPU."""
     generator = torch.Generator().manual_seed(0)
-    parameter = torch.randn(40, 5, 3, generator=generator, dtype=torch.float64).to(dtype)
-    moments = torch.zeros_like(parameter), torch.zeros_like(parameter)
+    parameter = torch.randn(600, generator=generator)
+    truth = parameter.double(), torch.zeros(600).double(), torch.zeros(600).double()
+    buffers = {name: gpu.upload(t.float()) for name, t in zip(("parameter", "mean", "square"), truth, strict=True)}
     for step in range(1, 6):
-        gradient = torch.randn(40, 5, 3, generator=generator, dtype=torch.float64).to(dtype)
-        adam_step(parameter, gradient, *moments, 0.1, step, backend)
-    return [value.double() for value in (parameter, *moments)]
+        gradient = torch.randn(600, generator=generator)
+        adam_step(truth[0], gradient.double(), *truth[1:], 0.1, step, "torch")
+        call = {"count": 600, **adam_fields(0.1, *BETAS, EPS, step)}
+        gpu.run("adam_step", 3, call, **buffers, gradient=gpu.upload(gradient), skipped=gpu.empty(1))
+    return truth, [gpu.read(buffer, (600,)).double() for buffer in buffers.values()]
 
 
-def test_adam_agrees_with_torch(kernels):
-    truth = trajectory("torch", torch.float64)
-    for value, expected in zip(trajectory("wgpu", torch.float32), truth, strict=True):
+def test_adam_agrees_with_torch(gpu):
+    for expected, value in zip(*adam_steps(gpu), strict=True):
         torch.testing.assert_close(value, expected, atol=2e-6, rtol=1e-5)
 
 
@@ -189,17 +194,26 @@ def test_a_run_learns_what_it_learns_on_the_cpu(gpu, kernels, tiny_scene, tmp_pa
     assert gpu.counters.dispatches > 300 and abs(psnr["wgpu"] - psnr["cpu"]) < 0.01, psnr
 
 
-def test_a_driver_that_fails_is_one_sentence(gpu, kernels, monkeypatch):
+def lost(*_):
     import wgpu
 
-    def fail(*_):
-        raise wgpu.GPUError("Parent device\n  is lost.")
+    raise wgpu.GPUError("Parent device\n  is lost.")
 
-    monkeypatch.setattr(gpu.device.queue, "submit", fail)
+
+def test_when_the_driver_fails_the_processor_takes_over(gpu, kernels, monkeypatch):
+    monkeypatch.setattr(gpu.device.queue, "submit", lost)
+    result, expected = run(changed(), "wgpu")[0], run(changed(), "cpu")[0]
+    assert all(torch.equal(result[key], expected[key]) for key in expected)
+    assert re.fullmatch(r"The graphics card \S.* failed: Parent device is lost. Training continued .*", kernels.failure)
+    assert kernels_for("wgpu", torch.zeros(1)) is CPU and not gpu._pending
+
+
+def test_a_failure_in_a_backward_pass_is_one_sentence(gpu, kernels, monkeypatch):
+    image = torch.rand(9, 9, 3).requires_grad_()
+    loss = photometric(image, torch.rand(9, 9, 3), None, backend="wgpu")
+    monkeypatch.setattr(gpu.device.queue, "submit", lost)
     with pytest.raises(InputError, match=r"^The graphics card \S.* failed: Parent device is lost. Train with"):
-        run(changed(), "wgpu")
-    monkeypatch.undo()
-    assert not gpu._pending
+        loss.backward()
 
 
 # -- limits ------------------------------------------------------------------------------------------------------------
@@ -209,13 +223,12 @@ def test_operations_on_each_gaussian_run_in_parts_that_fit_a_binding(kernels, gp
     scene = next(clear_scenes(1, n=50))
     tensors = {k: v.float() if isinstance(v, torch.Tensor) else v for k, v in scene.items()}
     del tensors["background"]
-    whole, adam = kernels.project(**tensors), trajectory("wgpu", torch.float32)
+    whole = kernels.project(**tensors)
     monkeypatch.setattr(gpu, "largest_binding", 4 * 4 * 7)  # seven Gaussians
     before = gpu.counters.dispatches
     parts = kernels.project(**tensors)
     assert gpu.counters.dispatches - before == 8
     assert all(torch.equal(getattr(whole, name), getattr(parts, name)) for name in ("means2d", "conics", "radii"))
-    assert all(torch.equal(a, b) for a, b in zip(adam, trajectory("wgpu", torch.float32), strict=True))
 
 
 def test_lists_that_a_card_cannot_read_at_once_are_refused(kernels, gpu, monkeypatch):
@@ -236,9 +249,9 @@ def test_dispatches_and_bytes_of_an_image_are_counted(kernels, gpu):
     scene = next(clear_scenes(1, n=50, width=47, height=35))
     before = gpu.counters.dispatches, gpu.counters.downloaded
     run(scene, "wgpu")
-    # project both ways 2; pack, count, fill, ranges 4; sum of counts 3; sort by depth 8 x 5, by tile (9 tiles) 1 x 5;
-    # blend both ways 2, moments 1
-    assert gpu.counters.dispatches - before[0] == 2 + 4 + 3 + 40 + 5 + 3
+    # project both ways 2; pack, count, fill, pad, ranges 5; sum of counts 3; sort by depth 8 x 5, by tile 1 x 5
+    # (9 tiles); blend both ways 2, moments 1
+    assert gpu.counters.dispatches - before[0] == 2 + 5 + 3 + 40 + 5 + 3
     projected, gradients, pixels = 4 * 50 * (7 + 10), 4 * 50 * (6 + 10), 4 * 47 * 35 * (4 + 2)
     assert gpu.counters.downloaded - before[1] == projected + gradients + pixels + 4
 

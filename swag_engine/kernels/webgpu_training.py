@@ -1,0 +1,484 @@
+"""Gaussians that stay on a GPU, and one optimisation step on them through WebGPU.
+
+A step is one command buffer. What is read back is a few dozen numbers: the sums that the loss and the gradients of
+water, lamp, gains and background are made of. Arrays with a row per Gaussian are in parts that a binding holds.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .protocol import check_pairs
+from .webgpu import camera_fields
+from .webgpu_device import Rows, WebGpu, Workspace
+from .webgpu_tiles import (
+    BLOCK,
+    GROUP,
+    MOMENTS,
+    SPLAT_NUMBERS,
+    THREADS,
+    TILE,
+    TileGrid,
+    TileRows,
+    count_tiles,
+    depth_order,
+    list_tiles,
+)
+
+WATER, LINEAR, LAMP, GAIN, OPEN, SIMILARITY = (1 << bit for bit in range(6))
+"""Bits of `mode`, as in medium.wgsl."""
+NUMBERS = 45
+"""Numbers of water, lamp and gains, in the order of medium.wgsl."""
+PIXEL_SUMS, GAUSSIAN_SUMS = 40, 34
+"""Sums over pixels and over Gaussians, as in photo.wgsl and water.wgsl."""
+GRADIENTS = ("means", "quats", "log_scales", "opacity_logits", "sh0")
+"""Parameters by the bits of the flags of gaussians.wgsl."""
+LOSS, OVERFLOW = 32, 64
+"""Flags of gaussians.wgsl: the loss is not finite; there are more pairs than their lists hold."""
+SUM_GROUPS = 64
+"""Groups of threads that sums over pixels or Gaussians are made by."""
+ALIGNED = 64
+"""Gaussians that parts are a multiple of: their rows begin where a binding may."""
+SPARE_ROOM = 1.25
+"""Room of a list of pairs over the pairs it had to hold."""
+PAIRS_GUESSED = 4
+"""Pairs of a Gaussian before any were counted."""
+
+
+def adam_fields(rate: float, beta1: float, beta2: float, eps: float, step: int) -> dict[str, float]:
+    """Return the fields of `Call` in adam.wgsl; arguments as of `Kernels.adam_step`."""
+    return {
+        "step_size": rate / (1 - beta1**step), "root": math.sqrt(1 - beta2**step), "weight1": 1 - beta1,
+        "weight2": 1 - beta2, "epsilon": eps,
+    }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class View:
+    """What one step compares, and how.
+
+    Attributes:
+        target: Buffer of the training image: a word a pixel, red, green, blue and whether it is valid.
+        viewmat: (4, 4) world to camera.
+        K: (3, 3) intrinsics, pixels.
+        centre: (3,) of the camera, scene units.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+        sh_degree: Degree of the Gaussians' colors, 0..3.
+        water_degree: Degree of the background light, 0..2.
+        mode: What is modelled, as bits.
+        numbers: (NUMBERS,) of water, lamp and gains.
+        background: (3,) color behind the Gaussians.
+        dropout: Fraction of the Gaussians that is dropped.
+        seed: Random numbers of the iteration, 32 bits.
+        geometry: Whether means, quats and log_scales have gradients.
+        weights: Of L1, 1 - SSIM, L2 and what is left open of surfaces.
+        surface: Differences from open water that are none, and that show a surface, display values.
+        log_scale_limits: Of the logs of the scales.
+        farthest: Largest component of an offset, scene units.
+        dazzling: Largest display value that water is applied to.
+    """
+
+    target: Any
+    viewmat: Tensor
+    K: Tensor
+    centre: Tensor
+    width: int
+    height: int
+    sh_degree: int
+    water_degree: int
+    mode: int
+    numbers: np.ndarray
+    background: tuple[float, float, float]
+    dropout: float
+    seed: int
+    geometry: bool
+    weights: tuple[float, float, float, float]
+    surface: tuple[float, float]
+    log_scale_limits: tuple[float, float]
+    farthest: float
+    dazzling: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of one step.
+
+    Attributes:
+        loss: The loss.
+        problem: What was not finite, as a clause; then nothing has changed. Empty where the step was made.
+        by_coefficients: (33,) gradient by the coefficients of the water.
+        by_tau: Gradient by the lamp's tau.
+        by_gain: (6,) gradients by the log gains of the channels and by the coefficients of the vignetting.
+        by_background: (3,) gradient by the background color.
+    """
+
+    loss: float
+    problem: str
+    by_coefficients: Tensor
+    by_tau: Tensor
+    by_gain: Tensor
+    by_background: Tensor
+
+
+@dataclass
+class Chunk:
+    """Part of the Gaussians.
+
+    Attributes:
+        number: Its number.
+        first: Number of Gaussians before it.
+        count: Number of Gaussians in it.
+    """
+
+    number: int
+    first: int
+    count: int
+
+    @property
+    def groups(self) -> int:
+        """Groups of threads that take a Gaussian each."""
+        return -(-self.count // THREADS)
+
+    def of(self, buffer: Any, numbers: int) -> Rows:
+        """Return the chunk's part of a buffer of all Gaussians with some numbers each."""
+        return Rows(buffer, 4 * numbers * self.first, 4 * numbers * self.count)
+
+
+@dataclass
+class ResidentGaussians:
+    """N Gaussians on a GPU, with Adam's moments and what densification goes by.
+
+    Attributes:
+        gpu: The device.
+        count: N.
+        sizes: Numbers of a Gaussian by parameter name.
+        longest_list: Most pairs of a Gaussian and a tile in one list.
+    """
+
+    gpu: WebGpu
+    count: int
+    sizes: dict[str, int]
+    _arrays: dict[str, list[Any]] = field(default_factory=dict)
+    _room: int = 0
+    _lists: int = 1
+
+    def __post_init__(self) -> None:
+        self.space = Workspace(self.gpu, keeps=True)
+        self.longest_list = self.gpu.largest_binding // 4
+        self._room = max(BLOCK, PAIRS_GUESSED * self.count)
+
+    @cached_property
+    def chunks(self) -> list[Chunk]:
+        """The parts: as many Gaussians as a binding holds of the largest parameter."""
+        fits = self.gpu.largest_binding // (4 * max(6, *self.sizes.values()))
+        rows = max(ALIGNED, fits // ALIGNED * ALIGNED)
+        firsts = range(0, self.count, rows)
+        return [Chunk(number, first, min(rows, self.count - first)) for number, first in enumerate(firsts)]
+
+    def load(self, name: str, values: Tensor) -> None:
+        """Send an array of a row per Gaussian to the device.
+
+        Args:
+            name: Name of the array.
+            values: (N, ...) float32 on the CPU.
+        """
+        parts = [values.detach()[c.first : c.first + c.count] for c in self.chunks]
+        known = self._arrays.get(name)
+        if known is None:
+            self._arrays[name] = [self.gpu.upload(part) for part in parts]
+            return
+        for buffer, part in zip(known, parts, strict=True):
+            self.gpu.write(buffer, part.contiguous().numpy())
+
+    def fetch(self, name: str, shape: tuple[int, ...]) -> Tensor:
+        """Read an array back.
+
+        Args:
+            name: Name of the array.
+            shape: Shape of the result; the first is N.
+        """
+        buffers = zip(self._array(name, math.prod(shape[1:])), self.chunks, strict=True)
+        return torch.cat([self.gpu.read(buffer, (c.count, *shape[1:])) for buffer, c in buffers])
+
+    def fetch_statistics(self) -> Tensor:
+        """Read (N, 2) what densification goes by, gradient and views, and begin it anew."""
+        values = self.fetch("statistics", (self.count, 2))
+        for buffer in self._array("statistics", 2):
+            self.gpu.clear(buffer)
+        return values
+
+    def step(self, view: View, adam: Mapping[str, Mapping[str, float]]) -> Outcome:
+        """Make one step of all parameters that `adam` has.
+
+        Args:
+            view: What is compared, and how.
+            adam: The fields of `Call` in adam.wgsl by parameter name.
+
+        Returns:
+            The outcome.
+
+        Raises:
+            TooManyPairs: The Gaussians meet too many tiles.
+            MemoryError: The device has too little memory, or reads too little at once.
+            WebGpuFailure: The device failed.
+        """
+        while True:
+            sums, flags = self._attempt(view, adam)
+            if not flags & OVERFLOW:
+                return self._outcome(view, sums, flags)
+            self._make_room(view)
+
+    def _attempt(self, view: View, adam: Mapping[str, Mapping[str, float]]) -> tuple[Tensor, int]:
+        n, grid = self.count, TileGrid(view.width, view.height)
+        self.gpu.write(self._numbers, view.numbers)
+        for name in ("flags", "gradients", "ranges"):
+            self.gpu.clear(self._shared(name, grid))
+        for chunk in self.chunks:
+            self._project(chunk, view)
+        order = depth_order(self.space, self._shared("splats"), self._shared("keys"), self._shared("ids"), n)
+        lists = self._list(grid, order)
+        self._blend("blend_forward", view, grid, lists)
+        self._compare(view)
+        self._blend("blend_backward", view, grid, lists)
+        for chunk in self.chunks:
+            self._backward(chunk, view)
+        self._conclude(view)
+        for chunk in self.chunks:
+            self._update(chunk, view, adam)
+        found = self.gpu.read(self._shared("outcome"), (PIXEL_SUMS + GAUSSIAN_SUMS + 2,))
+        return found[:-1].double(), int(found[-1])
+
+    # -- arrays -------------------------------------------------------------------------------------------------------
+
+    def _array(self, name: str, numbers: int) -> list[Any]:
+        """Return the parts of an array with some numbers per Gaussian."""
+        if name not in self._arrays:
+            self._arrays[name] = [self.gpu.empty(chunk.count * numbers) for chunk in self.chunks]
+        return self._arrays[name]
+
+    def _of(self, chunk: Chunk, **arrays: tuple[str, int]) -> dict[str, Any]:
+        """Return a chunk's arrays by the names of their bindings, from the arrays' names and numbers per Gaussian."""
+        return {name: self._array(array, numbers)[chunk.number] for name, (array, numbers) in arrays.items()}
+
+    def _shared(self, name: str, grid: TileGrid | None = None) -> Any:
+        """Return a buffer that is not in parts."""
+        tiles = grid.tiles if grid else 0
+        sizes = {
+            "splats": SPLAT_NUMBERS * self.count, "keys": self.count, "ids": self.count, "channels": GROUP * self.count,
+            "gradients": (MOMENTS + GROUP) * self.count, "ranges": 2 * tiles, "flags": 1, "found": 2 * self._lists,
+            "outcome": PIXEL_SUMS + GAUSSIAN_SUMS + 2, "gaussian_sums": GAUSSIAN_SUMS * SUM_GROUPS * len(self.chunks),
+            "pixel_sums": PIXEL_SUMS * SUM_GROUPS,
+        }  # fmt: skip
+        return self.space.empty(name, sizes[name])
+
+    def _image(self, name: str, view: View, numbers: int) -> Any:
+        return self.space.empty(name, numbers * view.width * view.height)
+
+    # -- stages -------------------------------------------------------------------------------------------------------
+
+    def _activation(self, chunk: Chunk, view: View) -> dict[str, Any]:
+        least, most = view.log_scale_limits
+        return {
+            "centre": view.centre.tolist(), "count": chunk.count, "first": chunk.first, "seed": view.seed,
+            "dropout": view.dropout, "least": least, "most": most, "farthest": view.farthest,
+            "geometry": int(view.geometry), "half_width": view.width / 2,
+        }  # fmt: skip
+
+    def _camera(self, chunk: Chunk, view: View) -> dict[str, Any]:
+        return camera_fields(view.viewmat, view.K) | {
+            "count": chunk.count, "width": view.width, "height": view.height
+        }  # fmt: skip
+
+    def _shading(self, chunk: Chunk, view: View) -> dict[str, Any]:
+        return {
+            "count": chunk.count, "degree": view.water_degree, "mode": view.mode, "row": MOMENTS + GROUP,
+            "first_sum": SUM_GROUPS * chunk.number, "dazzling": view.dazzling,
+        }  # fmt: skip
+
+    def _colors(self, chunk: Chunk, view: View) -> dict[str, Any]:
+        return {"count": chunk.count, "higher": self.sizes["shN"] // 3, "degree": view.sh_degree}
+
+    def _project(self, chunk: Chunk, view: View) -> None:
+        run, groups = self.space.run, chunk.groups
+        scales, opacities, offsets = ("scales", 3), ("opacities", 1), ("offsets", 3)
+        directions, colors, radii = ("directions", 3), ("colors", 3), ("radii", 1)
+        own = {"means": ("means", 3), "log_scales": ("log_scales", 3), "logits": ("opacity_logits", 1)}
+        made = {"scales": scales, "opacities": opacities, "offsets": offsets, "directions": directions}
+        run("activate", groups, self._activation(chunk, view), **self._of(chunk, **own, **made))
+        sh = {"sh0": ("sh0", 3), "shN": ("shN", self.sizes["shN"]), "directions": directions, "colors": colors}
+        run("sh_forward", -(-3 * chunk.count // THREADS), self._colors(chunk, view), **self._of(chunk, **sh))
+        shown = chunk.of(self._shared("channels"), GROUP)
+        shaded = self._of(chunk, colors=colors, offsets=offsets, opacities=opacities)
+        run("shade_forward", groups, self._shading(chunk, view), numbers=self._numbers, **shaded, shown=shown)
+        flat = {"means2d": ("means2d", 2), "conics": ("conics", 3), "depths": ("depths", 1), "radii": radii}
+        gaussians = {"means": ("means", 3), "quats": ("quats", 4), "scales": scales, "opacities": opacities}
+        run("project_forward", groups, self._camera(chunk, view), **self._of(chunk, **gaussians, **flat))
+        packed = {
+            "packed": chunk.of(self._shared("splats"), SPLAT_NUMBERS), "keys": chunk.of(self._shared("keys"), 1),
+            "ids": chunk.of(self._shared("ids"), 1),
+        }  # fmt: skip
+        call = {"count": chunk.count, "width": view.width, "height": view.height, "first": chunk.first}
+        run("pack", groups, call, **self._of(chunk, **flat, opacities=opacities), **packed)
+
+    @property
+    def _numbers(self) -> Any:
+        return self.space.empty("numbers", NUMBERS)
+
+    def _list(self, grid: TileGrid, order: Any) -> list[tuple[TileRows, Any]]:
+        """List the Gaussians of each tile, in as many lists as bindings call for; return each one's rows and list."""
+        lists, ranges, found = [], self._shared("ranges", grid), self._shared("found")
+        height = -(-grid.down // self._lists)
+        for number in range(self._lists):
+            rows = TileRows(number, min(number * height, grid.down), min((number + 1) * height, grid.down))
+            counted = count_tiles(self.space, order, grid, rows)
+            ids = list_tiles(self.space, order, counted, grid, rows, self._room, ranges, found)
+            lists.append((rows, ids))
+        return lists
+
+    def _make_room(self, view: View) -> None:
+        """Make the lists of pairs longer, or more where a binding holds no longer ones."""
+        found = self.gpu.read(self._shared("found"), (self._lists, 2), torch.int32)[:, 0]
+        check_pairs(int(found.long().sum()))
+        most, rows = int(found.max()), TileGrid(view.width, view.height).down
+        room = int(SPARE_ROOM * most)
+        if room <= self.longest_list:
+            self._room = room
+        elif self._lists < rows:
+            self._lists = min(2 * self._lists, rows)
+            self._room = self.longest_list
+        else:
+            self._room = most  # raises MemoryError where that is too much
+
+    def _blend(self, kernel: str, view: View, grid: TileGrid, lists: list[tuple[TileRows, Any]]) -> None:
+        shared = {
+            "splats": self._shared("splats"), "channels": self._shared("channels"),
+            "ranges": self._shared("ranges", grid),
+        }  # fmt: skip
+        image, endings = self._image("blended", view, GROUP), self._image("endings", view, 2)
+        if kernel == "blend_forward":
+            shared |= {"image": image, "endings_out": endings}
+        else:
+            shared |= {
+                "endings": endings, "by_image": self._image("by_blended", view, GROUP),
+                "by_alpha": self._image("by_alpha", view, 1), "gradients": self._shared("gradients"),
+            }  # fmt: skip
+        call = {
+            "background": view.background, "width": view.width, "height": view.height, "row": MOMENTS + GROUP,
+            "count": self.count,
+        }  # fmt: skip
+        for rows, ids in lists:
+            tiles = {"first_tile": rows.first * grid.across, "end_tile": rows.end * grid.across}
+            self.space.run(kernel, (rows.end - rows.first) * grid.across, call | tiles, **shared, ids=ids)
+
+    def _compare(self, view: View) -> None:
+        """Compare the photo of the blended image with the training image; set the gradients by the blended image."""
+        run, pixels = self.space.run, view.width * view.height
+        l1, ssim, l2, coverage = view.weights
+        rows = camera_fields(view.viewmat, view.K)
+        call = {name: rows[name] for name in ("row0", "row1", "row2", "intrinsics")} | {
+            "width": view.width, "height": view.height, "degree": view.water_degree, "mode": view.mode,
+            "absolute": l1 / (3 * pixels), "square": 2 * l2 / (3 * pixels), "open": coverage / pixels,
+            "least": view.surface[0], "most": view.surface[1],
+        }  # fmt: skip
+        sources = {
+            "numbers": self._numbers, "blended": self._image("blended", view, GROUP),
+            "ended": self._image("endings", view, 2), "wanted": view.target,
+        }  # fmt: skip
+        photo, aim, by_photo = (self._image(name, view, 3) for name in ("photo", "aim", "by_photo"))
+        if ssim:
+            run("photo_forward", -(-pixels // THREADS), call, **sources, photo=photo, aim=aim)
+            squares, slopes = self._squares(view), self._image("slopes", view, 9)
+            sums = self.space.empty("similarity", 2 * squares)
+            images = {"image": photo, "wanted": aim}
+            sizes = {"height": view.height, "width": view.width, "ssim_factor": -ssim / (3 * pixels)}
+            run("l1_ssim_forward", squares, sizes, **images, sums=sums, derivatives=slopes)
+            run("l1_ssim_backward", squares, sizes, **images, slopes=slopes, gradient=by_photo)
+        outputs = {
+            "by_photo": by_photo, "by_blended": self._image("by_blended", view, GROUP),
+            "by_transparent": self._image("by_alpha", view, 1), "pixel_sums": self._shared("pixel_sums"),
+        }  # fmt: skip
+        run("photo_backward", SUM_GROUPS, call, **sources, **outputs)
+
+    @staticmethod
+    def _squares(view: View) -> int:
+        return -(-view.height // TILE) * -(-view.width // TILE)
+
+    def _backward(self, chunk: Chunk, view: View) -> None:
+        run, groups, of = self.space.run, chunk.groups, self._of
+        gradients, flags = chunk.of(self._shared("gradients"), MOMENTS + GROUP), self._shared("flags")
+        splats, geometry = chunk.of(self._shared("splats"), SPLAT_NUMBERS), of(chunk, geometry=("geometry", MOMENTS))
+        call = {"count": chunk.count, "row": MOMENTS + GROUP}
+        run("turn_moments", groups, call, splats=splats, moments=gradients, **geometry)
+        shaded = of(chunk, colors=("colors", 3), offsets=("offsets", 3), by_colors=("by_colors", 3))
+        sums = {"gradients": gradients, "gaussian_sums": self._shared("gaussian_sums")}
+        run("shade_backward", SUM_GROUPS, self._shading(chunk, view), numbers=self._numbers, **shaded, **sums)
+        colors = of(
+            chunk, directions=("directions", 3), shown=("colors", 3), by_colors=("by_colors", 3), by_sh0=("by.sh0", 3),
+            by_shN=("by.shN", self.sizes["shN"]),
+        )  # fmt: skip
+        run("sh_backward", -(-3 * chunk.count // THREADS), self._colors(chunk, view), **colors, flags=flags)
+        by = {"by_means": ("by.means", 3), "by_quats": ("by.quats", 4)}
+        if view.geometry:
+            gaussians = {"means": ("means", 3), "quats": ("quats", 4), "scales": ("scales", 3), "radii": ("radii", 1)}
+            made = of(chunk, **gaussians, **by, by_scales=("by.log_scales", 3))
+            run("project_backward", groups, self._camera(chunk, view), **made, incoming=geometry["geometry"])
+        own = {"log_scales": ("log_scales", 3), "logits": ("opacity_logits", 1)}
+        outputs = {"by_log_scales": ("by.log_scales", 3), "by_logits": ("by.opacity_logits", 1)}
+        made = of(chunk, **own, **by, **outputs)
+        run("activate_backward", groups, self._activation(chunk, view), **geometry, **made, flags=flags)
+
+    def _conclude(self, view: View) -> None:
+        squares = self._squares(view) if view.weights[1] else 0
+        call = {
+            "pixel_rows": SUM_GROUPS, "gaussian_rows": SUM_GROUPS * len(self.chunks), "squares": squares,
+            "bands": self._lists,
+        }  # fmt: skip
+        sums = {"similarity": self.space.empty("similarity", 2 * self._squares(view)), "pairs": self._shared("found")}
+        names = ("pixel_sums", "gaussian_sums", "flags", "outcome")
+        self.space.run("conclude", 1, call, **sums, **{name: self._shared(name) for name in names})
+
+    def _update(self, chunk: Chunk, view: View, adam: Mapping[str, Mapping[str, float]]) -> None:
+        flags = self._shared("flags")
+        counted = self._of(chunk, geometry=("geometry", MOMENTS), radii=("radii", 1), statistics=("statistics", 2))
+        self.space.run("count_views", chunk.groups, self._activation(chunk, view), **counted, flags=flags)
+        for name, fields in adam.items():
+            size = self.sizes[name]
+            arrays = {
+                "parameter": name,
+                "gradient": f"by.{name}",
+                "mean": f"{name}.exp_avg",
+                "square": f"{name}.exp_avg_sq",
+            }
+            buffers = self._of(chunk, **{binding: (array, size) for binding, array in arrays.items()})
+            numbers = size * chunk.count
+            call = {**fields, "count": numbers}
+            self.space.run("adam_step", -(-numbers // THREADS), call, **buffers, skipped=flags)
+
+    def _outcome(self, view: View, sums: Tensor, flags: int) -> Outcome:
+        l1, ssim, l2, coverage = view.weights
+        pixels = view.width * view.height
+        over_pixels, over_gaussians, similar = sums[:PIXEL_SUMS], sums[PIXEL_SUMS:-1], float(sums[-1])
+        absolute, square, uncovered = over_pixels[:3].tolist()
+        loss = (l1 * absolute + l2 * square) / (3 * pixels) + coverage * uncovered / pixels
+        if ssim:
+            loss += ssim * (1 - similar / (3 * pixels))
+        by_coefficients = over_gaussians[:33].clone()
+        if view.mode & OPEN:
+            by_coefficients[6:] += over_pixels[12:39]
+        bad = [f"the gradient of {name}" for bit, name in enumerate(GRADIENTS) if flags & 1 << bit]
+        bad += ["the loss"] if flags & LOSS else []
+        return Outcome(
+            loss,
+            f"{bad[0]} is not finite" if bad else "",
+            by_coefficients.float(),
+            over_gaussians[33].float(),
+            over_pixels[3:9].float(),
+            over_pixels[9:12].float(),
+        )

@@ -1,0 +1,288 @@
+"""The step on a GPU does what the CPU's step does; on a driver that runs its kernels on the processor."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+
+from swag_engine.gaussians.densify import PER_GAUSSIAN
+from swag_engine.kernels import webgpu_device
+from swag_engine.kernels.backends import CPU, KERNELS
+from swag_engine.kernels.webgpu import WebGpuKernels
+from swag_engine.kernels.webgpu_device import ALLOW_SOFTWARE
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.checkpoint import load_checkpoint
+from swag_engine.training.native_step import NativeStep
+from swag_engine.training.step import AutogradStep
+from swag_engine.training.trainer import train
+from swag_engine.training.webgpu_step import WebGpuStep
+from tests.engine.step_scenes import (
+    ALL,
+    NO_BACKSCATTER,
+    WATER,
+    DoubleTarget,
+    Refusing,
+    autograd,
+    gradients,
+    inputs_of_step,
+    trainers,
+)
+
+
+@pytest.fixture(scope="module", params=["atomic floats", "compare and swap"])
+def gpu(request, missing):
+    if not webgpu_device._adapters():
+        missing("A Vulkan driver is missing: apt-get install mesa-vulkan-drivers.")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(ALLOW_SOFTWARE, "1")
+        return webgpu_device.request(float_atomics=request.param == "atomic floats", default_limits=True)
+
+
+@pytest.fixture
+def kernels(gpu, monkeypatch):
+    """The backend, registered as such."""
+    monkeypatch.setitem(KERNELS, "wgpu", WebGpuKernels(CPU, lambda: gpu))
+    return KERNELS["wgpu"]
+
+
+@pytest.fixture(scope="module")
+def make(tiny_scene, tmp_path_factory):
+    return trainers(tiny_scene, tmp_path_factory)
+
+
+one_gpu = pytest.mark.parametrize("gpu", ["atomic floats"], indirect=True)
+
+
+def steps_of(trainer, kernels):
+    """Return the step on the GPU and that on the CPU, which fail where they are left to others."""
+    refusing = Refusing(trainer.inputs, trainer.selection, None)
+    on_gpu = WebGpuStep(trainer.inputs, trainer.selection, refusing, kernels)
+    return on_gpu, NativeStep(trainer.inputs, trainer.selection, refusing)
+
+
+def relative(got, expected):
+    return float((got - expected).detach().norm() / expected.detach().norm().clamp(min=1e-12))
+
+
+CASES: dict[str, tuple[str, str, dict[str, Any]]] = {
+    "3dgs": ("3dgs", "", {}),
+    "water": ("swag", WATER, {}),
+    "water on display values": ("swag", WATER, {}),
+    "before the water": ("swag", WATER, {"with_water": False}),
+    "all effects": ("swag", ALL, {}),
+    "no backscatter": ("swag", NO_BACKSCATTER, {}),
+    "stage two": ("swag", ALL, {"stage_two": True, "fraction": 0.95}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_step_is_that_of_the_cpu(make, kernels, case):
+    recipe, effects, changes = CASES[case]
+    trainer = make(recipe, effects)
+    if case == "water on display values":
+        trainer.state.effects.medium.light = "srgb"
+    states = trainer.state, trainer._copied(trainer.state)
+    target, config = inputs_of_step(trainer, **changes)
+    on_gpu, on_cpu = steps_of(trainer, kernels)
+    got, expected = on_gpu(states[0], target, config), on_cpu(states[1], target, config)
+    states[1].statistics.add(expected.means2d_gradient, expected.radii, target.camera.width)
+    states[0].synchronize()
+    assert got.loss == pytest.approx(expected.loss, rel=1e-5)
+    moments = states[0].optimizer.moments, states[1].optimizer.moments
+    for name, (mean, square) in moments[1].items():  # after one step, the gradient and its square
+        assert relative(moments[0][name][0], mean) < 2e-4, name
+        assert relative(moments[0][name][1], square) < 4e-4, name
+    assert relative(states[0].statistics.gradient, states[1].statistics.gradient) < 1e-4
+    assert torch.equal(states[0].statistics.views, states[1].statistics.views)
+
+
+@one_gpu
+def test_gradients_are_those_of_the_float64_reference(make, kernels, monkeypatch):
+    trainer = make()
+    state = trainer._copied(trainer.state)
+    target, config = inputs_of_step(trainer)
+    step = steps_of(trainer, kernels)[0]
+    loss = step(state, target, config).loss
+    state.synchronize()
+    for owner in (trainer.state.cloud, *trainer.state.effects.models.values()):
+        for name, value in owner.parameters().items():
+            setattr(owner, name, value.detach().double().requires_grad_())
+    reference = replace(trainer.inputs, settings=replace(trainer.inputs.settings, backend="torch"))
+    monkeypatch.setattr(trainer, "inputs", reference)
+    monkeypatch.setattr(trainer.selection, "inputs", reference)
+    exact = DoubleTarget(target.camera, target.pixels, target.valid)
+    result, expected = gradients(autograd(trainer), trainer.state, exact, config)
+    assert loss == pytest.approx(result.loss, rel=1e-5)
+    for name, (mean, _) in state.optimizer.moments.items():
+        if name in expected:
+            assert relative(10 * mean, expected[name]) < 5e-4, name
+
+
+@one_gpu
+def test_100_steps_follow_those_of_the_cpu(make, kernels):
+    """Some seconds on a driver that runs on the processor, so that differences have time to grow."""
+    trainer = make()
+    states = trainer.state, trainer._copied(trainer.state)
+    config, targets = inputs_of_step(trainer)[1], trainer.targets.at(trainer.state, 0.2)
+    steps = steps_of(trainer, kernels)
+    got, expected = (
+        torch.tensor([step(state, targets[i % len(targets)], config).loss for i in range(100)])
+        for step, state in zip(steps, states, strict=True)
+    )
+    states[0].synchronize()
+    assert expected[-8:].mean() < 0.5 * expected[:8].mean()
+    assert (got - expected).abs().max() < 1e-3  # measured: 2e-4
+    for name, value in states[1].optimizer.parameters().items():
+        if value.numel():  # measured: .0025 at most
+            assert relative(states[0].optimizer.parameters()[name], value) < 0.02, name
+
+
+@pytest.mark.parametrize("name", ["opacity_logits", "exposure.raw", "sh0"])
+def test_a_step_that_is_not_finite_changes_nothing(make, kernels, name):
+    trainer = make()
+    state, (target, config) = trainer.state, inputs_of_step(trainer)
+    with torch.no_grad():
+        state.optimizer.parameters()[name][0] = torch.nan
+    before = {name: p.detach().clone() for name, p in state.optimizer.parameters().items()}
+    step = steps_of(trainer, kernels)[0]
+    problem = step(state, target, config).problem
+    state.synchronize()
+    assert problem.endswith("is not finite") and (name != "opacity_logits" or name in problem)
+    for name, parameter in state.optimizer.parameters().items():
+        assert parameter.grad is None and torch.equal(parameter.nan_to_num(9), before[name].nan_to_num(9)), name
+    assert all(not moment.any() for pair in state.optimizer.moments.values() for moment in pair)
+    assert not state.statistics.views.any() and state.optimizer.steps == 0
+
+
+@one_gpu
+def test_what_the_cpu_changes_between_steps_counts(make, kernels):
+    trainer = make()
+    states = trainer.state, trainer._copied(trainer.state)
+    target, config = inputs_of_step(trainer)
+    losses = []
+    for step, state in zip(steps_of(trainer, kernels), states, strict=True):
+        step(state, target, config)
+        state.synchronize()
+        with torch.no_grad():
+            state.cloud.log_scales[::2] += 0.5  # in place
+        step(state, target, config)
+        state.synchronize()
+        state.replace_cloud(
+            state.cloud.__class__(
+                **{name: getattr(state.cloud, name).detach()[::2] for name in PER_GAUSSIAN},
+                background=state.cloud.background,
+            ),
+            torch.arange(0, len(state.cloud), 2),
+        )
+        losses.append(step(state, target, config).loss)
+    assert losses[0] == pytest.approx(losses[1], rel=1e-4)
+
+
+def check_step(trainer, kernels, target, config, prepare=lambda step: None):
+    """Make a step on the GPU after `prepare` and one on the CPU, and compare; return the one on the GPU."""
+    states = trainer.state, trainer._copied(trainer.state)
+    on_gpu, on_cpu = steps_of(trainer, kernels)
+    prepare(on_gpu)
+    got, expected = on_gpu(states[0], target, config), on_cpu(states[1], target, config)
+    states[0].synchronize()
+    assert got.loss == pytest.approx(expected.loss, rel=1e-5)
+    for name, (mean, _) in states[1].optimizer.moments.items():
+        assert relative(states[0].optimizer.moments[name][0], mean) < 2e-4, name
+    return on_gpu
+
+
+@one_gpu
+def test_arrays_are_in_parts_where_bindings_are_small(make, kernels, gpu, monkeypatch):
+    trainer = make()
+    config = inputs_of_step(trainer)[1]
+    whole = trainer.targets.at(trainer.state, 0.6)[0]
+    height, width = whole.valid.shape[0] // 2, whole.valid.shape[1] // 2
+    camera = whole.camera.resized(width)
+    target = replace(whole, camera=camera, pixels=whole.pixels[::2, ::2], valid=whole.valid[::2, ::2])
+    monkeypatch.setattr(gpu, "largest_binding", 4 * 9 * height * width)  # what SSIM needs
+    step = check_step(trainer, kernels, target, config)
+    assert len(step._resident.chunks) > 2 and step._resident.chunks[0].count * 180 <= gpu.largest_binding
+    monkeypatch.setattr(gpu, "largest_binding", 4 * 10 * len(trainer.state.cloud) - 4)
+    with pytest.raises(MemoryError, match="reads at once"):
+        steps_of(trainer, kernels)[0](trainer.state, target, config)
+
+
+@one_gpu
+def test_pairs_are_in_several_lists_where_one_would_be_too_long(make, kernels):
+    trainer = make()
+    target, config = inputs_of_step(trainer)
+
+    def shorten(step):
+        state = trainer._copied(trainer.state)
+        step(state, target, config)
+        resident = step._resident
+        pairs = int(kernels.gpu.read(resident._shared("found"), (1, 2), torch.int32)[0, 0])
+        resident.longest_list, resident._room = pairs // 2 - 1, 10
+
+    assert check_step(trainer, kernels, target, config, shorten)._resident._lists > 2
+
+
+@one_gpu
+def test_nothing_of_the_size_of_the_gaussians_is_moved_in_a_step(make, kernels, gpu):
+    trainer = make()
+    target, config = inputs_of_step(trainer)
+    step = steps_of(trainer, kernels)[0]
+    for _ in range(2):
+        step(trainer.state, target, config)
+    before = replace(gpu.counters)
+    step(trainer.state, target, config)
+    # Numbers of water, lamp and gains in; sums and flags out.
+    assert gpu.counters.uploaded - before.uploaded == 4 * 45
+    assert gpu.counters.downloaded - before.downloaded == 4 * 76
+
+
+# -- runs --------------------------------------------------------------------------------------------------------------
+
+FEW = TrainSettings(recipe="swag", iterations=60, width=32, max_gaussians=200, backend="wgpu", effects=ALL)
+
+
+@one_gpu
+def test_a_run_that_was_stopped_resumes(kernels, tiny_scene, tmp_path, monkeypatch):
+    """Ten seconds on a driver that runs on the processor: two runs that densify."""
+    with monkeypatch.context() as patch:  # all steps are on the GPU
+        patch.delattr(AutogradStep, "__call__")
+        patch.delattr(NativeStep, "__call__")
+        whole = train(tiny_scene, tmp_path / "whole", FEW)["metrics"]
+        asked = iter(range(10**9))
+        stopped = train(tiny_scene, tmp_path / "parts", FEW, should_stop=lambda: next(asked) >= 33)
+        assert stopped["interrupted"] and stopped["metrics"]["iteration"] == 33
+        parts = train(tiny_scene, tmp_path / "parts", FEW, resume=True)["metrics"]
+    on_cpu = train(tiny_scene, tmp_path / "cpu", replace(FEW, backend="cpu"))["metrics"]
+    for metrics in (parts, on_cpu):
+        assert metrics["gaussians"] == pytest.approx(whole["gaussians"], rel=0.02)
+        assert metrics["test_psnr"] == pytest.approx(whole["test_psnr"], abs=0.1)
+    tensors = [load_checkpoint(tmp_path / name)[0] for name in ("whole", "cpu")]
+    assert int(tensors[0]["adam.steps"]) == int(tensors[1]["adam.steps"]) == 60
+
+
+@one_gpu
+def test_when_the_card_fails_the_run_goes_on_on_the_processor(kernels, gpu, tiny_scene, tmp_path, monkeypatch):
+    import wgpu
+
+    submit, left = gpu.device.queue.submit, iter(range(40))
+
+    def fail_later(commands):
+        if next(left, None) is None:
+            raise wgpu.GPUError("Parent device\n  is lost.")
+        submit(commands)
+
+    monkeypatch.setattr(gpu.device.queue, "submit", fail_later)
+    metrics = train(tiny_scene, tmp_path / "run", FEW)["metrics"]
+    notes = [note for note in metrics["notes"] if "graphics card" in note]
+    assert len(notes) == 1 and notes[0].endswith("failed: Parent device is lost. Training continued on the processor.")
+    assert metrics["iteration"] == 60 and metrics["test_psnr"] > 10
+
+
+@one_gpu
+def test_other_recipes_say_where_they_run(kernels, gpu, tiny_scene, tmp_path):
+    before = gpu.counters.dispatches
+    settings = TrainSettings(recipe="watersplatting", iterations=3, width=32, max_gaussians=100, backend="wgpu")
+    notes = train(tiny_scene, tmp_path / "run", settings)["metrics"]["notes"]
+    assert gpu.counters.dispatches == before
+    assert any(note.startswith("The recipe watersplatting does not run on the backend wgpu") for note in notes)
