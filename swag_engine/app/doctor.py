@@ -35,8 +35,10 @@ def describe(found: dict[str, Any]) -> str:
         backend = found["backends"][name]
         lines.append(f"backend {name}: {detail if backend['runs'] else 'does not run here: ' + backend['reason']}")
     for adapter in wgpu_backend["adapters"]:
-        kind = "on the processor" if adapter["software"] else "a graphics card"
-        lines.append(f"  adapter {adapter['name']}, {adapter['api']}, {adapter['driver']}: {kind}")
+        sums = "adds floats atomically" if adapter["float_atomics"] else "adds floats by compare and swap"
+        size = f"reads {adapter['largest_binding'] / 2**20:.0f} MiB at once"
+        use = f"not used: {adapter['refused']}" if adapter["refused"] else "used"
+        lines.append(f"  adapter {adapter['name']}, {adapter['api']}, {adapter['driver']}: {sums}, {size}, {use}")
     lines.append(f"Training uses {found['auto']}.")
     return "\n".join(lines)
 

@@ -19,7 +19,7 @@ from ..base.timing import part
 from . import elementwise
 from .cpu import CpuKernels
 from .protocol import Projection, check_pairs
-from .webgpu_device import WebGpu, WebGpuFailure, WebGpuUnavailable, Workspace, adapters, request
+from .webgpu_device import WebGpu, WebGpuFailure, WebGpuUnavailable, Workspace, adapters
 from .webgpu_tiles import (
     GROUP,
     MOMENTS,
@@ -31,6 +31,7 @@ from .webgpu_tiles import (
     count_tiles,
     depth_order,
     list_tiles,
+    request_checked,
 )
 
 T = TypeVar("T")
@@ -62,7 +63,7 @@ class WebGpuKernels:
         failure: A sentence for the user on how the device failed, empty while it works.
     """
 
-    def __init__(self, cpu: CpuKernels, make_device: Callable[[], WebGpu] = request) -> None:
+    def __init__(self, cpu: CpuKernels, make_device: Callable[[], WebGpu] = request_checked) -> None:
         self.cpu, self._make_device = cpu, make_device
         self.failure = ""
 
@@ -87,7 +88,7 @@ class WebGpuKernels:
     def _device_or_reason(self) -> WebGpu | str:
         try:
             return self._make_device()
-        except WebGpuUnavailable as reason:
+        except (WebGpuUnavailable, WebGpuFailure, MemoryError) as reason:
             return str(reason)
 
     @property

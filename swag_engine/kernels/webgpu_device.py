@@ -53,6 +53,15 @@ DEFAULT_LIMITS = {
     "max-compute-workgroups-per-dimension": 65535,
 }
 """WebGPU's default limits, which are all that the kernels need."""
+KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
+"""Kinds of adapters, the one that is taken first before the others."""
+BAD_DRIVERS = {
+    # gfx-rs/wgpu issue 7904, July 2025: sums over 64 threads come out as those of two.
+    "Microsoft Basic Render Driver": "its barriers in workgroup memory do not hold",
+    # gfx-rs/wgpu issue 8643, December 2025: a counter of 16 threads stays at 1. Mesa's drivers of these chips are fine.
+    r"^Mali(?!.*Mesa)": "its driver adds wrongly in workgroup memory",
+}
+"""Adapters and drivers that are known to compute wrongly, as patterns of name and driver, and what is wrong."""
 LEAST_BUFFER = 64
 """Smallest buffer, bytes: a kernel refuses one without room for an item."""
 CALL_BYTES = 256
@@ -407,16 +416,23 @@ def _source(files: str, float_atomics: bool) -> Source:
 
 
 def adapters() -> list[dict[str, Any]]:
-    """List the adapters of this machine.
+    """List the adapters of this machine, the one that is used first.
 
     Returns:
-        For each: `name`, `driver`, `api` ("Vulkan", "Metal", ...), `software` (whether it computes on the processor)
-        and `float_atomics`. OpenGL is left out.
+        For each: `name`, `driver`, `api` ("Vulkan", "Metal", ...), `software` (whether it computes on the processor),
+        `float_atomics`, `largest_binding` (bytes) and `refused` (why it is not used, a clause; empty where it is).
+        OpenGL is left out.
 
     Raises:
         WebGpuUnavailable: The package `wgpu` is missing or does not load.
     """
-    return [_describe(adapter) for adapter in _adapters()]
+    ranked = _ranked()
+    used = next((adapter.info["device"] for adapter, reason in ranked if not reason), "")
+    listed: list[dict[str, Any]] = []
+    for adapter, reason in ranked:
+        earlier = any(not before["refused"] for before in listed)
+        listed.append(_describe(adapter) | {"refused": reason or (f"{used} comes before it" if earlier else "")})
+    return listed
 
 
 def _adapters() -> list[Any]:
@@ -428,6 +444,25 @@ def _adapters() -> list[Any]:
     return [adapter for adapter in found if adapter.info["backend_type"] != "OpenGL"]
 
 
+def _ranked() -> list[tuple[Any, str]]:
+    """Return the adapters and why each cannot be used, empty where it can: those first, cards before graphics chips."""
+    ranked = [(adapter, _refusal(adapter)) for adapter in _adapters()]
+    return sorted(ranked, key=lambda pair: (bool(pair[1]), KINDS.index(pair[0].info["adapter_type"])))
+
+
+def _refusal(adapter: Any) -> str:
+    info = adapter.info
+    for pattern, reason in BAD_DRIVERS.items():
+        if re.search(pattern, f"{info['device']}, {info['description']}"):
+            return reason
+    if info["adapter_type"] == "CPU" and os.environ.get(ALLOW_SOFTWARE) != "1":
+        return f"it computes on the processor; set {ALLOW_SOFTWARE}=1 to use it in tests"
+    for name, needed in DEFAULT_LIMITS.items():
+        if adapter.limits[name] < needed:
+            return f"it has {adapter.limits[name]} {name.replace('-', ' ')}, and {needed} are needed"
+    return ""
+
+
 def _describe(adapter: Any) -> dict[str, Any]:
     info = adapter.info
     return {
@@ -436,6 +471,7 @@ def _describe(adapter: Any) -> dict[str, Any]:
         "api": info["backend_type"],
         "software": info["adapter_type"] == "CPU",
         "float_atomics": FLOAT_ATOMICS in adapter.features,
+        "largest_binding": adapter.limits["max-storage-buffer-binding-size"],
     }
 
 
@@ -452,20 +488,12 @@ def request(float_atomics: bool = True, default_limits: bool = False) -> WebGpu:
     Raises:
         WebGpuUnavailable: There is no such adapter, or it gives no device.
     """
-    order = ["DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown"]
-    software = [adapter for adapter in _adapters() if adapter.info["adapter_type"] == "CPU"]
-    real = [adapter for adapter in _adapters() if adapter.info["adapter_type"] != "CPU"]
-    real.sort(key=lambda adapter: (order + [adapter.info["adapter_type"]]).index(adapter.info["adapter_type"]))
-    if os.environ.get(ALLOW_SOFTWARE) == "1":
-        real += software
-    if not real and software:
-        name = software[0].info["device"]
-        raise WebGpuUnavailable(
-            f"the only adapter is {name}, which computes on the processor; set {ALLOW_SOFTWARE}=1 to use it in tests."
-        )
-    if not real:
+    ranked = _ranked()
+    if not ranked:
         raise WebGpuUnavailable("no graphics adapter with Vulkan, Metal or DirectX 12 was found.")
-    adapter = real[0]
+    adapter, refused = ranked[0]
+    if refused:
+        raise WebGpuUnavailable(f"{adapter.info['device']} is not used: {refused}.")
     features = [FLOAT_ATOMICS] if float_atomics and FLOAT_ATOMICS in adapter.features else []
     binding = DEFAULT_BINDING if default_limits else adapter.limits["max-storage-buffer-binding-size"]
     sizes = {"max-storage-buffer-binding-size": binding}

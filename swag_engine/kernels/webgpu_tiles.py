@@ -3,7 +3,10 @@
 from dataclasses import dataclass
 from typing import Any
 
-from .webgpu_device import Workspace
+import numpy as np
+import torch
+
+from .webgpu_device import WebGpu, WebGpuUnavailable, Workspace, request
 
 THREADS = 256
 """Threads of a group that takes an item each; as in common.wgsl."""
@@ -19,6 +22,9 @@ RADIX_BITS = 4
 """Bits of a key that one pass of the sort takes; as in sort.wgsl."""
 BLOCK = 1024
 """Keys that a group of threads sorts; as in sort.wgsl."""
+
+CHECKED = 70 * BLOCK
+"""Keys that a device sorts before it is used: so many that the counts of their digits are in two blocks."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +123,32 @@ def _sort(space: Workspace, name: str, keys: Any, values: Any, count: int, bits:
         space.run("move_by_digit", blocks, call, **moved, data=counts)
         (keys, values), spare = spare, (keys, values)
     return keys, values
+
+
+def request_checked() -> WebGpu:
+    """Get a device that sorts: one whose barriers or sums are wrong does not.
+
+    Raises:
+        WebGpuUnavailable: There is none.
+        WebGpuFailure: The device failed.
+    """
+    gpu = request()
+    check(gpu)
+    return gpu
+
+
+def check(gpu: WebGpu) -> None:
+    """Let a device sort, to find out whether its barriers and sums in workgroup memory are right.
+
+    Raises:
+        WebGpuUnavailable: It sorts wrongly.
+        WebGpuFailure: It failed.
+    """
+    keys = torch.from_numpy(np.random.default_rng(0).integers(0, 2**8, CHECKED, dtype=np.int32))
+    numbers = torch.arange(CHECKED, dtype=torch.int32)
+    _, ids = _sort(Workspace(gpu, keeps=False), "check", gpu.upload(keys), gpu.upload(numbers), CHECKED, 8)
+    if not torch.equal(gpu.read(ids, (CHECKED,), torch.int32).long(), torch.sort(keys, stable=True).indices):
+        raise WebGpuUnavailable(f"{gpu.adapter_name} computes wrongly: it does not sort. Update its driver.")
 
 
 def depth_order(space: Workspace, splats: Any, keys: Any, ids: Any, count: int) -> DepthOrder:

@@ -52,7 +52,7 @@ from .state import CPU, RunState
 from .step import GEOMETRY, AutogradStep, Step, StepConfig
 from .target_cache import Targets
 from .trials import run_trials, trials_due
-from .webgpu_step import WebGpuStep, with_backend_of_recipe
+from .webgpu_step import WebGpuStep, with_backend_of_run
 
 InitialCloud = Callable[[Points, int, int, int, np.ndarray], GaussianCloud]
 
@@ -128,7 +128,7 @@ def make_trainer(
     if not resume:
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
-    settings, backend_note = with_backend_of_recipe(settings)
+    settings, backend_note = with_backend_of_run(settings, resume)
     try:
         trainer = none_if_out_of_memory(
             lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud)

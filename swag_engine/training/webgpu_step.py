@@ -12,7 +12,8 @@ from torch import Tensor
 
 from ..base.timing import part
 from ..gaussians.cloud import LOG_SCALE_LIMITS
-from ..kernels.backends import automatic_backend
+from ..kernels.backends import KERNELS, automatic_backend
+from ..kernels.protocol import TooManyPairs
 from ..kernels.webgpu import WebGpuKernels
 from ..kernels.webgpu_device import WebGpuFailure
 from ..kernels.webgpu_training import (
@@ -50,14 +51,15 @@ COEFFICIENTS, TAU, UNIT_RANGE, GAINS = 33, 33, 34, 35
 """How many coefficients the water has, and places of the other numbers, as in medium.wgsl."""
 
 
-def with_backend_of_recipe(settings: TrainSettings) -> tuple[TrainSettings, str]:
+def with_backend_of_run(settings: TrainSettings, resume: bool) -> tuple[TrainSettings, str]:
     """Choose what computes: "auto" takes a graphics card through WebGPU where its recipe and the machine allow it.
 
     Args:
         settings: What the user chose.
+        resume: Whether the run continues, which it does without the card that it began on.
 
     Returns:
-        The settings, and a sentence for the user where the recipe does not run on the backend that was asked for.
+        The settings, and a sentence for the user where a run on "wgpu" is computed on the processor.
     """
     if settings.backend == "auto" and settings.recipe in RECIPES and automatic_backend() == "wgpu":
         return replace(settings, backend="wgpu"), ""
@@ -67,6 +69,8 @@ def with_backend_of_recipe(settings: TrainSettings) -> tuple[TrainSettings, str]
             "run was computed on the processor."
         )
         return replace(settings, backend="cpu"), note
+    if settings.backend == "wgpu" and resume and (reason := KERNELS["wgpu"].unavailable_reason()):
+        return replace(settings, backend="cpu"), f"The run was continued on the processor: {reason}"
     return settings, ""
 
 
@@ -110,9 +114,16 @@ class WebGpuStep:
         except WebGpuFailure as failure:
             self._fail(state, failure)
             return self.otherwise(state, target, config)
+        except (MemoryError, TooManyPairs):
+            self._forget(state)
+            raise
 
     def _fail(self, state: RunState, failure: WebGpuFailure) -> None:
         self.kernels.fail(failure)
+        self._forget(state)
+
+    def _forget(self, state: RunState) -> None:
+        """Release what is on the GPU; the state is as it was synchronised last."""
         self._resident, self._ahead, state.fetch = None, None, None
         self._held.clear()
         self._images.clear()

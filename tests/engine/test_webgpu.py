@@ -11,15 +11,23 @@ import torch
 
 from swag_engine.base.errors import InputError
 from swag_engine.gaussians.sh import evaluate_sh
-from swag_engine.kernels import webgpu, webgpu_device
-from swag_engine.kernels.backends import CPU, KERNELS, device_for, kernels_for
+from swag_engine.kernels import webgpu, webgpu_device, webgpu_tiles
+from swag_engine.kernels.backends import CPU, KERNELS, automatic_backend, device_for, kernels_for
 from swag_engine.kernels.webgpu import WebGpuKernels
-from swag_engine.kernels.webgpu_device import ALLOW_SOFTWARE, DEFAULT_LIMITS, WebGpuUnavailable, request
+from swag_engine.kernels.webgpu_device import (
+    ALLOW_SOFTWARE,
+    DEFAULT_LIMITS,
+    WebGpu,
+    WebGpuFailure,
+    WebGpuUnavailable,
+    request,
+)
 from swag_engine.kernels.webgpu_training import adam_fields
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.losses import photometric
 from swag_engine.training.optimizer import BETAS, EPS, adam_step
 from swag_engine.training.trainer import train
+from swag_engine.training.webgpu_step import with_backend_of_run
 from tests.engine.raster_scenes import (
     GRADIENTS,
     HARD,
@@ -261,10 +269,10 @@ def test_dispatches_and_bytes_of_an_image_are_counted(kernels, gpu):
 
 class Adapter:
     features: set[str] = set()
-    limits = {"max-storage-buffer-binding-size": 2**27, "max-buffer-size": 2**28}
+    limits = {"max-storage-buffer-binding-size": 2**27, "max-buffer-size": 2**28} | DEFAULT_LIMITS
 
-    def __init__(self, name, kind, api="Vulkan"):
-        self.info = {"device": name, "adapter_type": kind, "backend_type": api, "description": "driver 1"}
+    def __init__(self, name, kind, driver="driver 1"):
+        self.info = {"device": name, "adapter_type": kind, "backend_type": "Vulkan", "description": driver}
 
     def request_device_sync(self, **_):
         return self.info["device"]
@@ -289,9 +297,9 @@ def test_software_is_refused_unless_asked_for(monkeypatch):
     monkeypatch.delenv(ALLOW_SOFTWARE, raising=False)
     adapters_are(monkeypatch, Adapter("llvm", "CPU"))
     monkeypatch.setitem(KERNELS, "wgpu", WebGpuKernels(CPU))
-    with pytest.raises(InputError, match="llvm, which computes on the processor; set SWAG_WGPU_SOFTWARE=1"):
+    with pytest.raises(InputError, match="llvm is not used: it computes on the processor; set SWAG_WGPU_SOFTWARE=1"):
         device_for("wgpu")
-    with pytest.raises(InputError, match="The wgpu backend cannot run here: the only adapter is llvm"):
+    with pytest.raises(InputError, match="The wgpu backend cannot run here: llvm is not used"):
         kernels_for("wgpu", torch.zeros(1))
 
 
@@ -306,15 +314,57 @@ def test_no_adapter_and_no_package_are_said(monkeypatch):
     assert kernels.details() == {"device": None, "adapters": []} and not kernels.can_run(torch.zeros(1))
 
 
-def test_auto_does_not_take_it(kernels):
-    assert kernels_for("auto", torch.zeros(1)) is CPU
+def test_drivers_that_are_known_to_be_bad_are_refused(monkeypatch):
+    monkeypatch.setenv(ALLOW_SOFTWARE, "1")
+    adapters_are(monkeypatch, Adapter("Mali-G715", "IntegratedGPU"), Adapter("Microsoft Basic Render Driver", "CPU"))
+    with pytest.raises(WebGpuUnavailable, match="Mali-G715 is not used: its driver adds wrongly in workgroup memory."):
+        request()
+    adapters_are(monkeypatch, Adapter("Mali-G715", "IntegratedGPU"), Adapter("Mali-G52", "IntegratedGPU", "Mesa 25.1"))
+    assert request().adapter_name == "Mali-G52"
+    small = Adapter("small", "DiscreteGPU")
+    small.limits = small.limits | {"max-compute-workgroup-storage-size": 8192}
+    adapters_are(monkeypatch, small)
+    assert [found["refused"] for found in webgpu_device.adapters()] == [
+        "it has 8192 max compute workgroup storage size, and 16384 are needed"
+    ]
+
+
+def test_a_device_that_sorts_wrongly_is_refused(gpu, monkeypatch):
+    webgpu_tiles.check(gpu)
+    run = WebGpu.run
+
+    def without_last_sums(self, kernel, *rest, **buffers):
+        if kernel != "add_totals":
+            run(self, kernel, *rest, **buffers)
+
+    monkeypatch.setattr(WebGpu, "run", without_last_sums)
+    monkeypatch.setattr(webgpu_tiles, "request", lambda: gpu)
+    assert WebGpuKernels(CPU).unavailable_reason().endswith("computes wrongly: it does not sort. Update its driver.")
+
+
+def test_auto_takes_cards_and_no_software(kernels, gpu, monkeypatch):
+    assert kernels_for("auto", torch.zeros(1)) is CPU and automatic_backend() == "cpu"
+    monkeypatch.setattr(gpu, "software", False)
+    assert automatic_backend() == "wgpu"
+    auto = TrainSettings(backend="auto")
+    assert with_backend_of_run(auto, False)[0].backend == "wgpu"
+    assert with_backend_of_run(replace(auto, recipe="seasplat"), False)[0].backend == "auto"
+    kernels.fail(WebGpuFailure("Lost."))
+    assert automatic_backend() == "cpu"
+
+
+def test_a_run_is_resumed_without_the_card_it_began_on(monkeypatch):
+    adapters_are(monkeypatch)
+    monkeypatch.setitem(KERNELS, "wgpu", WebGpuKernels(CPU))
+    settings, note = with_backend_of_run(TrainSettings(backend="wgpu"), resume=True)
+    assert settings.backend == "cpu" and note.startswith("The run was continued on the processor: no graphics adapter")
 
 
 def test_the_doctor_lists_the_adapters(driver):
     command = [sys.executable, "-m", "swag_engine", "doctor"]
     environment = {name: value for name, value in os.environ.items() if name != ALLOW_SOFTWARE}
     text = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-    assert "backend wgpu: " in text and "  adapter " in text and ", Vulkan, " in text
+    assert "backend wgpu: " in text and "not used: it computes on the processor" in text and ", Vulkan, " in text
 
 
 def test_constants_of_the_kernels_are_those_of_the_reference():

@@ -10,7 +10,7 @@ from swag_engine.gaussians.densify import PER_GAUSSIAN
 from swag_engine.kernels import webgpu_device
 from swag_engine.kernels.backends import CPU, KERNELS
 from swag_engine.kernels.webgpu import WebGpuKernels
-from swag_engine.kernels.webgpu_device import ALLOW_SOFTWARE
+from swag_engine.kernels.webgpu_device import ALLOW_SOFTWARE, Workspace
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.native_step import NativeStep
@@ -277,6 +277,32 @@ def test_when_the_card_fails_the_run_goes_on_on_the_processor(kernels, gpu, tiny
     notes = [note for note in metrics["notes"] if "graphics card" in note]
     assert len(notes) == 1 and notes[0].endswith("failed: Parent device is lost. Training continued on the processor.")
     assert metrics["iteration"] == 60 and metrics["test_psnr"] > 10
+
+
+@one_gpu
+def test_when_a_kernel_does_not_compile_the_run_goes_on_on_the_processor(
+    kernels, gpu, tiny_scene, tmp_path, monkeypatch
+):
+    compile_text = gpu.device.create_shader_module
+    monkeypatch.setattr(gpu.device, "create_shader_module", lambda code: compile_text(code=code + "fn broken("))
+    monkeypatch.setattr(gpu, "_pipelines", {})
+    metrics = train(tiny_scene, tmp_path / "run", replace(FEW, iterations=5))["metrics"]
+    (note,) = (note for note in metrics["notes"] if "graphics card" in note)
+    assert "failed: " in note and note.endswith("Training continued on the processor.") and metrics["iteration"] == 5
+
+
+@one_gpu
+def test_a_run_that_does_not_fit_the_card_goes_on_with_fewer_gaussians(kernels, tiny_scene, tmp_path, monkeypatch):
+    empty = Workspace.empty
+
+    def limited(self, name, count):
+        if name == "splats" and count > 10 * 100:
+            raise MemoryError("card has too little memory.")
+        return empty(self, name, count)
+
+    monkeypatch.setattr(Workspace, "empty", limited)
+    metrics = train(tiny_scene, tmp_path / "run", replace(FEW, iterations=20))["metrics"]
+    assert metrics["gaussians"] <= 100 and any(note.startswith("Memory ran out") for note in metrics["notes"])
 
 
 @one_gpu
