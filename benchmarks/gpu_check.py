@@ -1,13 +1,15 @@
-"""Check and time the CUDA backend on a machine with an NVIDIA card.
+"""Check and time the backends cuda and wgpu on a machine with a graphics card.
 
-Run: `python benchmarks/gpu_check.py` (under eight minutes)
-Results: benchmarks/results/cuda_registers.json, benchmarks/results/gpu_check.json
+Run: `python benchmarks/gpu_check.py [--backend cuda|wgpu] [--gaussians N ...]` (under eight minutes)
+Results: benchmarks/results/cuda_registers.json, benchmarks/results/gpu_check.json, benchmarks/results/wgpu_check.json
 
-Records the registers of every kernel by ptxas (needs no card), runs tests/engine/test_cuda.py on the card and
+cuda: records the registers of every kernel by ptxas (needs no card), runs tests/engine/test_cuda.py on the card and
 compute-sanitizer where the CUDA toolkit is installed, and times each stage and whole training iterations at 1280x720,
-beside gsplat where that is installed.
+beside gsplat where that is installed. wgpu: runs tests/engine/test_webgpu.py and test_webgpu_step.py on the card, times
+whole steps on the same scenes, beside those of cuda where that runs, and counts dispatches and bytes.
 """
 
+import argparse
 import json
 import os
 import re
@@ -17,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import fields, replace
 from importlib import metadata
 from pathlib import Path
 
@@ -26,10 +29,12 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.common import RESULTS, write_results
+from benchmarks.wgpu_scene import WgpuScene
 from swag_engine.kernels import build
 from swag_engine.kernels.backends import KERNELS
 from swag_engine.kernels.cuda import GROUP, CudaKernels
 from swag_engine.kernels.protocol import Projection
+from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.rasterize.api import contributions, rasterize
 
 PTXAS = "nvidia-cuda-nvcc-cu12"
@@ -86,9 +91,9 @@ def record_registers() -> None:
     (RESULTS / "cuda_registers.json").write_text(f"{{\n{rows}\n}}\n")
 
 
-def run_tests() -> dict[str, object]:
-    """Run test_cuda.py on the card."""
-    command = [sys.executable, "-m", "pytest", "tests/engine/test_cuda.py", "-v"]
+def run_tests(*files: str) -> dict[str, object]:
+    """Run tests on the card."""
+    command = [sys.executable, "-m", "pytest", *(f"tests/engine/{file}" for file in files), "-v"]
     done = subprocess.run(
         command, cwd=ROOT, env=os.environ | {"SWAG_TEST_CUDA": "1"}, stdout=subprocess.PIPE, text=True
     )
@@ -283,12 +288,64 @@ def small_scene() -> None:
         contributions(*inputs, *pictures, backend="cuda")
 
 
+def wgpu_timings(kernels: WebGpuKernels, n: int) -> dict[str, object]:
+    """Measure milliseconds of a step with n Gaussians by wgpu, and by cuda where that runs; count its dispatches."""
+    gpu = kernels.gpu
+    parameters = {name: value.detach().cpu() for name, value in make_parameters(n, *SIZE).items()}
+    viewmat, K = (tensor.cpu() for tensor in make_camera(*SIZE))
+    try:
+        scene = WgpuScene.of(gpu, parameters, viewmat, K, SIZE)
+        scene.step()
+        times, before = [], replace(gpu.counters)
+        for _ in range(ROUNDS):
+            begin = time.perf_counter()
+            scene.step()
+            times.append(time.perf_counter() - begin)
+    except MemoryError as error:
+        return {"does not fit": str(error)}
+    asked = {field.name: getattr(gpu.counters, field.name) - getattr(before, field.name) for field in fields(before)}
+    rows: dict[str, object] = {"step": round(1000 * statistics.median(times), 3)}
+    rows |= {f"{name} a step": count // ROUNDS for name, count in asked.items()}
+    if not cuda_kernels().unavailable_reason():
+        rows["iteration by cuda"] = milliseconds(iteration(n, *SIZE))
+    return rows
+
+
+def check_wgpu(gaussians: list[int]) -> None:
+    """Run all checks and timings of wgpu, print and write the results."""
+    global DEVICE
+    kernels = KERNELS["wgpu"]
+    assert isinstance(kernels, WebGpuKernels)
+    if reason := kernels.unavailable_reason():
+        sys.exit(f"There is no GPU to check here: {reason}")
+    if cuda_kernels().unavailable_reason():
+        DEVICE = torch.device("cpu")
+    results: dict[str, object] = kernels.details() | {"wgpu": version("wgpu"), "torch": torch.__version__}
+    results["tests"] = run_tests("test_webgpu.py", "test_webgpu_step.py")
+    for n in gaussians:
+        results[f"ms, {n} Gaussians at {SIZE[0]}x{SIZE[1]}"] = wgpu_timings(kernels, n)
+    write_results("wgpu_check", results)
+    print(json.dumps(results, indent=2))
+
+
 def main() -> None:
     """Run all checks and timings, print and write the results."""
     if SMALL_SCENE in sys.argv:
         small_scene()
         torch.cuda.synchronize()
         return
+    parser = argparse.ArgumentParser(description="Check and time a backend on a machine with a graphics card.")
+    parser.add_argument("--backend", choices=("cuda", "wgpu"), default="cuda")
+    parser.add_argument("--gaussians", type=int, nargs="+", default=list(GAUSSIANS))
+    arguments = parser.parse_args()
+    if arguments.backend == "wgpu":
+        check_wgpu(arguments.gaussians)
+    else:
+        check_cuda(arguments.gaussians)
+
+
+def check_cuda(gaussians: list[int]) -> None:
+    """Run all checks and timings of cuda, print and write the results."""
     record_registers()
     start = time.perf_counter()
     if reason := cuda_kernels().unavailable_reason():
@@ -301,10 +358,10 @@ def main() -> None:
         "torch": torch.__version__,
         "gsplat": version("gsplat"),
         "seconds to load the kernels": round(time.perf_counter() - start, 2),
-        "tests": run_tests(),
+        "tests": run_tests("test_cuda.py"),
         "compute-sanitizer": sanitize(),
     }
-    for n in GAUSSIANS:
+    for n in gaussians:
         results[f"ms, {n} Gaussians at {SIZE[0]}x{SIZE[1]}"] = timings(n)
     write_results("gpu_check", results)
     print(json.dumps(results, indent=2))

@@ -228,6 +228,25 @@ def raster_sizes() -> str:
 
 
 @table
+def wgpu_cost() -> str:
+    """What a step of the backend wgpu moves and computes, and what that lets expect."""
+    counted = results("wgpu_cost")["gaussians"]
+    cards = next(iter(counted.values()))["expected_ms"]
+    header = ["Gaussians", "pairs with tiles", "moved", "operations", *(f"{card}, ms" for card in cards)]
+    rows = [
+        [
+            f"{int(n):,}".replace(",", " "),
+            f"{row['pairs']:,}".replace(",", " "),
+            f"{sum(row['megabytes'].values()) / 1000:.1f} GB",
+            f"{row['gigaflop']:.0f} GFLOP",
+            *(f"{row['expected_ms'][card]:.0f}" for card in cards),
+        ]
+        for n, row in counted.items()
+    ]
+    return markdown(header, rows)
+
+
+@table
 def step() -> str:
     """Processor time of a training step and of its rasterising."""
     document = results("step")

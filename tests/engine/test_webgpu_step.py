@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 import torch
 
+from benchmarks import gpu_check
 from swag_engine.gaussians.densify import PER_GAUSSIAN
 from swag_engine.kernels import webgpu_device
 from swag_engine.kernels.backends import CPU, KERNELS
@@ -224,17 +225,15 @@ def test_pairs_are_in_several_lists_where_one_would_be_too_long(make, kernels):
 
 
 @one_gpu
-def test_nothing_of_the_size_of_the_gaussians_is_moved_in_a_step(make, kernels, gpu):
-    trainer = make()
-    target, config = inputs_of_step(trainer)
-    step = steps_of(trainer, kernels)[0]
-    for _ in range(2):
-        step(trainer.state, target, config)
-    before = replace(gpu.counters)
-    step(trainer.state, target, config)
-    # Numbers of water, lamp and gains in; sums and flags out.
-    assert gpu.counters.uploaded - before.uploaded == 4 * 45
-    assert gpu.counters.downloaded - before.downloaded == 4 * 76
+def test_what_gpu_check_times_runs(kernels, monkeypatch):
+    monkeypatch.setattr(gpu_check, "DEVICE", torch.device("cpu"))
+    monkeypatch.setattr(gpu_check, "SIZE", (64, 48))
+    monkeypatch.setattr(gpu_check, "ROUNDS", 2)
+    found = gpu_check.wgpu_timings(kernels, 300)
+    # Forward 5, sort by depth 8 x 5, list 1 + 3 + 2 + 1 x 5 + 1, blend 2, compare 4, backward 5, sums 1, views and
+    # Adam 7; of numbers, those of water, lamp and gains go in, sums and flags come out.
+    assert found["dispatches a step"] == 5 + 40 + 12 + 2 + 4 + 5 + 1 + 7
+    assert found["uploaded a step"] == 4 * 45 and found["downloaded a step"] == 4 * 76 and found["step"] > 0
 
 
 # -- runs --------------------------------------------------------------------------------------------------------------
@@ -280,9 +279,7 @@ def test_when_the_card_fails_the_run_goes_on_on_the_processor(kernels, gpu, tiny
 
 
 @one_gpu
-def test_when_a_kernel_does_not_compile_the_run_goes_on_on_the_processor(
-    kernels, gpu, tiny_scene, tmp_path, monkeypatch
-):
+def test_when_a_kernel_does_not_compile_the_processor_takes_over(kernels, gpu, tiny_scene, tmp_path, monkeypatch):
     compile_text = gpu.device.create_shader_module
     monkeypatch.setattr(gpu.device, "create_shader_module", lambda code: compile_text(code=code + "fn broken("))
     monkeypatch.setattr(gpu, "_pipelines", {})

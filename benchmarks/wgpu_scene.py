@@ -1,0 +1,101 @@
+"""The scene of `gpu_check.py` as a step of the backend wgpu takes it."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from swag_engine.gaussians.cloud import LOG_SCALE_LIMITS
+from swag_engine.kernels.webgpu_device import WebGpu
+from swag_engine.kernels.webgpu_training import (
+    GAIN,
+    LINEAR,
+    NUMBERS,
+    OPEN,
+    SIMILARITY,
+    WATER,
+    Outcome,
+    ResidentGaussians,
+    View,
+    adam_fields,
+)
+from swag_engine.rendering.render import DAZZLING, FARTHEST
+from swag_engine.training.losses import LIKE_WATER, UNLIKE_WATER
+from swag_engine.training.optimizer import BETAS, EPS, MOMENTS
+
+LEARNING_RATE = 1e-9
+"""Step size, so small that all steps find the same scene."""
+
+
+@dataclass
+class WgpuScene:
+    """Gaussians on a device, and what their steps compare: water, exposure, L1 and SSIM, as in the recipe swag.
+
+    Attributes:
+        resident: The Gaussians.
+        view: What is compared.
+    """
+
+    resident: ResidentGaussians
+    view: View
+
+    @classmethod
+    def of(
+        cls,
+        gpu: WebGpu,
+        parameters: dict[str, torch.Tensor],
+        viewmat: torch.Tensor,
+        K: torch.Tensor,
+        size: tuple[int, int],
+    ) -> "WgpuScene":
+        """Send a scene to a device.
+
+        Args:
+            gpu: The device.
+            parameters: Parameters by name, as training optimises them, on the CPU.
+            viewmat: (4, 4) world to camera.
+            K: (3, 3) intrinsics, pixels.
+            size: Width and height of the image, pixels.
+
+        Returns:
+            The scene.
+        """
+        count, (width, height) = len(parameters["means"]), size
+        sizes = {name: math.prod(values.shape[1:]) for name, values in parameters.items()}
+        resident = ResidentGaussians(gpu, count, sizes)
+        for name, values in parameters.items():
+            resident.load(name, values)
+            for moment in MOMENTS:
+                resident.load(f"{name}.{moment}", torch.zeros_like(values))
+        numbers = np.zeros(NUMBERS, np.float32)
+        numbers[:6], numbers[34], numbers[35:38], numbers[41:] = 0.1, 4, 1, (0.5, 0.5, 0.05, 2)
+        pixels = np.random.default_rng(0).integers(0, 255, (height, width, 4), dtype=np.uint8)
+        pixels[..., 3] = 255
+        view = View(
+            target=gpu.upload(torch.from_numpy(pixels).view(torch.int32)),
+            viewmat=viewmat,
+            K=K,
+            centre=torch.zeros(3),
+            width=width,
+            height=height,
+            sh_degree=3,
+            water_degree=2,
+            mode=WATER | LINEAR | GAIN | OPEN | SIMILARITY,
+            numbers=numbers,
+            background=(0.0, 0.0, 0.0),
+            dropout=0.0,
+            seed=0,
+            geometry=True,
+            weights=(0.8, 0.2, 0.0, 0.3),
+            surface=(LIKE_WATER, UNLIKE_WATER),
+            log_scale_limits=LOG_SCALE_LIMITS,
+            farthest=FARTHEST,
+            dazzling=DAZZLING,
+        )
+        return cls(resident, view)
+
+    def step(self) -> Outcome:
+        """Make one step of all parameters."""
+        adam = adam_fields(LEARNING_RATE, *BETAS, EPS, 1)
+        return self.resident.step(self.view, dict.fromkeys(self.resident.sizes, adam))
