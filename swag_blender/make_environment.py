@@ -33,6 +33,8 @@ CHUNK = 1 << 18
 """Bytes that are read at a time."""
 ATTEMPTS = 3
 """How often a download is tried."""
+OPTIONAL = ("wgpu",)
+"""Packages that are installed where there are wheels of them: graphics cards of any make, three megabytes."""
 LOOKED_UP, DOWNLOADED, UNPACKED, ALL = 50, 800, 950, 1000
 """Progress after looking up, downloading, unpacking and checking, in thousandths."""
 
@@ -138,18 +140,23 @@ class Installer:
             where = ["--extra-index-url", self.index]
         files = ("-r", str(self.root / "requirements.txt"), "-c", str(self.root / "constraints.txt"))
         options = ("--dry-run", "--ignore-installed", "--only-binary", ":all:", "--report", str(report))
-        try:
-            self.pip(10, "Looking up the packages", *options, *where, *files)
-        except RuntimeError as error:
-            # For a pinned version that does not exist pip reports a conflict.
-            missing = re.search(r"Cannot install ([\w.-]+)|No matching distribution found for ([\w.-]+)", str(error))
-            if not missing:
-                raise
-            raise RuntimeError(
-                f"There is no wheel of {missing[1] or missing[2]} for Python {sys.version_info[0]}."
-                f"{sys.version_info[1]} on this system in {self.wheels or 'the package index'}, in the version of "
-                "constraints.txt."
-            ) from error
+        for optional in (OPTIONAL, ()):
+            try:
+                self.pip(10, "Looking up the packages", *options, *where, *files, *optional)
+                break
+            except RuntimeError as error:
+                # For a pinned version that does not exist pip reports a conflict.
+                missing = re.search(
+                    r"Cannot install ([\w.-]+)|No matching distribution found for ([\w.-]+)", str(error)
+                )
+                if not missing:
+                    raise
+                if not optional:
+                    raise RuntimeError(
+                        f"There is no wheel of {missing[1] or missing[2]} for Python {sys.version_info[0]}."
+                        f"{sys.version_info[1]} on this system in {self.wheels or 'the package index'}, in the version "
+                        "of constraints.txt."
+                    ) from error
         wheels = json.loads(report.read_text(encoding="utf-8"))["install"]
         report.unlink()
         sizes = []

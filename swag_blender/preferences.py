@@ -146,11 +146,16 @@ def draw_doctor(layout: bpy.types.UILayout, found: dict[str, Any]) -> None:
     backends = found.get("backends")
     if not backends:
         return
-    card = backends["cuda"]
-    if card["runs"]:
-        column.label(text=f"Graphics card: {card['device']}, {card['memory_gb']} GB")
+    cuda, wgpu = backends["cuda"], backends["wgpu"]
+    if cuda["runs"]:
+        column.label(text=f"Graphics card: {cuda['device']}, {cuda['memory_gb']} GB")
+    elif wgpu["runs"]:
+        column.label(text=f"Graphics card: {wgpu['device']}")
     else:
-        column.label(text=f"No graphics card is used: {card['reason']}")
+        column.label(text=f"No graphics card is used: {wgpu['reason']} CUDA: {cuda['reason']}")
+    for adapter in wgpu["adapters"]:
+        if adapter["refused"]:
+            column.label(text=f"{adapter['name']}: {adapter['refused']}")
     column.label(text=f"Training uses {found['auto']}.")
 
 

@@ -164,11 +164,11 @@ def fake_engine(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def wheels(tmp_path_factory):
-    """A folder of empty wheels of requirements.txt; the one called torch makes this Python's packages importable."""
+    """A folder of empty wheels of all that is installed; the one called torch makes this Python's packages importable."""
     folder = tmp_path_factory.mktemp("wheels")
     constraints = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = dict(line.split("==") for line in constraints if "==" in line)
-    for name in (ROOT / "requirements.txt").read_text().split():
+    for name in [*(ROOT / "requirements.txt").read_text().split(), "wgpu"]:
         version, plain = pinned[name].split(";")[0].strip(), name.replace("-", "_")
         info = f"{plain}-{version}.dist-info"
         with zipfile.ZipFile(folder / f"{plain}-{version}-py3-none-any.whl", "w") as wheel:

@@ -122,6 +122,12 @@ def test_the_engine_is_installed_from_a_folder_of_wheels(root, folder, wheels):
     assert not (folder / "downloads").exists() and "Unpacking" in (folder / "install.log").read_text()
 
 
+def test_without_a_wheel_for_graphics_cards_the_others_are_installed(root, folder, wheels, tmp_path):
+    shutil.copytree(wheels, tmp_path / "wheels", ignore=shutil.ignore_patterns("wgpu-*"))
+    found, _ = Installation(root, folder, wheels=tmp_path / "wheels", look_only=True).end()
+    assert found["event"] == "result" and found["packages"] == len(list(wheels.iterdir())) - 1
+
+
 def test_a_broken_download_is_continued_where_it_stopped(root, folder, wheels, index):
     torch = next(wheel.name for wheel in wheels.glob("torch-*"))
     index.broken[torch] = 100
