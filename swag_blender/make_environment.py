@@ -146,14 +146,12 @@ class Installer:
                 break
             except RuntimeError as error:
                 # For a pinned version that does not exist pip reports a conflict.
-                missing = re.search(
-                    r"Cannot install ([\w.-]+)|No matching distribution found for ([\w.-]+)", str(error)
-                )
+                missing = re.search(r"(?:Cannot install|No matching distribution found for) ([\w.-]+)", str(error))
                 if not missing:
                     raise
                 if not optional:
                     raise RuntimeError(
-                        f"There is no wheel of {missing[1] or missing[2]} for Python {sys.version_info[0]}."
+                        f"There is no wheel of {missing[1]} for Python {sys.version_info[0]}."
                         f"{sys.version_info[1]} on this system in {self.wheels or 'the package index'}, in the version "
                         "of constraints.txt."
                     ) from error

@@ -164,7 +164,7 @@ def fake_engine(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def wheels(tmp_path_factory):
-    """A folder of empty wheels of all that is installed; the one called torch makes this Python's packages importable."""
+    """A folder of empty wheels of all that is installed; that of torch makes this Python's packages importable."""
     folder = tmp_path_factory.mktemp("wheels")
     constraints = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = dict(line.split("==") for line in constraints if "==" in line)
