@@ -43,8 +43,6 @@ LEAST_CHANGE = 20
 """Pixels of the smallest change that must be found."""
 SLACK = 3
 """Pixels around a true change within which a found one belongs to it."""
-FOUND = 0.25
-"""Fraction of a true change that must be found."""
 PAIRS: dict[str, dict[str, Any]] = {
     "same water and path": {"water": OCEAN, "seed": 1},
     "other water, light and path": {"water": COAST, "turned": True, "light": 0.8, "seed": 2},
@@ -147,8 +145,9 @@ def change_figures(first: Path, second: Path, before: Seabed, after: Seabed, out
         if not around[parts == part].any() and stats[part, cv2.CC_STAT_AREA] > LEAST_CHANGE
     ]
     return {
-        "expected": [{"pixels": int(mask.sum()), "found": float(told[mask].mean())} for mask in expected],
-        "found": sum(told[mask].mean() >= FOUND for mask in expected),
+        "expected": [{"pixels": int(mask.sum()), "told": int(told[mask].sum())} for mask in expected],
+        "compared": float((flags != 255).mean()),
+        "found": int(sum(told[mask].sum() >= LEAST_CHANGE for mask in expected)),
         "invented": invented,
         "residual": answer["alignment"]["residual"] / PIXEL,
         "static": answer["alignment"]["static"],

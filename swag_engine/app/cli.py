@@ -712,7 +712,7 @@ class Dem:
     plane: str = "up"
     """Where the map is seen from, as ortho has it."""
     derived: tuple[Literal["hillshade", "slope", "rugosity"], ...] = ()
-    """Further maps, which are made from the median height: NAME_hillshade.tif, NAME_slope.tif (degrees) and
+    """Further maps, which are made from the first surface: NAME_hillshade.tif, NAME_slope.tif (degrees) and
     NAME_rugosity.tif (surface over planar area)."""
     window: float = 1.0
     """Edge of the windows over which rugosity is taken, in metres or units."""

@@ -205,6 +205,10 @@ class RunFolder:
         files = {"auto": self.development, "chart": self.chart}
         return {name: read_json(path, "") for name, path in files.items() if path.exists()}
 
+    def has_background_color(self) -> bool:
+        """Return whether a color was learned for what is behind all splats: not where open water has its own."""
+        return self.metrics.exists() and any(read_json(self.metrics, "").get("background", ()))
+
     def color_view(self, develop: str) -> ColorView:
         """Find how colors of the run are shown.
 

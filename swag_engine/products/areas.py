@@ -15,15 +15,15 @@ from ..formats.run_folder import RunFolder, read_json, write_json
 from ..formats.select import LABEL
 from ..semantics.labels import TABLE
 from .dem import read_heights, write_heights
-from .geotiff import NO_LABEL, map_crs, map_transform
+from .geotiff import NO_LABEL, map_crs, map_transform, read_map
 from .grid import MapGrid, make_grid
 from .heights import surface_factor
 from .label_errors import area_errors, held_out_confusion
 from .label_map import (
+    CorrectedMap,
     corrected_splats,
     label_colors,
     label_name,
-    read_corrected,
     splat_labels,
     write_label_map,
 )
@@ -94,25 +94,25 @@ def make_areas(
     grid = made or make_grid(scene.splats, pixel, box)
     crs = map_crs(scene)
     files = {name: out / file for name, file in FILES.items()}
-    labels = write_label_map(files["labels"], scene, grid, backend, progress)
+    pixels = write_label_map(files["labels"], scene, grid, backend, progress)
     write_heights(files["heights"], scene, grid, backend, progress)
-    present = sorted({*scene.labels, *np.unique(labels[labels != NO_LABEL]).tolist()})
+    present = sorted({*scene.labels, *np.flatnonzero(pixels[:NO_LABEL]).tolist()})
     names = {label: label_name(scene, label) for label in present}
     confusion = np.zeros((0, 1, 1))
     if source.is_dir():
         confusion = held_out_confusion(source, masks, {label: name for label, name in names.items() if label})
-    patches = find_patches(labels, least_patch)
-    rows = _table(scene, grid, labels, files["heights"], names, confusion, patches)
+    patches = find_patches(files["labels"], least_patch)
+    surfaces = _surfaces(files["labels"], files["heights"], grid)
+    rows = _table(scene, grid, pixels[:NO_LABEL], surfaces, names, confusion, patches)
     _write_table(files["table"], rows)
     transform = map_transform(scene, grid)
     write_json(files["polygons"], to_geojson(patches, transform, crs, grid.pixel, names))
     write_json(files["coco"], to_coco(patches, FILES["labels"], grid.width, grid.height, names))
-    seen = int((labels != NO_LABEL).sum())
     notes = [*scene.notes, *_error_notes(len(confusion), scene)]
     notes += [f"No pixel shows the label {row['name']}." for row in rows if not row["pixels"]]
     preview = write_preview(files["labels"], scene, grid)
     answer = map_answer(out, [*files.values(), preview], preview, grid, scene, crs) | {
-        "covered": seen / labels.size,
+        "covered": int(pixels[:NO_LABEL].sum()) / int(pixels.sum()),
         "plane": plane,
         "grid": vars(grid),
         "held_out": len(confusion),
@@ -152,9 +152,8 @@ def correct_labels(
         raise InputError(f"{areas / FILES['answer']} is damaged: make the areas again.") from error
     scene = load_map_scene(folder, plane)
     colors = label_colors([0, *sorted({*scene.labels, *splat_labels(scene.splats).tolist()})])
-    before = read_corrected(areas / FILES["labels"], (grid.height, grid.width), colors)
-    after = read_corrected(corrected, (grid.height, grid.width), colors)
-    labels = corrected_splats(scene, grid, before, after, backend, progress).astype(np.int32)
+    painted = CorrectedMap(corrected, areas / FILES["labels"], grid, colors)
+    labels = corrected_splats(scene, painted, backend, progress).astype(np.int32)
     splats = read_ply(run.ply)
     changed = int((labels != splats.extras[LABEL]).sum())
     if changed:
@@ -189,17 +188,16 @@ def describe(document: dict[str, Any]) -> str:
 def _table(
     scene: MapScene,
     grid: MapGrid,
-    labels: np.ndarray,
-    heights: Path,
+    pixels: np.ndarray,
+    surfaces: np.ndarray,
     names: dict[int, str],
     confusion: np.ndarray,
     patches: list[Patch],
 ) -> list[dict[str, Any]]:
-    """Make the rows of the table."""
+    """Make the rows of the table from the pixels (255,) and surfaces (255,) of each label."""
     square = grid.pixel**2
     size = max([*names, confusion.shape[1] - 1]) + 1
-    pixels = np.bincount(labels[labels != NO_LABEL], minlength=size)[:size]
-    surfaces = _surfaces(labels, heights, grid, size)
+    pixels = pixels[:size]
     if len(confusion) and confusion.shape[1] < size:
         grown = size - confusion.shape[1]
         confusion = np.pad(confusion, ((0, 0), (0, grown), (0, grown)))
@@ -232,16 +230,15 @@ def _table(
     return [{key: float(v) if isinstance(v, np.floating) else v for key, v in row.items()} for row in rows]
 
 
-def _surfaces(labels: np.ndarray, heights: Path, grid: MapGrid, size: int) -> np.ndarray:
-    """Sum surface over planar area of the pixels of each label, (size,); 1 where the surface is not known."""
-    sums = np.zeros(size)
-    padded = np.pad(labels, 1, constant_values=NO_LABEL)
+def _surfaces(labels: Path, heights: Path, grid: MapGrid) -> np.ndarray:
+    """Sum surface over planar area of the pixels of each label, (255,); 1 where the surface is not known."""
+    sums = np.zeros(NO_LABEL)
     for tile in tiles_of(grid):
-        around = padded[tile.row : tile.row + tile.height + 2, tile.column : tile.column + tile.width + 2]
+        around = read_map(labels, tile, margin=1).values
         factor = surface_factor(read_heights(heights, tile=tile, margin=1), grid.pixel, around)[1:-1, 1:-1]
         part = around[1:-1, 1:-1]
         seen = part != NO_LABEL
-        sums += np.bincount(part[seen], np.where(np.isfinite(factor), factor, 1.0)[seen], size)[:size]
+        sums += np.bincount(part[seen], np.where(np.isfinite(factor), factor, 1.0)[seen], NO_LABEL)
     return sums
 
 

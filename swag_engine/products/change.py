@@ -3,21 +3,25 @@
 import base64
 import csv
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import DTypeLike
 
 from ..base.errors import InputError
-from ..base.files import atomic_path
+from ..base.files import atomic_path, not_writable
 from ..base.html_page import paragraph_html, table_html, write_page
 from ..formats.run_folder import write_json
 from ..formats.select import LABEL
 from ..splats.transform import transformed
 from .alignment import Alignment, align
-from .change_maps import FLAGS, Changes, Survey, find_changes, label_transitions
+from .change_maps import FLAGS, SAMPLE, Comparison, Survey
 from .geotiff import NO_HEIGHT, NO_LABEL, Color, create_map, map_crs, map_transform
 from .grid import MapGrid, make_grid
 from .heights import EDGE, tile_heights
@@ -27,10 +31,11 @@ from .ortho import map_answer
 from .packages import require_packages
 from .preview import write_preview
 from .tiles import Progress, TileRenderer, tiles_of
+from .views import LEAST_VIEWS, count_views, training_cameras
 
 ScaleChoice = Literal["fixed", "free"]
-MOST_PIXELS = 8192
-"""Largest number of pixels along a side: surveys are compared as a whole, in memory."""
+PREVIEW = 1600
+"""Largest edge of an image on the page, pixels."""
 FLAG_COLORS: dict[int, Color] = {
     0: (230, 230, 230),
     1: (33, 102, 172),
@@ -92,45 +97,46 @@ def make_change(
     if progress:
         progress("Aligning", 0.0)
     alignment = align(second.splats, first.splats, _initial(first, second), scale == "free")
-    moved = replace(second, splats=transformed(second.splats, alignment.matrix))
+    splats, matrix = transformed(second.splats, alignment.matrix), alignment.matrix @ second.matrix
+    moved = replace(second, splats=splats, matrix=matrix)
     grid = make_grid(first.splats, pixel, box)
-    if max(grid.width, grid.height) > MOST_PIXELS:
-        raise InputError(
-            f"The maps would have {grid.width} x {grid.height} pixels, more than the {MOST_PIXELS} a side that are "
-            "compared: choose a larger --pixel or a smaller --box."
-        )
     crs = map_crs(first)
-    before, after = (
-        _survey(scene, grid, backend, f"Rendering the {which} run", progress)
-        for scene, which in ((first, "earlier"), (moved, "later"))
-    )
-    after = _same_labels(first, second, after)
-    changes = find_changes(before, after, grid.pixel, alignment.residual)
-    if not np.isfinite(changes.height).any():
-        raise InputError("The two surveys have no pixel in common: check that they show one place, or --box.")
     files = {name: out / file for name, file in FILES.items()}
-    _write_maps(files["maps"], files["flags"], first, grid, changes)
-    objects = _placed(changes.objects, first, grid)
-    _write_objects(files["objects"], objects, first)
-    transitions = label_transitions(before, after, grid.pixel)
-    _write_transitions(files["labels"], transitions, first)
-    seen = changes.flags != NO_LABEL
-    preview = write_preview(files["flags"], first, grid)
-    answer = map_answer(out, [*files.values(), preview], preview, grid, first, crs) | {
-        "covered": float(seen.mean()),
-        "alignment": {
-            "matrix": alignment.matrix.tolist(),
-            "scale": alignment.scale,
-            "residual": alignment.residual,
-            "static": alignment.static,
-            "points": alignment.points,
-        },
-        "height_noise": float(np.median(changes.height_limit[seen])),
-        "changed": float((changes.flags[seen] > 0).mean()),
-        "objects": objects,
-        "notes": [*first.notes, *_notes(alignment, before, after)],
-    }
-    _write_page(files["page"], answer, before, after, changes)
+    with _scratch_folder(out) as folder:
+        before, after = (
+            _survey(scene, grid, backend, folder / which, f"Rendering the {which} run", progress)
+            for scene, which in ((first, "earlier"), (moved, "later"))
+        )
+        _same_labels(first, second, after)
+        comparison = Comparison(before, after, grid, alignment.residual)
+        if not comparison.overlap:
+            raise InputError("The two surveys have no pixel in common: check that they show one place, or --box.")
+        flags = _scratch_array(folder / "flags", (grid.height, grid.width), np.uint8)
+        found, limit = _write_maps(files["maps"], first, comparison, flags, folder, progress)
+        _write_flags(files["flags"], first, grid, flags)
+        objects = _placed(found, first, grid)
+        _write_objects(files["objects"], objects, first)
+        _write_transitions(files["labels"], comparison.label_transitions(), first)
+        counts = np.zeros(256, np.int64)
+        for tile in tiles_of(grid):
+            counts += np.bincount(flags[tile.place].ravel(), minlength=256)
+        seen = int(counts[:NO_LABEL].sum())
+        preview = write_preview(files["flags"], first, grid)
+        answer = map_answer(out, [*files.values(), preview], preview, grid, first, crs) | {
+            "covered": seen / flags.size,
+            "alignment": {
+                "matrix": alignment.matrix.tolist(),
+                "scale": alignment.scale,
+                "residual": alignment.residual,
+                "static": alignment.static,
+                "points": alignment.points,
+            },
+            "height_noise": limit,
+            "changed": int(counts[1:NO_LABEL].sum()) / max(seen, 1),
+            "objects": objects,
+            "notes": [*first.notes, *_notes(alignment, before, after)],
+        }
+        _write_page(files["page"], answer, before, after, flags)
     write_json(files["answer"], answer)
     return answer
 
@@ -166,36 +172,64 @@ def _initial(first: MapScene, second: MapScene) -> np.ndarray | None:
     return matrix
 
 
-def _survey(scene: MapScene, grid: MapGrid, backend: str, stage: str, progress: Progress | None) -> Survey:
-    """Render colors, heights and labels of a survey."""
-    renderer = TileRenderer(scene.splats, grid, backend)
-    colors = renderer.colors()
+@contextmanager
+def _scratch_folder(out: Path) -> Iterator[Path]:
+    """Yield a folder beside the results for arrays of the size of the maps, which is removed at the end."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        folder = TemporaryDirectory(prefix=".scratch-", dir=out, ignore_cleanup_errors=True)
+    except OSError as error:
+        raise not_writable(out, error) from error
+    with folder as path:
+        yield Path(path)
+
+
+def _scratch_array(path: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
+    """Make an array of zeros in a file, which is mapped to memory."""
+    try:
+        return np.memmap(path, dtype, "w+", shape=shape)
+    except OSError as error:
+        raise not_writable(path, error) from error
+
+
+def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str, progress: Progress | None) -> Survey:
+    """Render colors, heights and labels of a survey to files whose names begin with `path`.
+
+    Places that fewer than LEAST_VIEWS training photos see have no height.
+    """
+    renderer = TileRenderer(scene.splats, grid, backend, scene.seen)
+    colors, cameras = renderer.colors(), training_cameras(scene)
     labels = scene.splats.extras.get(LABEL)
     labels = labels.astype(np.int64) if labels is not None and labels.any() else None
     shape = grid.height, grid.width
-    image, heights = np.zeros((*shape, 3), np.float32), np.full(shape, np.nan, np.float32)
-    found = None if labels is None else np.full(shape, NO_LABEL, np.uint8)
+    image = _scratch_array(path.with_suffix(".colors"), (*shape, 3), np.uint8)
+    heights = _scratch_array(path.with_suffix(".heights"), shape, np.float32)
+    found = None if labels is None else _scratch_array(path.with_suffix(".labels"), shape, np.uint8)
     for tile in tiles_of(grid, EDGE, stage, progress):
-        place = slice(tile.row, tile.row + tile.height), slice(tile.column, tile.column + tile.width)
         chosen = renderer.inside(tile)
         values, alpha = renderer.render(tile, chosen, colors[chosen])
-        image[place] = scene.development.apply(values / np.maximum(alpha, 1e-6)[..., None])
-        heights[place] = tile_heights(renderer, tile).median
+        shown = scene.development.apply(values / np.maximum(alpha, 1e-6)[..., None])
+        image[tile.place] = np.round(255 * np.clip(shown, 0, 1))
+        surface = tile_heights(renderer, tile).first
+        if cameras:
+            surface[count_views(cameras, scene, grid, tile, surface) < LEAST_VIEWS] = np.nan
+        heights[tile.place] = surface
         if found is not None and labels is not None:
-            found[place] = tile_labels(renderer, tile, labels)
-    return Survey(np.clip(image, 0, 1), heights, found)
+            found[tile.place] = tile_labels(renderer, tile, labels)
+    return Survey(image, heights, found)
 
 
-def _same_labels(first: MapScene, second: MapScene, after: Survey) -> Survey:
+def _same_labels(first: MapScene, second: MapScene, after: Survey) -> None:
     """Give the labels of the later survey the numbers that their names have in the earlier one, new ones 0."""
     if after.labels is None or not (first.labels and second.labels):
-        return after
+        return
     numbers = {name: number for number, name in first.labels.items()}
     table = np.zeros(256, np.uint8)
     table[NO_LABEL] = NO_LABEL
     for number, name in second.labels.items():
         table[number] = numbers.get(name, 0)
-    return replace(after, labels=table[after.labels])
+    for row in range(0, len(after.labels), EDGE):
+        after.labels[row : row + EDGE] = table[after.labels[row : row + EDGE]]
 
 
 def _placed(objects: list[dict[str, Any]], scene: MapScene, grid: MapGrid) -> list[dict[str, Any]]:
@@ -209,19 +243,51 @@ def _placed(objects: list[dict[str, Any]], scene: MapScene, grid: MapGrid) -> li
     return placed
 
 
-def _write_maps(maps: Path, flags: Path, scene: MapScene, grid: MapGrid, changes: Changes) -> None:
-    limit = np.where(np.isfinite(changes.height), changes.height_limit, np.nan)
-    bands = np.stack([changes.height, limit, changes.color], axis=2)
-    bands = np.where(np.isfinite(bands), bands, NO_HEIGHT)
+def _write_maps(
+    path: Path,
+    scene: MapScene,
+    comparison: Comparison,
+    flags: np.ndarray,
+    folder: Path,
+    progress: Progress | None,
+) -> tuple[list[dict[str, Any]], float]:
+    """Write the differences and find the changed objects.
+
+    Args:
+        path: The GeoTIFF.
+        scene: The earlier survey.
+        comparison: Of both.
+        flags: (H, W) zeros, which values of FLAGS are written to.
+        folder: For scratch arrays.
+        progress: Called before each tile.
+
+    Returns:
+        The objects, and the median of the smallest change of height that is told.
+    """
+    grid = comparison.grid
+    told = _scratch_array(folder / "told", flags.shape, np.uint8)
+    step = max(1, int(np.ceil(np.sqrt(flags.size / SAMPLE))))
+    limits = []
     names = "height change", "smallest change told at 95 %", "color change"
-    with create_map(maps, scene, grid, names, "float32", NO_HEIGHT) as writer:
-        for tile in tiles_of(grid):
-            writer.write(tile, bands[tile.row : tile.row + tile.height, tile.column : tile.column + tile.width])
+    with create_map(path, scene, grid, names, "float32", NO_HEIGHT) as writer:
+        for tile in tiles_of(grid, stage="Comparing", progress=progress):
+            found = comparison.differences(tile)
+            known = np.isfinite(found.height)
+            bands = np.stack([found.height, np.where(known, found.limit, np.nan), found.color], axis=2)
+            writer.write(tile, np.where(np.isfinite(bands), bands, NO_HEIGHT))
+            told[tile.place] = found.told
+            flags[tile.place] = np.where(known, 0, NO_LABEL)
+            limits.append(found.limit[known][:: step**2])
+    numbers = _scratch_array(folder / "numbers", flags.shape, np.int32)
+    return comparison.find_objects(told, flags, numbers), float(np.median(np.concatenate(limits)))
+
+
+def _write_flags(path: Path, scene: MapScene, grid: MapGrid, flags: np.ndarray) -> None:
+    """Write the map of changes."""
     tags = {f"VALUE_{value}": name for value, name in FLAGS.items()}
-    with create_map(flags, scene, grid, ("change",), "uint8", NO_LABEL, FLAG_COLORS, tags) as writer:
+    with create_map(path, scene, grid, ("change",), "uint8", NO_LABEL, FLAG_COLORS, tags) as writer:
         for tile in tiles_of(grid):
-            part = changes.flags[tile.row : tile.row + tile.height, tile.column : tile.column + tile.width]
-            writer.write(tile, part[..., None])
+            writer.write(tile, flags[tile.place][..., None])
 
 
 def _write_objects(path: Path, objects: list[dict[str, Any]], scene: MapScene) -> None:
@@ -266,12 +332,14 @@ def _notes(alignment: Alignment, before: Survey, after: Survey) -> list[str]:
     return notes
 
 
-def _write_page(path: Path, answer: dict[str, Any], before: Survey, after: Survey, changes: Changes) -> None:
+def _write_page(path: Path, answer: dict[str, Any], before: Survey, after: Survey, flags: np.ndarray) -> None:
     """Write a page on which the later orthomosaic is wiped over the earlier one, with the map of changes below."""
     colored = np.full((256, 3), 255, np.uint8)
     for value, color in FLAG_COLORS.items():
         colored[value] = color
-    images = [_data_url(image) for image in (before.colors * 255, after.colors * 255, colored[changes.flags])]
+    step = max(1, int(np.ceil(max(flags.shape) / PREVIEW)))
+    images = [_data_url(image[::step, ::step]) for image in (before.colors, after.colors)]
+    images.append(_data_url(colored[flags[::step, ::step]]))
     unit = answer["unit"]
     rows = [
         [
@@ -309,8 +377,6 @@ wipe.addEventListener("input", () => {{
 
 
 def _data_url(image: np.ndarray) -> str:
-    """A PNG of an image (H, W, 3), at most 1600 pixels a side, within a page."""
-    factor = min(1.0, 1600 / max(image.shape[:2]))
-    small = cv2.resize(image.astype(np.uint8), None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-    data = cv2.imencode(".png", small[..., ::-1])[1].tobytes()
+    """A PNG of an image (H, W, 3) within a page."""
+    data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))[1].tobytes()
     return f"data:image/png;base64,{base64.b64encode(data).decode()}"

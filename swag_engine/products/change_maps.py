@@ -1,4 +1,7 @@
-"""What changed between two surveys on one grid: which differences of height and color can be told at 95 %."""
+"""What changed between two surveys on one grid: which differences of height and color can be told at 95 %.
+
+Maps are compared tile by tile; what must be known of a whole map is estimated from a regular sample of its pixels.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,8 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from .components import Components
 from .geotiff import NO_LABEL
+from .grid import MapGrid
 from .heights import gradients
+from .tiles import Tile, tiles_of
 
 TOLD = 1.96
 """Standard deviations of a difference told at 95 % (level of detection, Lane et al. 2003, doi 10.1002/esp.483)."""
@@ -19,17 +25,25 @@ SMOOTHING = 3
 """Edge of the median filter over differences, pixels."""
 SCATTER = 0.5
 """Error of horizontal places in pixels: each survey samples a step of the surface differently."""
+LEAST_COLOR = 0.05
+"""Smallest difference of color, display values, that counts as a change."""
+MARGIN = 4
+"""Pixels around a tile that its differences depend on."""
+SAMPLE = 1_000_000
+"""Pixels that noise and light are estimated from."""
 FLAGS = {0: "no change told", 1: "higher", 2: "lower", 3: "color", 4: "label"}
 """Values of the map of changes."""
+ORDER = (1, 2, 4, 3)
+"""The order in which pixels get their flags: color may be that of another height or label."""
 
 
 @dataclass(frozen=True, eq=False)
 class Survey:
-    """One survey on the grid.
+    """One survey on the grid; the arrays may be files that are mapped to memory.
 
     Attributes:
-        colors: (H, W, 3) display values.
-        heights: (H, W) median heights, NaN where nothing was seen.
+        colors: (H, W, 3) uint8 display values.
+        heights: (H, W) heights of the first surface, NaN where nothing was seen.
         labels: (H, W) uint8, NO_LABEL where nothing was seen; None where the survey has no labels.
     """
 
@@ -37,74 +51,174 @@ class Survey:
     heights: np.ndarray
     labels: np.ndarray | None
 
+    def part(self, place: tuple[slice, slice]) -> "Survey":
+        """Return the part of the survey at rows and columns, in memory."""
+        labels = None if self.labels is None else np.array(self.labels[place])
+        return Survey(np.array(self.colors[place]), np.array(self.heights[place]), labels)
+
 
 @dataclass(frozen=True, eq=False)
-class Changes:
+class Differences:
     """Differences between two surveys.
 
     Attributes:
         height: (H, W) later minus earlier height, NaN where one was not seen.
-        height_limit: (H, W) smallest difference that is told at 95 %.
+        limit: (H, W) smallest difference of height that is told at 95 %.
         color: (H, W) difference of color after the light of the later survey is matched to the earlier, NaN likewise.
-        color_limit: Smallest difference of color that is told at 95 %.
-        flags: (H, W) uint8 values of FLAGS, NO_LABEL where one survey saw nothing.
-        objects: A dict for each changed object.
+        told: (H, W) uint8 with the bit 1 << flag for each flag of FLAGS that is told.
     """
 
     height: np.ndarray
-    height_limit: np.ndarray
+    limit: np.ndarray
     color: np.ndarray
-    color_limit: float
-    flags: np.ndarray
-    objects: list[dict[str, Any]]
+    told: np.ndarray
 
 
-def find_changes(before: Survey, after: Survey, pixel: float, residual: float) -> Changes:
-    """Compare two surveys.
+class Comparison:
+    """Comparison of two surveys.
 
     The noise of heights is estimated from the differences themselves, robustly: most of a place is static. To it comes
-    what an error of place makes of steps and slopes: the range of heights within a pixel and its neighbours.
+    what an error of place makes of steps and slopes: the range of heights within a pixel and its neighbours. The colors
+    of the later survey are matched to those of the earlier by a robust affine map.
 
     Args:
         before: The earlier survey.
         after: The later one, aligned.
-        pixel: Edge of a pixel.
+        grid: Its pixels.
         residual: Residual of the alignment, the unit of heights.
     """
-    known = np.isfinite(before.heights) & np.isfinite(after.heights)
-    height = np.where(known, after.heights - before.heights, np.nan)
-    place = np.hypot(SCATTER * pixel, residual)
-    slope = np.maximum(_steepness(before.heights, pixel), _steepness(after.heights, pixel))
-    noise = _spread(height[known])
-    limit = TOLD * np.sqrt(noise**2 + residual**2 + (slope * place) ** 2)
-    smooth = _median(height)
-    color, color_limit = _color_difference(before, after, known)
-    flags = np.where(known, 0, NO_LABEL).astype(np.uint8)
-    labels_differ = np.zeros(known.shape, bool)
-    if before.labels is not None and after.labels is not None:
-        labels_differ = known & (before.labels != after.labels) & (before.labels > 0) & (after.labels > 0)
-        labels_differ &= (before.labels != NO_LABEL) & (after.labels != NO_LABEL)
-    masks = {
-        1: known & (smooth > limit),
-        2: known & (smooth < -limit),
-        4: labels_differ,
-        3: known & (_median(color) > color_limit),
-    }
-    objects: list[dict[str, Any]] = []
-    for flag, mask in masks.items():
-        for chosen in _objects(mask & (flags == 0)):
-            flags[chosen] = flag
-            objects.append(_describe(chosen, flag, before, after, height, color, limit, pixel))
-    return Changes(height, limit, color, color_limit, flags, objects)
+
+    def __init__(self, before: Survey, after: Survey, grid: MapGrid, residual: float) -> None:
+        self.before, self.after, self.grid, self.residual = before, after, grid, residual
+        step = max(1, int(np.ceil(np.sqrt(grid.width * grid.height / SAMPLE))))
+        every = slice(None, None, step), slice(None, None, step)
+        first, second = before.part(every), after.part(every)
+        known = np.isfinite(first.heights) & np.isfinite(second.heights)
+        self.overlap = bool(known.any())
+        self.noise = _spread((second.heights - first.heights)[known])
+        self.light, self.color_limit = _match_light(first.colors[known] / 255, second.colors[known] / 255)
+
+    def differences(self, tile: Tile) -> Differences:
+        """Compare a tile."""
+        (rows, columns), inner = padded(tile, self.grid, MARGIN)
+        before, after = self.before.part((rows, columns)), self.after.part((rows, columns))
+        pixel = self.grid.pixel
+        known = np.isfinite(before.heights) & np.isfinite(after.heights)
+        height = np.where(known, after.heights - before.heights, np.nan)
+        place = np.hypot(SCATTER * pixel, self.residual)
+        slope = np.maximum(_steepness(before.heights, pixel), _steepness(after.heights, pixel))
+        limit = TOLD * np.sqrt(self.noise**2 + self.residual**2 + (slope * place) ** 2)
+        smooth = _median(height)
+        color = np.linalg.norm(_lit(after.colors / 255, self.light) - before.colors / 255, axis=2)
+        color = np.where(known, color, np.nan)
+        told = {1: smooth > limit, 2: smooth < -limit, 3: _median(color) > self.color_limit}
+        if before.labels is not None and after.labels is not None:
+            named = [(labels > 0) & (labels != NO_LABEL) for labels in (before.labels, after.labels)]
+            told[4] = named[0] & named[1] & (before.labels != after.labels)
+        bits = np.zeros(known.shape, np.uint8)
+        for flag, mask in told.items():
+            bits |= (known & mask).astype(np.uint8) << flag
+        return Differences(height[inner], limit[inner], color[inner], bits[inner])
+
+    def find_objects(self, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray) -> list[dict[str, Any]]:
+        """Find connected changes that are large and thick enough.
+
+        Args:
+            told: (H, W) as in `Differences`.
+            flags: (H, W) values of FLAGS, 0 or NO_LABEL before; the objects are written to it.
+            numbers: (H, W) int32, scratch.
+
+        Returns:
+            A dict for each object.
+        """
+        objects = []
+        for flag in ORDER:
+            components = self._components(flag, told, flags, numbers)
+            found: dict[int, _Object] = {}
+            for tile in tiles_of(self.grid):
+                place = tile.place
+                roots = components.chosen(np.array(numbers[place]))
+                if not roots.any():
+                    continue
+                flags[place] = np.where(roots > 0, flag, flags[place])
+                differences, before, after = self.differences(tile), self.before.part(place), self.after.part(place)
+                for root in np.unique(roots[roots > 0]).tolist():
+                    found.setdefault(root, _Object()).add(roots == root, tile, differences, before, after)
+            objects += [item.describe(flag, self.grid.pixel) for item in found.values()]
+        return objects
+
+    def _components(self, flag: int, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray) -> Components:
+        """Number the connected pixels that tell a flag and have none yet, and choose those that are objects."""
+        components = Components()
+        for tile in tiles_of(self.grid):
+            (rows, columns), inner = padded(tile, self.grid, OPENING)
+            mask = (told[rows, columns] >> flag & 1).astype(np.uint8) & (flags[rows, columns] == 0)
+            core = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((OPENING, OPENING), np.uint8))
+            components.add(numbers, tile, mask[inner], core[inner])
+        components.choose(LEAST_PIXELS, LEAST_PIXELS / 2)
+        return components
+
+    def label_transitions(self) -> dict[tuple[int, int], float]:
+        """Return the area that went from one label to another, by pairs of labels; empty without labels."""
+        if self.before.labels is None or self.after.labels is None:
+            return {}
+        counts = np.zeros((256, 256), np.int64)
+        for tile in tiles_of(self.grid):
+            pairs = [np.array(labels[tile.place], np.int64) for labels in (self.before.labels, self.after.labels)]
+            counts += np.bincount((256 * pairs[0] + pairs[1]).ravel(), minlength=256 * 256).reshape(256, 256)
+        counts[NO_LABEL] = counts[:, NO_LABEL] = 0
+        return {(int(a), int(b)): float(counts[a, b]) * self.grid.pixel**2 for a, b in np.argwhere(counts)}
 
 
-def label_transitions(before: Survey, after: Survey, pixel: float) -> dict[tuple[int, int], float]:
-    """Return the area that went from one label to another, by pairs of labels; empty without labels."""
-    if before.labels is None or after.labels is None:
-        return {}
-    known = (before.labels != NO_LABEL) & (after.labels != NO_LABEL)
-    pairs, counts = np.unique(np.stack([before.labels[known], after.labels[known]]), axis=1, return_counts=True)
-    return {(int(a), int(b)): float(count) * pixel**2 for (a, b), count in zip(pairs.T, counts, strict=True)}
+class _Object:
+    """Sums over the pixels of a changed object."""
+
+    def __init__(self) -> None:
+        self.count, self.sums, self.labels = 0, np.zeros(5), np.zeros((2, 256), np.int64)
+        self.labelled = False
+
+    def add(self, mask: np.ndarray, tile: Tile, differences: Differences, before: Survey, after: Survey) -> None:
+        """Add the pixels of a tile."""
+        rows, columns = np.nonzero(mask)
+        self.count += len(rows)
+        values = differences.height[mask], differences.limit[mask], differences.color[mask]
+        self.sums += [(rows + tile.row).sum(), (columns + tile.column).sum(), *(value.sum() for value in values)]
+        if before.labels is not None and after.labels is not None:
+            self.labelled = True
+            for number, labels in enumerate((before.labels, after.labels)):
+                self.labels[number] += np.bincount(labels[mask], minlength=256)
+
+    def describe(self, flag: int, pixel: float) -> dict[str, Any]:
+        """Describe the object; row and column are of its middle."""
+        row, column, height, limit, color = (float(value) / self.count for value in self.sums)
+        before, after = (int(counts.argmax()) if self.labelled else None for counts in self.labels)
+        return {
+            "change": FLAGS[flag],
+            "row": row,
+            "column": column,
+            "pixels": self.count,
+            "area": self.count * pixel**2,
+            "height_change": height,
+            "height_limit": limit,
+            "volume_change": height * self.count * pixel**2,
+            "color_change": color,
+            "label_before": before,
+            "label_after": after,
+        }
+
+
+def padded(tile: Tile, grid: MapGrid, margin: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return rows and columns of a tile with a margin within the grid, and those of the tile among them."""
+    top, left = max(tile.row - margin, 0), max(tile.column - margin, 0)
+    bottom, right = (
+        min(tile.row + tile.height + margin, grid.height),
+        min(tile.column + tile.width + margin, grid.width),
+    )
+    inner = (
+        slice(tile.row - top, tile.row - top + tile.height),
+        slice(tile.column - left, tile.column - left + tile.width),
+    )
+    return (slice(top, bottom), slice(left, right)), inner
 
 
 def _steepness(heights: np.ndarray, pixel: float) -> np.ndarray:
@@ -120,66 +234,25 @@ def _spread(values: np.ndarray) -> float:
 
 
 def _median(values: np.ndarray) -> np.ndarray:
-    """Median filter; holes are filled by the nearest rows for it and stay holes."""
+    """Median filter; holes count as 0 for it and stay holes."""
     holes = ~np.isfinite(values)
     filtered = cv2.medianBlur(np.where(holes, 0, values).astype(np.float32), SMOOTHING)
     return np.where(holes, np.nan, filtered)
 
 
-def _color_difference(before: Survey, after: Survey, known: np.ndarray) -> tuple[np.ndarray, float]:
-    """Difference (H, W) of colors, the later ones matched to the earlier by a robust affine map, and its limit."""
-    first, second = before.colors[known].astype(np.float64), after.colors[known].astype(np.float64)
-    color = np.full(known.shape, np.nan)
+def _match_light(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, float]:
+    """Fit the affine map (4, 3) from later colors (N, 3) to earlier ones, and the smallest change of color."""
     if len(first) < LEAST_PIXELS:
-        return color, np.inf
+        return np.vstack([np.eye(3), np.zeros(3)]), np.inf
     design = np.concatenate([second, np.ones((len(second), 1))], axis=1)
     weights = np.ones(len(first))
     for _ in range(5):
         solution = np.linalg.lstsq(design * weights[:, None], first * weights[:, None], rcond=None)[0]
         distances = np.linalg.norm(design @ solution - first, axis=1)
-        weights = (distances <= 2 * np.median(distances) + 1e-9).astype(np.float64)
-    color[known] = distances
-    middle = float(np.median(distances))
-    return color, max(middle + 3 * TOLD * _spread(distances), 0.05)
+        weights = (distances <= max(2 * float(np.median(distances)), LEAST_COLOR)).astype(np.float64)
+    return solution, max(float(np.median(distances)) + 3 * TOLD * _spread(distances), LEAST_COLOR)
 
 
-def _objects(mask: np.ndarray) -> list[np.ndarray]:
-    """Masks of the connected parts of a mask that are large and thick enough."""
-    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((OPENING, OPENING), np.uint8))
-    count, numbers = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
-    sizes = np.bincount(numbers.ravel(), minlength=count)
-    cores = np.bincount(numbers.ravel(), opened.ravel(), minlength=count)
-    chosen = [n for n in range(1, count) if sizes[n] >= LEAST_PIXELS and cores[n] >= LEAST_PIXELS / 2]
-    return [numbers == n for n in chosen]
-
-
-def _describe(
-    chosen: np.ndarray,
-    flag: int,
-    before: Survey,
-    after: Survey,
-    height: np.ndarray,
-    color: np.ndarray,
-    limit: np.ndarray,
-    pixel: float,
-) -> dict[str, Any]:
-    """Describe a changed object; row and column are of its middle."""
-    rows, columns = np.nonzero(chosen)
-    count = len(rows)
-    labels = [
-        int(np.bincount(survey.labels[chosen]).argmax()) if survey.labels is not None else None
-        for survey in (before, after)
-    ]
-    return {
-        "change": FLAGS[flag],
-        "row": float(rows.mean()),
-        "column": float(columns.mean()),
-        "pixels": count,
-        "area": count * pixel**2,
-        "height_change": float(height[chosen].mean()),
-        "height_limit": float(limit[chosen].mean()),
-        "volume_change": float(height[chosen].sum()) * pixel**2,
-        "color_change": float(color[chosen].mean()),
-        "label_before": labels[0],
-        "label_after": labels[1],
-    }
+def _lit(colors: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Apply an affine map (4, 3) to colors (H, W, 3)."""
+    return colors @ light[:3] + light[3]

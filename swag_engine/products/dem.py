@@ -36,13 +36,15 @@ def make_dem(
 ) -> dict[str, Any]:
     """Write the heights of a run or of a splat PLY: band 1 the first surface, band 2 the median height.
 
+    Measurements are made of band 1.
+
     Args:
         source: Folder of the run, or a PLY file.
         out: The GeoTIFF.
         pixel: Edge of a pixel in metres, or units where the scale is not known; chosen from the splats where it is 0.
         box: Left, bottom, right and top edge in the frame of the map.
         plane: As in `load_map_scene`.
-        derived: Names of DERIVED; each becomes NAME_hillshade.tif and so on, from the median height.
+        derived: Names of DERIVED; each becomes NAME_hillshade.tif and so on, from the first surface.
         window: Edge of the windows over which rugosity is taken.
         backend: What renders.
         progress: As in `make_ortho`.
@@ -81,14 +83,14 @@ def make_dem(
 def write_heights(
     out: Path, scene: MapScene, grid: MapGrid, backend: str = "auto", progress: Progress | None = None
 ) -> tuple[float, float, int]:
-    """Write the DEM of splats; return the lowest and highest median height and the number of pixels that have one."""
+    """Write the DEM of splats; return the lowest and highest first surface and the number of pixels that have one."""
     offset = scene.placement.offset[2] if scene.placement else 0.0
-    renderer = TileRenderer(scene.splats, grid, backend)
+    renderer = TileRenderer(scene.splats, grid, backend, scene.seen)
     low, high, seen = np.inf, -np.inf, 0
     with create_map(out, scene, grid, ("first surface", "median height"), "float32", NO_HEIGHT) as writer:
         for tile in tiles_of(grid, EDGE, "Rendering heights", progress):
             heights = tile_heights(renderer, tile)
-            known = heights.median[np.isfinite(heights.median)]
+            known = heights.first[np.isfinite(heights.first)]
             if len(known):
                 seen += len(known)
                 low, high = min(low, float(known.min())), max(high, float(known.max()))
@@ -97,7 +99,7 @@ def write_heights(
     return low + offset, high + offset, seen
 
 
-def read_heights(path: Path, band: int = 2, tile: Tile | None = None, margin: int = 0) -> np.ndarray:
+def read_heights(path: Path, band: int = 1, tile: Tile | None = None, margin: int = 0) -> np.ndarray:
     """Read heights of a DEM, NaN where there are none.
 
     Args:

@@ -164,21 +164,49 @@ class MapImage:
     crs: Any
 
 
-def read_map(path: Path) -> MapImage:
+def read_map(path: Path, tile: Tile | None = None, margin: int = 0) -> MapImage:
     """Read a map.
+
+    Args:
+        path: The file.
+        tile: The part to read; all without it.
+        margin: Pixels around the tile that are read, too; beyond the edges of the map they have no data.
 
     Raises:
         InputError: If the file is no image that GDAL reads.
     """
+    from rasterio.windows import Window
+
+    with _opened(path) as dataset:
+        window = None
+        if tile is not None:
+            window = Window(tile.column - margin, tile.row - margin, tile.width + 2 * margin, tile.height + 2 * margin)
+        values = dataset.read(window=window, boundless=margin > 0, fill_value=dataset.nodata if margin else None)
+        values = np.moveaxis(values, 0, -1)
+        return MapImage(
+            values[..., 0] if values.shape[2] == 1 else values, dataset.transform, dataset.nodata, dataset.crs
+        )
+
+
+def map_size(path: Path) -> tuple[int, int]:
+    """Return the number of columns and rows of a map.
+
+    Raises:
+        InputError: If the file is no image that GDAL reads.
+    """
+    with _opened(path) as dataset:
+        return dataset.width, dataset.height
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Yield the dataset of a file. Raises InputError for one that GDAL does not read."""
     rasterio = require_packages()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)  # a PNG has no place
             dataset = rasterio.open(path)
         with dataset:
-            values = np.moveaxis(dataset.read(), 0, -1)
-            return MapImage(
-                values[..., 0] if values.shape[2] == 1 else values, dataset.transform, dataset.nodata, dataset.crs
-            )
+            yield dataset
     except rasterio.errors.RasterioError as error:
         raise InputError(f"{path} cannot be read: {error}.") from error

@@ -1,7 +1,7 @@
 """Label maps: the label that covers most of each pixel, and corrections that go back to the splats."""
 
 import colorsys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +9,8 @@ import numpy as np
 from ..base.errors import InputError
 from ..formats.select import LABEL
 from ..splats.splats import Splats
-from .geotiff import NO_LABEL, Color, create_map, read_map
+from .geotiff import NO_LABEL, Color, create_map, map_size, read_map
 from .grid import MapGrid
-from .heights import SEEN
 from .map_frame import MapScene
 from .tiles import Progress, Tile, TileRenderer, tiles_of
 
@@ -62,19 +61,19 @@ def write_label_map(
         progress: Called before each tile.
 
     Returns:
-        Labels (H, W) uint8, 0 for none, NO_LABEL where nothing was seen.
+        Number of pixels (256,) by value: 0 for no label, NO_LABEL where nothing was seen.
     """
     labels = splat_labels(scene.splats)
-    renderer = TileRenderer(scene.splats, grid, backend)
-    found = np.full((grid.height, grid.width), NO_LABEL, np.uint8)
+    renderer = TileRenderer(scene.splats, grid, backend, scene.seen)
+    counts = np.zeros(256, np.int64)
     colors = label_colors([0, *sorted(scene.labels | dict.fromkeys(np.unique(labels).tolist(), ""))])
     names = {f"LABEL_{label}": label_name(scene, label) for label in colors}
     with create_map(out, scene, grid, ("label",), "uint8", NO_LABEL, colors, names) as writer:
         for tile in tiles_of(grid, stage="Rendering labels", progress=progress):
             values = tile_labels(renderer, tile, labels)
-            found[tile.row : tile.row + tile.height, tile.column : tile.column + tile.width] = values
+            counts += np.bincount(values.ravel(), minlength=256)
             writer.write(tile, values[..., None])
-    return found
+    return counts
 
 
 def label_name(scene: MapScene, label: int) -> str:
@@ -92,60 +91,71 @@ def tile_labels(renderer: TileRenderer, tile: Tile, labels: np.ndarray) -> np.nd
         some = present[start : start + CHANNELS]
         image, alpha = renderer.render(tile, chosen, (labels[chosen][:, None] == some).astype(np.float32))
         largest = image.max(axis=2)
-        better = (largest > best) & (alpha >= SEEN)
+        better = (largest > best) & (alpha >= renderer.seen)
         found[better] = some[image.argmax(axis=2)][better]
         best = np.maximum(best, largest)
     return found
 
 
-def read_corrected(path: Path, shape: tuple[int, int], colors: dict[int, Color]) -> np.ndarray:
-    """Read a corrected label map: a palette image, an image of label numbers, or one in the colors of the labels.
+class CorrectedMap:
+    """A corrected label map beside the label map: a palette image, one of label numbers, or one in label colors.
 
     Args:
         path: PNG or TIFF of the size of the label map.
-        shape: Rows and columns of the label map.
+        labels: The label map.
+        grid: Its pixels.
         colors: Colors of the labels.
 
-    Returns:
-        Labels (H, W) uint8; NO_LABEL where the image is transparent or has that number.
-
     Raises:
-        InputError: If the image has another size, or a number or color of no label.
+        InputError: If the image cannot be read or has another size.
     """
-    values = read_map(path).values
-    if values.shape[:2] != shape:
-        raise InputError(
-            f"{path.name} has {values.shape[1]} x {values.shape[0]} pixels and the label map {shape[1]} x {shape[0]}: "
-            "correct the label map without changing its size."
-        )
-    if values.ndim == 2:
-        unknown = set(np.unique(values).tolist()) - {*colors, NO_LABEL}
-        if unknown:
-            raise InputError(f"{path.name} has the value {min(unknown)}, which is no label of the run.")
-        return values.astype(np.uint8)
-    labels = np.full(shape, NO_LABEL, np.uint8)
-    known = np.zeros(shape, bool) if values.shape[2] < 4 else values[..., 3] == 0
-    for label, color in colors.items():
-        match = (values[..., :3] == color).all(axis=2) & ~known
-        labels[match] = label
-        known |= match
-    if not known.all():
-        row, column = np.argwhere(~known)[0]
-        color = tuple(values[row, column, :3].tolist())
-        raise InputError(
-            f"{path.name} has the color {color} at column {column}, row {row}, which is that of no label: paint in "
-            "the colors of the label map, without smooth edges."
-        )
-    return labels
+
+    def __init__(self, path: Path, labels: Path, grid: MapGrid, colors: dict[int, Color]) -> None:
+        self.path, self.labels, self.grid, self.colors = path, labels, grid, colors
+        columns, rows = map_size(path)
+        if (rows, columns) != (grid.height, grid.width):
+            raise InputError(
+                f"{path.name} has {columns} x {rows} pixels and the label map {grid.width} x {grid.height}: "
+                "correct the label map without changing its size."
+            )
+
+    def tiles(self, stage: str, progress: Progress | None) -> Iterator[tuple[Tile, np.ndarray, np.ndarray]]:
+        """Yield each tile with its labels before and after, (height, width) uint8.
+
+        Transparent pixels and those with the value NO_LABEL are NO_LABEL.
+
+        Raises:
+            InputError: If the image has a number or color of no label.
+        """
+        for tile in tiles_of(self.grid, stage=stage, progress=progress):
+            before, after = (read_map(path, tile).values for path in (self.labels, self.path))
+            yield tile, before, self._labels(after, tile)
+
+    def _labels(self, values: np.ndarray, tile: Tile) -> np.ndarray:
+        """Convert a part (height, width) or (height, width, bands) of the corrected image to labels."""
+        if values.ndim == 2:
+            unknown = set(np.unique(values).tolist()) - {*self.colors, NO_LABEL}
+            if unknown:
+                raise InputError(f"{self.path.name} has the value {min(unknown)}, which is no label of the run.")
+            return values.astype(np.uint8)
+        labels = np.full(values.shape[:2], NO_LABEL, np.uint8)
+        known = np.zeros(labels.shape, bool) if values.shape[2] < 4 else values[..., 3] == 0
+        for label, color in self.colors.items():
+            match = (values[..., :3] == color).all(axis=2) & ~known
+            labels[match] = label
+            known |= match
+        if not known.all():
+            row, column = np.argwhere(~known)[0]
+            color = tuple(values[row, column, :3].tolist())
+            raise InputError(
+                f"{self.path.name} has the color {color} at column {tile.column + column}, row {tile.row + row}, which "
+                "is that of no label: paint in the colors of the label map, without smooth edges."
+            )
+        return labels
 
 
 def corrected_splats(
-    scene: MapScene,
-    grid: MapGrid,
-    before: np.ndarray,
-    after: np.ndarray,
-    backend: str = "auto",
-    progress: Progress | None = None,
+    scene: MapScene, corrected: CorrectedMap, backend: str = "auto", progress: Progress | None = None
 ) -> np.ndarray:
     """Give splats the labels of corrected pixels.
 
@@ -154,29 +164,32 @@ def corrected_splats(
 
     Args:
         scene: The splats.
-        grid: Pixels of the label map.
-        before: (H, W) the label map.
-        after: (H, W) the corrected one.
+        corrected: The corrected label map.
         backend: What renders.
         progress: Called before each tile.
 
     Returns:
         Labels (N,) of all splats.
+
+    Raises:
+        InputError: As `CorrectedMap.tiles` does.
     """
     labels = splat_labels(scene.splats)
-    changed = (before != after) & (after != NO_LABEL)
-    present = np.unique(after[changed])
-    renderer = TileRenderer(scene.splats, grid, backend)
+    found: set[int] = set()
+    for _, before, after in corrected.tiles("Reading corrections", progress):
+        found |= set(np.unique(after[(before != after) & (after != NO_LABEL)]).tolist())
+    present = np.array(sorted(found), np.int64)
+    if not len(present):
+        return labels
+    renderer = TileRenderer(scene.splats, corrected.grid, backend)
     sums = np.zeros((len(labels), len(present) + 1))
-    for tile in tiles_of(grid, stage="Correcting labels", progress=progress):
-        place = slice(tile.row, tile.row + tile.height), slice(tile.column, tile.column + tile.width)
+    for tile, before, after in corrected.tiles("Correcting labels", progress):
         chosen = renderer.inside(tile)
         if not len(chosen):
             continue
-        weights = np.concatenate(
-            [~changed[place][..., None], changed[place][..., None] & (after[place][..., None] == present)], axis=2
-        )
+        changed = ((before != after) & (after != NO_LABEL))[..., None]
+        weights = np.concatenate([~changed, changed & (after[..., None] == present)], axis=2)
         sums[chosen] += renderer.visible_weights(tile, chosen, weights)
-    corrected = sums[:, 1:].sum(axis=1)
-    moved = (corrected > 0) & (corrected >= LEAST_CHANGED * sums.sum(axis=1))
-    return np.where(moved, present[sums[:, 1:].argmax(axis=1)] if len(present) else 0, labels)
+    moved_weight = sums[:, 1:].sum(axis=1)
+    moved = (moved_weight > 0) & (moved_weight >= LEAST_CHANGED * sums.sum(axis=1))
+    return np.where(moved, present[sums[:, 1:].argmax(axis=1)], labels)

@@ -14,8 +14,12 @@ from ..scene.georeference import Georeference, Placement, read_georeference
 from ..splats.development import NO_DEVELOPMENT, Development
 from ..splats.splats import Splats
 from ..splats.transform import rotation_to_y_up, transformed
+from .tiles import SEEN
 
 PLANE_HELP = "up, fit, or a direction as in 0,0,1"
+BESIDE_BACKGROUND = 0.1
+"""Least alpha of a pixel that shows something in a run with a background color: training leaves ground of that color
+more transparent, since the color behind it is right."""
 SOLID = 0.5
 """Least opacity of splats that a plane is fitted to."""
 FIT_ROUNDS = 10
@@ -38,6 +42,8 @@ class MapScene:
         matrix: (4, 4) from the scene's coordinates to those of the map, without the placement.
         labels: Names of the labels by number.
         notes: Sentences for the user.
+        seen: Least alpha of a pixel that shows something.
+        run: Folder of the run; None for a splat file.
     """
 
     splats: Splats
@@ -49,6 +55,8 @@ class MapScene:
     matrix: np.ndarray
     labels: dict[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    seen: float = SEEN
+    run: Path | None = None
 
 
 def load_map_scene(source: Path, plane: str = "up", water: float = 0.0, develop: str = "auto") -> MapScene:
@@ -130,7 +138,7 @@ def _load_run(folder: Path, plane: str, direction: np.ndarray | None, water: flo
     labels = _label_names(run)
     return MapScene(
         transformed(splats, matrix), "m" if metres else "units", placement, _scale_error(measured), north, development,
-        matrix, labels, tuple(notes),
+        matrix, labels, tuple(notes), BESIDE_BACKGROUND if run.has_background_color() else SEEN, folder,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from .grid import MapGrid, make_grid
 from .map_frame import MapScene, load_map_scene
 from .packages import require_packages
 from .preview import write_preview
-from .tiles import Progress, TileRenderer, tiles_of
+from .tiles import SEEN, Progress, TileRenderer, tiles_of
 
 MILLIMETRES = 1000
 HIGHEST = 0.999
@@ -78,7 +78,7 @@ def write_ortho(
     progress: Progress | None = None,
 ) -> float:
     """Render an orthomosaic to a GeoTIFF and return the fraction of pixels in which something was seen."""
-    renderer = TileRenderer(scene.splats, grid, backend)
+    renderer = TileRenderer(scene.splats, grid, backend, scene.seen)
     colors = renderer.colors()
     bands = ("red", "green", "blue") if taglab else ("red", "green", "blue", "alpha")
     covered = 0
@@ -87,9 +87,9 @@ def write_ortho(
             chosen = renderer.inside(tile)
             image, alpha = renderer.render(tile, chosen, colors[chosen])
             shown = scene.development.apply(image / np.maximum(alpha, 1e-6)[..., None])
-            cover = alpha[..., None]  # without alpha, black where nothing is
+            cover = np.clip(alpha * SEEN / scene.seen, 0, 1)[..., None]  # without alpha, black where nothing is
             shown = shown * cover if taglab else np.concatenate([shown, cover], axis=2)
-            covered += int((alpha >= 0.5).sum())
+            covered += int((alpha >= scene.seen).sum())
             writer.write(tile, np.round(255 * np.clip(shown, 0, 1)))
     return covered / (grid.width * grid.height)
 

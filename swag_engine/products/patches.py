@@ -1,6 +1,7 @@
 """Patches of a label map as polygons: GeoJSON and COCO."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,22 +28,32 @@ class Patch:
     pixels: int
 
 
-def find_patches(labels: np.ndarray, least: int) -> list[Patch]:
+def find_patches(labels: Path, least: int) -> list[Patch]:
     """Find the patches of a label map; pixels that touch at a corner belong together.
 
+    GDAL reads two rows of pixels at a time: memory grows with the outlines alone.
+
     Args:
-        labels: (H, W) uint8.
+        labels: The file of the label map.
         least: Smallest number of pixels of a patch.
     """
-    require_packages()
+    rasterio = require_packages()
     from rasterio.features import shapes
+    from shapely import transform
+    from shapely.affinity import affine_transform
     from shapely.geometry import shape
 
     patches = []
-    for outline, label in shapes(labels, (labels != NO_LABEL) & (labels != 0), connectivity=8):
-        polygon = shape(outline)
-        if round(polygon.area) >= least:
-            patches.append(Patch(int(label), polygon, round(polygon.area)))
+    with rasterio.open(labels) as dataset:
+        # GDAL gives coordinates of the map.
+        to_pixels = ~dataset.transform
+        matrix = [to_pixels.a, to_pixels.b, to_pixels.d, to_pixels.e, to_pixels.c, to_pixels.f]
+        for outline, label in shapes(rasterio.band(dataset, 1), connectivity=8):
+            if label in (0, NO_LABEL):
+                continue
+            polygon = transform(affine_transform(shape(outline), matrix), np.round)
+            if polygon.area >= least:
+                patches.append(Patch(int(label), polygon, round(polygon.area)))
     return patches
 
 

@@ -51,7 +51,7 @@ def write_preview(path: Path, scene: MapScene, grid: MapGrid) -> Path:
         elif dataset.dtypes[0] == "uint8":
             image, legend = _color_image(np.asarray(values.data)), []
         else:
-            image, legend = _height_image(np.ma.filled(values[..., -1].astype(np.float64), np.nan), pixel, scene.unit)
+            image, legend = _height_image(np.ma.filled(values[..., 0].astype(np.float64), np.nan), pixel, scene.unit)
     image = np.ascontiguousarray(image)
     _draw_legend(image, legend)
     draw_scale(image, pixel, scene.unit, scene.north)

@@ -49,7 +49,7 @@ def make_profile(
     Returns:
         `out`, `files`, `unit`, `length` (planar), `surface_length` (along the surface where it was seen), `rugosity`
         (surface over planar length of what was seen), `heights` (lowest and highest, None where nothing was seen),
-        `covered`, `notes`, `to_map` (4 x 4, from the scene to the map) and `curve` (x, y, median height in the map).
+        `covered`, `notes`, `to_map` (4 x 4, from the scene to the map) and `curve` (x, y, height in the map).
 
     Raises:
         InputError: If an option or a file cannot be used.
@@ -88,10 +88,10 @@ def make_profile(
     with atomic_path(picture) as temporary:
         _plot(distances, first, median, scene.unit).savefig(temporary, format="png", dpi=120)
     step = np.diff(distances)
-    rise = np.diff(median)
+    rise = np.diff(first)
     known = np.isfinite(rise)
     surface = float(np.hypot(step, rise)[known].sum())
-    seen = np.isfinite(median)
+    seen = np.isfinite(first)
     return {
         "out": str(out),
         "files": [str(out), str(picture)],
@@ -99,12 +99,12 @@ def make_profile(
         "length": length,
         "surface_length": surface,
         "rugosity": surface / float(step[known].sum()) if known.any() else None,
-        "heights": [float(median[seen].min()), float(median[seen].max())] if seen.any() else None,
+        "heights": [float(first[seen].min()), float(first[seen].max())] if seen.any() else None,
         "covered": float(seen.mean()),
         "scale_error": scene.scale_error,
         "notes": list(scene.notes),
         "to_map": scene.matrix.tolist(),
-        "curve": np.column_stack([places, median - height_offset])[seen].tolist(),
+        "curve": np.column_stack([places, first - height_offset])[seen].tolist(),
     }
 
 
@@ -142,9 +142,9 @@ def describe(document: dict[str, Any]) -> str:
 def _write_table(out: Path, distances: np.ndarray, places: np.ndarray, first: np.ndarray, median: np.ndarray) -> None:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["distance", "x", "y", "median_height", "first_surface"])
-    for distance, (x, y), middle, top in zip(distances, places, median, first, strict=True):
-        heights = ["" if np.isnan(value) else f"{value:.6g}" for value in (middle, top)]
+    writer.writerow(["distance", "x", "y", "first_surface", "median_height"])
+    for distance, (x, y), top, middle in zip(distances, places, first, median, strict=True):
+        heights = ["" if np.isnan(value) else f"{value:.6g}" for value in (top, middle)]
         writer.writerow([f"{distance:.6g}", f"{x:.10g}", f"{y:.10g}", *heights])
     with atomic_path(out) as temporary:
         temporary.write_text(text.getvalue(), encoding="utf-8")
@@ -155,8 +155,8 @@ def _plot(distances: np.ndarray, first: np.ndarray, median: np.ndarray, unit: st
 
     figure = Figure(figsize=(8, 3), layout="constrained")
     axes = figure.add_subplot()
-    axes.plot(distances, first, color="0.7", linewidth=1, label="first surface")
-    axes.plot(distances, median, color="black", linewidth=1, label="median height")
+    axes.plot(distances, median, color="0.7", linewidth=1, label="median height")
+    axes.plot(distances, first, color="black", linewidth=1, label="first surface")
     axes.set(xlabel=f"distance [{unit}]", ylabel=f"height [{unit}]")
     axes.legend(frameon=False)
     return figure

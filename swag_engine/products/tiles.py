@@ -25,6 +25,8 @@ BLUR = 0.3
 """Variance that the projection adds, pixel^2 (kernels/reference/projection.py)."""
 REACH = 3.4
 """Standard deviations beyond which alpha is below 1/255."""
+SEEN = 0.5
+"""Least alpha of a pixel that shows something; others are holes."""
 ABOVE = 1.0
 """Height of the camera above the highest splat, length units of the map; depth must be above the near plane."""
 DOWN = (0.0, 0.0, -1.0)
@@ -39,6 +41,11 @@ class Tile:
     row: int
     width: int
     height: int
+
+    @property
+    def place(self) -> tuple[slice, slice]:
+        """Its rows and columns."""
+        return slice(self.row, self.row + self.height), slice(self.column, self.column + self.width)
 
 
 def tiles_of(grid: MapGrid, edge: int = TILE, stage: str = "", progress: Progress | None = None) -> Iterator[Tile]:
@@ -67,10 +74,11 @@ class TileRenderer:
         splats: Splats in the frame of a map.
         grid: The pixels.
         backend: What computes, as in `kernels_for`.
+        seen: Least alpha of a pixel that shows something.
     """
 
-    def __init__(self, splats: Splats, grid: MapGrid, backend: str = "auto") -> None:
-        self.splats, self.grid, self.backend = splats, grid, backend
+    def __init__(self, splats: Splats, grid: MapGrid, backend: str = "auto", seen: float = SEEN) -> None:
+        self.splats, self.grid, self.backend, self.seen = splats, grid, backend, seen
         self.device = device_for(backend)
         size = float(np.median(splats.scales.max(axis=1)))
         self.supersampling = int(np.clip(np.ceil(grid.pixel / max(size, 1e-30)), 1, MOST_SUPERSAMPLING))

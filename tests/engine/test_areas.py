@@ -92,11 +92,13 @@ def test_polygons_are_in_degrees_and_in_pixels(made):
     np.testing.assert_allclose(boxes, [[125, 50, 50, 50]], atol=2)
 
 
-def test_patches_with_holes_become_polygons_without():
+def test_patches_with_holes_become_polygons_without(tmp_path):
     labels = np.ones((20, 30), np.uint8)
     labels[5:10, 5:10] = labels[12:15, 20:25] = 0
     labels[0, 29] = 2
-    patches = find_patches(labels, 2)
+    with rasterio.open(tmp_path / "labels.tif", "w", "GTiff", 30, 20, 1, dtype="uint8") as dataset:
+        dataset.write(labels, 1)
+    patches = find_patches(tmp_path / "labels.tif", 2)
     assert [(p.label, p.pixels) for p in patches] == [(1, 600 - 25 - 15 - 1)]
     (annotation,) = to_coco(patches, "a.tif", 30, 20, {0: "unlabelled", 1: "sand", 2: "coral"})["annotations"]
     drawn = np.zeros((20, 30), np.uint8)

@@ -225,7 +225,7 @@ def test_heights_of_a_known_surface(tmp_path):
 
 def test_the_first_surface_is_above_the_median_where_something_thin_floats(tmp_path):
     haze = sheet(1, 1, 2, 2, 0.1, 1.0)
-    haze.opacities[:] = 0.15
+    haze.opacities[:] = 0.25
     run = write_run(tmp_path, [sheet(0, 0, 3, 3, 0.05), haze])
     make_dem(run, tmp_path / "dem.tif", pixel=0.05, box=(0, 0, 3, 3))
     first, median = (read_heights(tmp_path / "dem.tif", band) + 12 for band in (1, 2))
@@ -241,7 +241,7 @@ def test_a_step_between_two_levels(tmp_path):
     x, y = np.meshgrid(0.02 * (np.arange(200) + 0.5), 2 - 0.02 * (np.arange(100) + 0.5))
     top = (np.abs(x - 1.5) < 0.5) & (np.abs(y - 1) < 0.5)
     assert np.median(np.abs(heights - 0.7 * top)) < 1e-3
-    assert (heights > 0.35).sum() == pytest.approx(top.sum(), rel=0.12)
+    assert (heights > 0.35).sum() == pytest.approx(top.sum(), rel=0.18)  # half a splat at each edge
 
 
 def test_derived_maps_of_a_slope(tmp_path):

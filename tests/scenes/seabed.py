@@ -110,7 +110,7 @@ class Seabed:
         kept = [thing for number, thing in enumerate(self.things) if number not in (1, 4, 6)]
         grown = self.things[2]
         larger = replace(grown, radius=1.1 * grown.radius, height=1.1 * grown.height)
-        return Seabed(tuple(larger if thing == grown else thing for thing in kept), (1.35, -0.95))
+        return Seabed(tuple(larger if thing == grown else thing for thing in kept), (1.4, -0.95))
 
     @cached_property
     def _grid(self) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +125,7 @@ class Seabed:
         """Heights (H, W) float32, labels (H, W) uint8 and colors (H, W, 3) float32 on the grid."""
         x, y = self._grid[0][None, :], self._grid[1][:, None]
         heights = 0.04 * np.sin(1.9 * x + 0.4) * np.cos(1.6 * y) + 0.02 * np.sin(4.3 * y + x)
-        heights = heights + 0.07 * np.exp(-((x - self.bank[0]) ** 2 + (y - self.bank[1]) ** 2) / (2 * 0.18**2))
+        heights = heights + 0.07 * np.exp(-((x - self.bank[0]) ** 2 + (y - self.bank[1]) ** 2) / (2 * 0.12**2))
         labels = np.ones(heights.shape, np.uint8)
         colors = np.tile(np.array([0.42, 0.37, 0.28], np.float32), (*heights.shape, 1))
         for thing in self.things:
