@@ -42,7 +42,7 @@ def test_each_map_is_made_by_the_engine_and_shown_at_its_place(blender, tmp_path
     curve = np.array(maps["profile"]["points"])
     assert np.allclose(curve[[0, -1]], found["ends"], atol=0.05)
     ((change, area, height),) = maps["change"]["lines"][1:]
-    assert change == "lower" and height.startswith("-0.2") and float(area.split()[0]) == pytest.approx(0.48, rel=0.15)
+    assert change == "lower" and height.startswith("-0.2") and 0.45 < float(area.split()[0]) < 0.62
     assert "Traceback" not in blender.printed and "Map: Rendering" in blender.printed
     assert Path(maps["change"]["file"]) == run / "maps" / "change"
 
