@@ -19,6 +19,7 @@ struct Call {
     farthest: f32,            // component of an offset, scene units
     geometry: u32,            // whether means, quats and scales have gradients
     half_width: f32,          // of the image, pixels
+    bit: u32,                 // of `flags`, in find_not_finite
     pixel_rows: u32, gaussian_rows: u32, squares: u32, bands: u32,
 }
 @group(0) @binding(0) var<uniform> call: Call;
@@ -42,6 +43,7 @@ struct Call {
 @group(0) @binding(18) var<storage, read> similarity: array<vec2f>;
 @group(0) @binding(19) var<storage, read> pairs: array<vec2u>;  // of each band: how many there are, how many fit
 @group(0) @binding(20) var<storage, read_write> outcome: array<f32>;
+@group(0) @binding(21) var<storage, read> values: array<f32>;
 
 var<workgroup> partial: array<f32, 256>;
 
@@ -112,6 +114,14 @@ fn count_views(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) gro
     if (i >= call.count || atomicLoad(&flags[0]) != 0u) { return; }
     let by_center = vec2f(geometry[6u * i], geometry[6u * i + 1u]);
     statistics[i] += vec2f(length(by_center) * call.half_width, select(0.0, 1.0, radii[i] > 0.0));
+}
+
+// Sets a bit of `flags` where one of `count` numbers is not finite.
+@compute @workgroup_size(256)
+fn find_not_finite(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
+                   @builtin(local_invocation_index) thread: u32) {
+    let i = group_index(group, groups) * THREADS + thread;
+    if (i < call.count) { note(call.bit, !is_finite(values[i])); }
 }
 
 // One group. outcome: the sums over pixels (40) and over Gaussians (34), that of SSIM, and the flags as a number.

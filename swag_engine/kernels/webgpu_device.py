@@ -23,7 +23,7 @@ from .reference import blending, projection, similarity
 FOLDER = Path(__file__).parent
 """Folder of the sources."""
 STAGES = {
-    **dict.fromkeys(("activate", "activate_backward", "count_views", "conclude"), "gaussians"),
+    **dict.fromkeys(("activate", "activate_backward", "count_views", "find_not_finite", "conclude"), "gaussians"),
     "adam_step": "adam",
     "blend_backward": "splat blend",
     "blend_forward": "splat blend",
@@ -55,6 +55,8 @@ DEFAULT_LIMITS = {
 """WebGPU's default limits, which are all that the kernels need."""
 KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
 """Kinds of adapters, the one that is taken first before the others."""
+LAST_API = "D3D12"
+"""DirectX 12: it has no atomic sums of floats, so the same card comes through Vulkan where it can."""
 BAD_DRIVERS = {
     # gfx-rs/wgpu issue 7904, July 2025: sums over 64 threads come out as those of two.
     "Microsoft Basic Render Driver": "its barriers in workgroup memory do not hold",
@@ -260,7 +262,11 @@ class WebGpu:
 
     def clear(self, buffer: Any) -> None:
         """Set all numbers of a buffer to 0, behind what is pending."""
-        self._pending.append(buffer)
+        self._pending.append(lambda encoder: encoder.clear_buffer(buffer))
+
+    def copy(self, source: Any, to: Any) -> None:
+        """Copy a buffer to another one of its size, behind what is pending."""
+        self._pending.append(lambda encoder: encoder.copy_buffer_to_buffer(source, 0, to, 0, source.size))
 
     def flush(self) -> None:
         """Submit what is pending as one command buffer."""
@@ -274,11 +280,11 @@ class WebGpu:
             encoder = self.device.create_command_encoder()
             commands = None
             for entry in pending:
-                if not isinstance(entry, tuple):
+                if callable(entry):
                     if commands:
                         commands.end()
                         commands = None
-                    encoder.clear_buffer(entry)
+                    entry(encoder)
                     continue
                 pipeline, group, at, groups = entry
                 commands = commands or encoder.begin_compute_pass()
@@ -447,7 +453,12 @@ def _adapters() -> list[Any]:
 def _ranked() -> list[tuple[Any, str]]:
     """Return the adapters and why each cannot be used, empty where it can: those first, cards before graphics chips."""
     ranked = [(adapter, _refusal(adapter)) for adapter in _adapters()]
-    return sorted(ranked, key=lambda pair: (bool(pair[1]), KINDS.index(pair[0].info["adapter_type"])))
+
+    def rank(pair: tuple[Any, str]) -> tuple[bool, int, bool]:
+        info = pair[0].info
+        return bool(pair[1]), KINDS.index(info["adapter_type"]), info["backend_type"] == LAST_API
+
+    return sorted(ranked, key=rank)
 
 
 def _refusal(adapter: Any) -> str:

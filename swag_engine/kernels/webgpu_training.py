@@ -5,7 +5,7 @@ water, lamp, gains and background are made of. Arrays with a row per Gaussian ar
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -41,8 +41,8 @@ GRADIENTS = ("means", "quats", "log_scales", "opacity_logits", "sh0")
 """Parameters by the bits of the flags of gaussians.wgsl."""
 LOSS, OVERFLOW = 32, 64
 """Flags of gaussians.wgsl: the loss is not finite; there are more pairs than their lists hold."""
-SUM_GROUPS = 64
-"""Groups of threads that sums over pixels or Gaussians are made by."""
+SUM_GROUPS = 256
+"""Most groups of threads that sums over pixels, or over the Gaussians of a part, are made by."""
 ALIGNED = 64
 """Gaussians that parts are a multiple of: their rows begin where a binding may."""
 SPARE_ROOM = 1.25
@@ -57,6 +57,11 @@ def adam_fields(rate: float, beta1: float, beta2: float, eps: float, step: int) 
         "step_size": rate / (1 - beta1**step), "root": math.sqrt(1 - beta2**step), "weight1": 1 - beta1,
         "weight2": 1 - beta2, "epsilon": eps,
     }  # fmt: skip
+
+
+def sum_groups(count: int) -> int:
+    """Return how many groups of threads make the sums over some pixels or Gaussians."""
+    return min(SUM_GROUPS, -(-count // THREADS))
 
 
 @dataclass(frozen=True)
@@ -214,6 +219,31 @@ class ResidentGaussians:
             self.gpu.clear(buffer)
         return values
 
+    def keep(self, names: Iterable[str]) -> None:
+        """Copy arrays on the device, to `good.NAME`."""
+        for name in names:
+            copies = self._array(f"good.{name}", self.sizes[name])
+            for source, to in zip(self._arrays[name], copies, strict=True):
+                self.gpu.copy(source, to)
+
+    def not_finite(self, arrays: Mapping[str, int]) -> str:
+        """Find an array with numbers that are not finite.
+
+        Args:
+            arrays: Numbers per Gaussian by the names of the arrays, at most 32.
+
+        Returns:
+            Its name, empty where there is none.
+        """
+        flags = self.space.empty("not_finite", 1)
+        self.gpu.clear(flags)
+        for chunk in self.chunks:
+            for place, (name, size) in enumerate(arrays.items()):
+                call, values = {"count": size * chunk.count, "bit": 1 << place}, self._array(name, size)[chunk.number]
+                self.space.run("find_not_finite", -(-size * chunk.count // THREADS), call, values=values, flags=flags)
+        found = int(self.gpu.read(flags, (1,), torch.int32))
+        return next((name for place, name in enumerate(arrays) if found >> place & 1), "")
+
     def step(self, view: View, adam: Mapping[str, Mapping[str, float]]) -> Outcome:
         """Make one step of all parameters that `adam` has.
 
@@ -273,13 +303,19 @@ class ResidentGaussians:
         sizes = {
             "splats": SPLAT_NUMBERS * self.count, "keys": self.count, "ids": self.count, "channels": GROUP * self.count,
             "gradients": (MOMENTS + GROUP) * self.count, "ranges": 2 * tiles, "flags": 1, "found": 2 * self._lists,
-            "outcome": PIXEL_SUMS + GAUSSIAN_SUMS + 2, "gaussian_sums": GAUSSIAN_SUMS * SUM_GROUPS * len(self.chunks),
-            "pixel_sums": PIXEL_SUMS * SUM_GROUPS,
+            "outcome": PIXEL_SUMS + GAUSSIAN_SUMS + 2, "gaussian_sums": GAUSSIAN_SUMS * self._gaussian_rows,
         }  # fmt: skip
         return self.space.empty(name, sizes[name])
 
     def _image(self, name: str, view: View, numbers: int) -> Any:
         return self.space.empty(name, numbers * view.width * view.height)
+
+    def _pixel_sums(self, view: View) -> Any:
+        return self.space.empty("pixel_sums", PIXEL_SUMS * sum_groups(view.width * view.height))
+
+    @property
+    def _gaussian_rows(self) -> int:
+        return sum(sum_groups(chunk.count) for chunk in self.chunks)
 
     # -- stages -------------------------------------------------------------------------------------------------------
 
@@ -299,7 +335,7 @@ class ResidentGaussians:
     def _shading(self, chunk: Chunk, view: View) -> dict[str, Any]:
         return {
             "count": chunk.count, "degree": view.water_degree, "mode": view.mode, "row": MOMENTS + GROUP,
-            "first_sum": SUM_GROUPS * chunk.number, "dazzling": view.dazzling,
+            "first_sum": sum_groups(self.chunks[0].count) * chunk.number, "dazzling": view.dazzling,
         }  # fmt: skip
 
     def _colors(self, chunk: Chunk, view: View) -> dict[str, Any]:
@@ -402,9 +438,9 @@ class ResidentGaussians:
             run("l1_ssim_backward", squares, sizes, **images, slopes=slopes, gradient=by_photo)
         outputs = {
             "by_photo": by_photo, "by_blended": self._image("by_blended", view, GROUP),
-            "by_transparent": self._image("by_alpha", view, 1), "pixel_sums": self._shared("pixel_sums"),
+            "by_transparent": self._image("by_alpha", view, 1), "pixel_sums": self._pixel_sums(view),
         }  # fmt: skip
-        run("photo_backward", SUM_GROUPS, call, **sources, **outputs)
+        run("photo_backward", sum_groups(pixels), call, **sources, **outputs)
 
     @staticmethod
     def _squares(view: View) -> int:
@@ -418,7 +454,14 @@ class ResidentGaussians:
         run("turn_moments", groups, call, splats=splats, moments=gradients, **geometry)
         shaded = of(chunk, colors=("colors", 3), offsets=("offsets", 3), by_colors=("by_colors", 3))
         sums = {"gradients": gradients, "gaussian_sums": self._shared("gaussian_sums")}
-        run("shade_backward", SUM_GROUPS, self._shading(chunk, view), numbers=self._numbers, **shaded, **sums)
+        run(
+            "shade_backward",
+            sum_groups(chunk.count),
+            self._shading(chunk, view),
+            numbers=self._numbers,
+            **shaded,
+            **sums,
+        )
         colors = of(
             chunk, directions=("directions", 3), shown=("colors", 3), by_colors=("by_colors", 3), by_sh0=("by.sh0", 3),
             by_shN=("by.shN", self.sizes["shN"]),
@@ -437,12 +480,12 @@ class ResidentGaussians:
     def _conclude(self, view: View) -> None:
         squares = self._squares(view) if view.weights[1] else 0
         call = {
-            "pixel_rows": SUM_GROUPS, "gaussian_rows": SUM_GROUPS * len(self.chunks), "squares": squares,
-            "bands": self._lists,
+            "pixel_rows": sum_groups(view.width * view.height), "gaussian_rows": self._gaussian_rows,
+            "squares": squares, "bands": self._lists,
         }  # fmt: skip
         sums = {"similarity": self.space.empty("similarity", 2 * self._squares(view)), "pairs": self._shared("found")}
-        names = ("pixel_sums", "gaussian_sums", "flags", "outcome")
-        self.space.run("conclude", 1, call, **sums, **{name: self._shared(name) for name in names})
+        shared = {name: self._shared(name) for name in ("gaussian_sums", "flags", "outcome")}
+        self.space.run("conclude", 1, call, **sums, pixel_sums=self._pixel_sums(view), **shared)
 
     def _update(self, chunk: Chunk, view: View, adam: Mapping[str, Mapping[str, float]]) -> None:
         flags = self._shared("flags")

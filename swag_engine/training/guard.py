@@ -7,9 +7,9 @@ diverged: parameters that pass become the last good ones, others are rolled back
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -98,6 +98,29 @@ class GuardedState:
         self.last_good = copies(optimizer)
 
 
+class OnDevice(Protocol):
+    """Gaussians that steps have left on a device.
+
+    Attributes:
+        names: Parameters of the cloud that are there, with their moments.
+    """
+
+    names: Collection[str]
+
+    def fetch(self, parameters_only: bool = False) -> None:
+        """Bring the state's tensors up to date, those of the last good parameters too.
+
+        Args:
+            parameters_only: Leave moments, statistics and the last good parameters as they are.
+        """
+
+    def not_finite(self) -> str:
+        """Name a parameter or moment with values that are not finite, as a clause; empty where none is."""
+
+    def keep(self) -> None:
+        """Take the parameters as the last good ones."""
+
+
 class Guard:
     """Decides which steps are accepted and when parameters are rolled back.
 
@@ -134,27 +157,30 @@ class Guard:
         record.losses += loss
         record.count += 1
 
-    def check_due(self, guarded: GuardedState, iteration: int) -> bool:
-        """Return whether `roll_back_if_bad` checks the parameters after `iteration` iterations."""
-        return guarded.record.in_a_row >= MOST_SKIPPED or iteration % self.interval == 0
-
-    def roll_back_if_bad(self, guarded: GuardedState, optimizer: Optimizer, iteration: int) -> bool:
+    def roll_back_if_bad(
+        self, guarded: GuardedState, optimizer: Optimizer, iteration: int, on_device: OnDevice | None = None
+    ) -> bool:
         """Check the parameters when a check is due, and roll them back to the last good ones if it fails.
 
         Args:
             guarded: The guard's part of the run's state.
             optimizer: Holds the parameters and moments to check.
             iteration: Iterations done.
+            on_device: The Gaussians, where they are on a device.
 
         Returns:
             Whether the parameters were rolled back.
         """
-        if not self.check_due(guarded, iteration):
-            return False
         record = guarded.record
         stuck = record.in_a_row >= MOST_SKIPPED
+        if not stuck and iteration % self.interval:
+            return False
         mean = record.losses / max(record.count, 1)
-        finding = not_finite(optimizer.parameters() | optimizer.state_tensors())
+        tensors, elsewhere = optimizer.parameters() | optimizer.state_tensors(), ""
+        if on_device:
+            tensors = without(tensors, on_device.names)
+            elsewhere = on_device.not_finite()
+        finding = elsewhere or not_finite(tensors)
         if not finding and mean > DIVERGED_FACTOR * record.best + DIVERGED_OFFSET:
             finding = f"the loss rose from {record.best:.3g} to {mean:.3g}"
         if bad := stuck or bool(finding):
@@ -162,10 +188,17 @@ class Guard:
             record.in_a_row = 0
             record.rollbacks += 1
             record.rate_factor *= RATE_REDUCTION
+            if on_device:
+                on_device.fetch()
             optimizer.restart(guarded.last_good)
         elif record.count:
             record.best = min(record.best, mean)
-            guarded.keep(optimizer)
+            if on_device:
+                on_device.keep()
+                few = without(optimizer.parameters(), on_device.names)
+                guarded.last_good |= {name: parameter.detach().clone() for name, parameter in few.items()}
+            else:
+                guarded.keep(optimizer)
         record.losses, record.count = 0.0, 0
         return bad
 
@@ -220,6 +253,11 @@ def finite_part(cloud: GaussianCloud) -> GaussianCloud:
 def copies(optimizer: Optimizer) -> dict[str, Tensor]:
     """Copy the parameters of an optimiser, by name."""
     return {name: parameter.detach().clone() for name, parameter in optimizer.parameters().items()}
+
+
+def without(tensors: Mapping[str, Tensor], names: Collection[str]) -> dict[str, Tensor]:
+    """Return the tensors that belong to none of some parameters of the cloud, by name."""
+    return {name: tensor for name, tensor in tensors.items() if not set(name.split(".")).intersection(names)}
 
 
 def not_finite(tensors: Mapping[str, Tensor]) -> str:

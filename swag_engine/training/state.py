@@ -13,7 +13,7 @@ from ..gaussians.densify import DensificationStatistics
 from ..rendering.model import SceneModel
 from ..scene.images import TrainingImage
 from ..settings.recipes import Recipe
-from .guard import GuardedState, GuardRecord
+from .guard import GuardedState, GuardRecord, OnDevice
 from .motion import MotionMasks
 from .optimizer import Optimizer
 from .pacing.clock import Clock, Point
@@ -46,8 +46,7 @@ class RunState:
         psnr: Last validation PSNR, dB.
         ssim: Last validation SSIM.
         dropout: Fraction of the Gaussians that each iteration drops.
-        fetch: Brings Gaussians, moments and statistics up to date that steps have left on a device; None where they
-            are.
+        on_device: Gaussians, moments and statistics that steps have left on a device; None where they are up to date.
     """
 
     optimizer: Optimizer
@@ -67,12 +66,16 @@ class RunState:
     psnr: float | None = None
     ssim: float | None = None
     dropout: float = 0.0
-    fetch: Callable[[], None] | None = None
+    on_device: OnDevice | None = None
 
-    def synchronize(self) -> None:
-        """Bring Gaussians, moments and statistics up to date, in place; to be called before they are read."""
-        if self.fetch:
-            self.fetch()
+    def synchronize(self, parameters_only: bool = False) -> None:
+        """Bring Gaussians, moments and statistics up to date, in place; to be called before they are read.
+
+        Args:
+            parameters_only: Only the parameters will be read.
+        """
+        if self.on_device:
+            self.on_device.fetch(parameters_only)
 
     @classmethod
     def initial(

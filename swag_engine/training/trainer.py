@@ -315,7 +315,7 @@ class Trainer:
         phase = f"[{self.targets.factor}] {with_water} {config.stage_two} {state.dropout > 0}"
         phase = "" if target.interpolated else phase
         self.guard.record_step(state.guarded, result.loss, result.problem, target.camera.name, phase)
-        if self.densification.due(state) or self.guard.check_due(state.guarded, state.iteration):
+        if not config.stage_two and self.densification.due(state):
             state.synchronize()
         if not result.problem:
             if result.means2d_gradient is not None and result.radii is not None and not target.interpolated:
@@ -325,7 +325,7 @@ class Trainer:
                 self.densification.after_step(state, rate, self._sh_degree(fraction), self._water_degree(fraction))
                 if "moving_objects" in state.recipe.effects and state.motion.search_due(fraction):
                     self._mask_motion()
-        if self.guard.roll_back_if_bad(state.guarded, state.optimizer, state.iteration):
+        if self.guard.roll_back_if_bad(state.guarded, state.optimizer, state.iteration, state.on_device):
             state.reset_statistics()
         return result.loss
 
@@ -364,7 +364,7 @@ class Trainer:
         return {name: state.guarded.record.rate_factor * rate for name, rate in rates.items()}
 
     def _mask_motion(self) -> None:
-        self.state.synchronize()
+        self.state.synchronize(parameters_only=True)
         state, settings = self.state, self.inputs.settings
         masks = find_motion(state.cloud, state.effects, self.inputs.training, settings.sh_degree, settings.backend)
         state.motion = MotionMasks(masks, state.motion.searches + 1)
@@ -381,7 +381,7 @@ class Trainer:
                 if should_stop():
                     return None
                 self.iterate()
-            fork.synchronize()
+            fork.synchronize(parameters_only=True)
             return self._scores(self.inputs.validation, fork.cloud)
 
         best = run_trials(before, due, self._copied, self.selection.switch, score_after)
@@ -433,7 +433,7 @@ class Trainer:
         }
 
     def _write_preview(self) -> None:
-        self.state.synchronize()
+        self.state.synchronize(parameters_only=True)
         state = self.state
         write_ply(self.run.preview, state.cloud.to_splats(sh_degree=0))
         water = state.effects.medium.to_json() if state.effects.medium else None  # per scene unit
@@ -453,7 +453,7 @@ class Trainer:
 
     def _validate(self, loss: float) -> None:
         """Score the validation images and log the result. Test images are never scored here."""
-        self.state.synchronize()
+        self.state.synchronize(parameters_only=True)
         state, inputs = self.state, self.inputs
         started, seconds = time.monotonic(), self.pacer.seconds
         state.psnr, state.ssim = mean_score(self._scores(inputs.validation, state.cloud))

@@ -1,8 +1,9 @@
 """The step on a GPU through WebGPU, where the Gaussians stay between the steps."""
 
 import math
-from dataclasses import replace
-from functools import partial
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Any
 from weakref import finalize
 
@@ -93,6 +94,7 @@ class WebGpuStep:
         self._resident: ResidentGaussians | None = None
         self._held: dict[str, tuple[Tensor, int]] = {}
         self._ahead: RunState | None = None
+        self._kept = False
         self._images: dict[int, Any] = {}
 
     def __call__(self, state: RunState, target: Target, config: StepConfig) -> StepResult:
@@ -124,7 +126,7 @@ class WebGpuStep:
 
     def _forget(self, state: RunState) -> None:
         """Release what is on the GPU; the state is as it was synchronised last."""
-        self._resident, self._ahead, state.fetch = None, None, None
+        self._resident, self._ahead, state.on_device = None, None, None
         self._held.clear()
         self._images.clear()
         state.optimizer.clear_gradients()
@@ -157,25 +159,54 @@ class WebGpuStep:
                 self._held[name] = tensor, tensor._version
         return self._resident
 
-    @torch.no_grad()
-    def _fetch(self, state: RunState) -> None:
-        """Bring a state up to date; see `RunState.synchronize`."""
+    def fetch(self, state: RunState, parameters_only: bool) -> None:
+        """Bring a state up to date; see `OnDevice.fetch`."""
+        with self._failure_handled(state), part("card to processor"), torch.no_grad():
+            self._copy_back(state, parameters_only)
+
+    def not_finite(self, state: RunState) -> str:
+        """See `OnDevice.not_finite`."""
+        finding = ""
+        with self._failure_handled(state):
+            assert self._resident is not None
+            sizes = self._resident.sizes
+            moments = {f"{name}.{moment}": size for name, size in sizes.items() for moment in MOMENTS}
+            finding = self._resident.not_finite(sizes | moments)
+        return finding and f"{finding} is not finite"
+
+    def keep(self, state: RunState) -> None:
+        """See `OnDevice.keep`."""
+        if self._resident is None:  # it has failed
+            return
+        with self._failure_handled(state):
+            self._resident.keep(RESIDENT)
+            self._kept = True
+
+    @contextmanager
+    def _failure_handled(self, state: RunState) -> Iterator[None]:
         try:
-            with part("card to processor"):
-                self._copy_back(state)
+            yield
         except WebGpuFailure as failure:
             self._fail(state, failure)
 
-    def _copy_back(self, state: RunState) -> None:
+    def _copy_back(self, state: RunState, parameters_only: bool) -> None:
         assert self._resident is not None
-        fetched = {name: self._resident.fetch(name, tuple(t.shape)) for name, t in self._arrays(state).items()}
-        gradient, views = self._resident.fetch_statistics().unbind(1)
-        for name, tensor in self._arrays(state).items():
+        arrays = {name: t for name, t in self._arrays(state).items() if name in RESIDENT or not parameters_only}
+        fetched = {name: self._resident.fetch(name, tuple(tensor.shape)) for name, tensor in arrays.items()}
+        for name, tensor in arrays.items():
             tensor.detach().copy_(fetched[name])
             self._held[name] = tensor, tensor._version
+        if parameters_only:
+            return
+        gradient, views = self._resident.fetch_statistics().unbind(1)
         state.statistics.gradient += gradient
         state.statistics.views += views
-        self._ahead = state.fetch = None
+        if self._kept:
+            good = {
+                name: self._resident.fetch(f"good.{name}", tuple(getattr(state.cloud, name).shape)) for name in RESIDENT
+            }
+            state.guarded.last_good |= good
+        self._ahead, state.on_device, self._kept = None, None, False
 
     def _image(self, target: Target) -> Any:
         """Return the buffer of a training image."""
@@ -204,7 +235,7 @@ class WebGpuStep:
             for name in RESIDENT
             if name in config.learning_rates and not (config.stage_two and name in GEOMETRY)
         }
-        self._ahead, state.fetch = state, partial(self._fetch, state)
+        self._ahead, state.on_device = state, OnCard(self, state)
         with part("step on the card"):
             outcome = resident.step(view, adam)
         if not outcome.problem:
@@ -257,6 +288,27 @@ class WebGpuStep:
             farthest=FARTHEST,
             dazzling=DAZZLING,
         )
+
+
+@dataclass
+class OnCard:
+    """The Gaussians of a state that a step has left on the GPU; see `OnDevice`."""
+
+    step: WebGpuStep
+    state: RunState
+    names: Collection[str] = RESIDENT
+
+    def fetch(self, parameters_only: bool = False) -> None:
+        """See `OnDevice`."""
+        self.step.fetch(self.state, parameters_only)
+
+    def not_finite(self) -> str:
+        """See `OnDevice`."""
+        return self.step.not_finite(self.state)
+
+    def keep(self) -> None:
+        """See `OnDevice`."""
+        self.step.keep(self.state)
 
 
 def _set_gradients(outcome: Outcome, shading: Shading, gain: Gain, background: Tensor | None) -> None:

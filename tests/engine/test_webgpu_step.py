@@ -14,6 +14,7 @@ from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.kernels.webgpu_device import ALLOW_SOFTWARE, Workspace
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
+from swag_engine.training.guard import Guard
 from swag_engine.training.native_step import NativeStep
 from swag_engine.training.step import AutogradStep
 from swag_engine.training.trainer import train
@@ -243,7 +244,7 @@ FEW = TrainSettings(recipe="swag", iterations=60, width=32, max_gaussians=200, b
 
 @one_gpu
 def test_a_run_that_was_stopped_resumes(kernels, tiny_scene, tmp_path, monkeypatch):
-    """Ten seconds on a driver that runs on the processor: two runs that densify."""
+    """Some seconds on a driver that runs on the processor: two runs that densify."""
     with monkeypatch.context() as patch:  # all steps are on the GPU
         patch.delattr(AutogradStep, "__call__")
         patch.delattr(NativeStep, "__call__")
@@ -258,6 +259,49 @@ def test_a_run_that_was_stopped_resumes(kernels, tiny_scene, tmp_path, monkeypat
         assert metrics["test_psnr"] == pytest.approx(whole["test_psnr"], abs=0.1)
     tensors = [load_checkpoint(tmp_path / name)[0] for name in ("whole", "cpu")]
     assert int(tensors[0]["adam.steps"]) == int(tensors[1]["adam.steps"]) == 60
+
+
+@one_gpu
+def test_gaussians_cross_the_bus_only_where_something_reads_them(kernels, tiny_scene, tmp_path, monkeypatch):
+    fetched = []
+    fetch = WebGpuStep.fetch
+
+    def counted(self, state, parameters_only):
+        fetched.append((state.iteration, parameters_only))
+        fetch(self, state, parameters_only)
+
+    monkeypatch.setattr(WebGpuStep, "fetch", counted)
+    train(tiny_scene, tmp_path / "run", FEW)
+    # Parameters at validations; all at a densification, at the end of stage one and at that of the run, not at the
+    # checks of every fifth iteration.
+    assert [iteration for iteration, parameters_only in fetched if not parameters_only] == [50, 54, 60], fetched
+    assert len(fetched) <= 3 + 10
+
+
+@one_gpu
+def test_the_guard_rolls_back_what_is_on_the_card(make, kernels):
+    trainer = make()
+    state, guard = trainer.state, Guard(400)
+    target, config = inputs_of_step(trainer)
+    step = steps_of(trainer, kernels)[0]
+
+    def check():
+        guard.record_step(state.guarded, step(state, target, config).loss, "", "image", "phase")
+        return guard.roll_back_if_bad(state.guarded, state.optimizer, guard.interval, state.on_device)
+
+    state.guarded.record.best, before = 1.0, state.cloud.means.detach().clone()
+    assert not check() and torch.equal(state.cloud.means, before)  # nothing was fetched
+    kept = step._resident.fetch("means", tuple(before.shape))
+    assert not torch.equal(kept, before)
+    for bad in ("means", "shN.exp_avg_sq"):
+        step(state, target, config)
+        values = step._resident.fetch(bad, (len(before), step._resident.sizes[bad.split(".")[0]]))
+        values[7, 0] = torch.inf
+        step._resident.load(bad, values)
+        config = replace(config, learning_rates={})  # so that nothing else becomes infinite
+        assert guard.roll_back_if_bad(state.guarded, state.optimizer, guard.interval, state.on_device)
+        assert f"{bad} is not finite" in state.guarded.record.finding
+        assert torch.equal(state.cloud.means, kept) and state.optimizer.steps == 0
 
 
 @one_gpu
