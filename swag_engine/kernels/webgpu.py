@@ -14,11 +14,10 @@ import torch
 from torch import Tensor
 
 from ..base.camera_kind import CameraKind
-from ..base.errors import InputError
 from ..base.timing import part
 from . import elementwise
 from .cpu import CpuKernels
-from .protocol import Projection, check_pairs
+from .protocol import Projection, TooManyPairs, check_pairs
 from .webgpu_device import WebGpu, WebGpuFailure, WebGpuUnavailable, Workspace, adapters
 from .webgpu_tiles import (
     GROUP,
@@ -228,7 +227,7 @@ class WebGpuKernels:
 
     def _check_size(self, what: str, numbers: int) -> None:
         if 4 * numbers > self.gpu.largest_binding:
-            raise InputError(
+            raise TooManyPairs(
                 f"{what} take {numbers * 4e-3:.1f} kB, more than the {self.gpu.largest_binding / 1e3:.1f} kB "
                 f"that {self.gpu.adapter_name} reads at once. Use fewer Gaussians, a smaller width or the backend cpu."
             )
@@ -246,8 +245,7 @@ class WebGpuKernels:
             The pairs of a Gaussian and a tile.
 
         Raises:
-            TooManyPairs: There are too many.
-            InputError: A buffer would be larger than the device can read.
+            TooManyPairs: There are too many, or a buffer would be larger than the device can read.
         """
         gpu, p, n = self.gpu, projected, len(opacities)
         self._check_size("The Gaussians", n * SPLAT_NUMBERS)

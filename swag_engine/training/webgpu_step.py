@@ -30,7 +30,7 @@ from ..kernels.webgpu_training import (
     View,
     adam_fields,
 )
-from ..rendering.native_image import Shading
+from ..rendering.native_image import NativeImage, Shading
 from ..rendering.render import DAZZLING, FARTHEST
 from ..settings.settings import TrainSettings
 from ..water.network import WaterNetwork
@@ -38,7 +38,7 @@ from .densification import strategy_of
 from .effect_selection import EffectSelection
 from .inputs import RunInputs
 from .losses import LIKE_WATER, UNLIKE_WATER
-from .native_step import Gain, runs_natively
+from .native_step import Gain, compare, runs_natively
 from .optimizer import BETAS, EPS, MOMENTS
 from .state import RunState
 from .step import GEOMETRY, Step, StepConfig, StepResult
@@ -48,6 +48,10 @@ RESIDENT = ("means", "quats", "log_scales", "opacity_logits", "sh0", "shN")
 """Parameters that are kept on the GPU, with their moments."""
 RECIPES = ("swag", "3dgs")
 """Recipes that are trained on a GPU through WebGPU."""
+COMPARED = ("means", "log_scales", "opacity_logits", "sh0")
+"""Parameters whose gradients in the first step are compared with the CPU's; that of quats is 0 for round Gaussians."""
+DIFFERENCE = 0.02
+"""Largest relative difference of a gradient from the CPU's; by rounding, they differ by .0002."""
 COEFFICIENTS, TAU, UNIT_RANGE, GAINS = 33, 33, 34, 35
 """How many coefficients the water has, and places of the other numbers, as in medium.wgsl."""
 
@@ -80,7 +84,8 @@ class WebGpuStep:
 
     Gaussians, moments and what densification goes by are on the GPU until `RunState.synchronize` is called. The few
     numbers of water, lamp, gains and background are on the CPU, with graphs of their own. When the GPU fails, the run
-    goes on without it from what was synchronised last.
+    goes on without it from what was synchronised last; so it does when the gradients of the first step are not those of
+    the CPU.
 
     Args:
         inputs: Images and settings of the run.
@@ -95,6 +100,7 @@ class WebGpuStep:
         self._held: dict[str, tuple[Tensor, int]] = {}
         self._ahead: RunState | None = None
         self._kept = False
+        self._checked = False
         self._images: dict[int, Any] = {}
 
     def __call__(self, state: RunState, target: Target, config: StepConfig) -> StepResult:
@@ -238,11 +244,42 @@ class WebGpuStep:
         self._ahead, state.on_device = state, OnCard(self, state)
         with part("step on the card"):
             outcome = resident.step(view, adam)
+        if not (self._checked or state.dropout or outcome.problem):
+            self._check(state, target, config, outcome.loss)
         if not outcome.problem:
             _set_gradients(outcome, shading, gain, background)
             with part("optimiser"):
                 optimizer.step(config.learning_rates)
         return StepResult(outcome.loss, outcome.problem, None, None)
+
+    def _check(self, state: RunState, target: Target, config: StepConfig, loss: float) -> None:
+        """Compare the loss and the gradients of a step with the CPU's, whose parameters are still those before it.
+
+        Raises:
+            WebGpuFailure: They differ by more than DIFFERENCE.
+        """
+        assert self._resident is not None
+        self._checked = True
+        medium, cloud = state.effects.medium if config.with_water else None, state.cloud
+        assert not isinstance(medium, WaterNetwork)
+        shown = config.sh_degree, medium, config.water_degree, state.effects.lamp
+        image = NativeImage(self.kernels.cpu, cloud, target.camera, *shown, None)
+        weights = self.selection.objective(state.recipe).photometric_weights(config.fraction)
+        library = self.kernels.cpu.library
+        expected, by_image = compare(library, image, state.effects, target, weights, state.recipe.coverage)
+        image.backward(*by_image, with_geometry=not config.stage_two)
+        differences = {"the loss": abs(loss - float(expected)) / max(float(expected), 1e-3)}
+        for name in COMPARED:
+            if (gradient := getattr(cloud, name).grad) is not None and gradient.any():
+                got = self._resident.fetch(f"by.{name}", tuple(gradient.shape))
+                differences[f"the gradient of {name}"] = float((got - gradient).norm() / gradient.norm())
+        state.optimizer.clear_gradients()
+        name, worst = max(differences.items(), key=lambda entry: entry[1])
+        if not worst < DIFFERENCE:
+            raise WebGpuFailure(
+                f"The graphics card {self.kernels.gpu.adapter_name} computes wrongly: {name} differs by {worst:.1%} "
+                f"from the processor's ({DIFFERENCE:.0%} at most)."
+            )
 
     def _view(
         self,

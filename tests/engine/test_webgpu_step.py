@@ -323,6 +323,17 @@ def test_when_the_card_fails_the_run_goes_on_on_the_processor(kernels, gpu, tiny
 
 
 @one_gpu
+def test_when_the_first_gradients_are_wrong_the_processor_takes_over(kernels, gpu, tiny_scene, tmp_path, monkeypatch):
+    compile_text = gpu.device.create_shader_module
+    right, wrong = "m[1] += v * dx;", "m[1] += 0.9 * v * dx;"
+    monkeypatch.setattr(gpu.device, "create_shader_module", lambda code: compile_text(code=code.replace(right, wrong)))
+    monkeypatch.setattr(gpu, "_pipelines", {})
+    metrics = train(tiny_scene, tmp_path / "run", replace(FEW, iterations=5))["metrics"]
+    (note,) = (note for note in metrics["notes"] if "graphics card" in note)
+    assert "computes wrongly: the gradient of means differs by" in note and metrics["iteration"] == 5
+
+
+@one_gpu
 def test_when_a_kernel_does_not_compile_the_processor_takes_over(kernels, gpu, tiny_scene, tmp_path, monkeypatch):
     compile_text = gpu.device.create_shader_module
     monkeypatch.setattr(gpu.device, "create_shader_module", lambda code: compile_text(code=code + "fn broken("))
