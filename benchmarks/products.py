@@ -128,6 +128,13 @@ def true_changes(before: Seabed, after: Seabed, grid: MapGrid) -> list[np.ndarra
     return masks
 
 
+def edge_distance(mask: np.ndarray) -> float:
+    """Mean distance of the pixels of a mask (H, W) from the nearest edge of the map, metres."""
+    rows, columns = np.nonzero(mask)
+    height, width = mask.shape
+    return float(np.minimum.reduce([rows, height - rows, columns, width - columns]).mean()) * PIXEL
+
+
 def change_figures(first: Path, second: Path, before: Seabed, after: Seabed, out: Path) -> dict[str, Any]:
     """Compare the changes that are found between two surveys with the true ones."""
     answer = make_change(first, second, out, PIXEL, BOX)
@@ -140,7 +147,11 @@ def change_figures(first: Path, second: Path, before: Seabed, after: Seabed, out
         around |= cv2.dilate(mask.astype(np.uint8), np.ones((2 * SLACK + 1, 2 * SLACK + 1)))
     count, parts, stats, _ = cv2.connectedComponentsWithStats(told.astype(np.uint8), connectivity=8)
     invented = [
-        {"pixels": int(stats[part, cv2.CC_STAT_AREA]), "flag": int(np.median(flags[parts == part]))}
+        {
+            "pixels": int(stats[part, cv2.CC_STAT_AREA]),
+            "flag": int(np.median(flags[parts == part])),
+            "from_edge": edge_distance(parts == part),
+        }
         for part in range(1, count)
         if not around[parts == part].any() and stats[part, cv2.CC_STAT_AREA] > LEAST_CHANGE
     ]

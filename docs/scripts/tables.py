@@ -1170,6 +1170,44 @@ def guard() -> str:
     )
 
 
+@table
+def maps_truth() -> str:
+    """Maps of trained surveys of a known seabed."""
+    found = results("products")
+    names = next(iter(found["surveys"].values()))["areas"]
+    heads = ["water", "test PSNR", "scale", "height, median", "height, 95 %", *names, "patches over 5 %"]
+    rows = []
+    for water, survey in found["surveys"].items():
+        wrong = sum(abs(patch["error"]) > 0.05 for patch in survey["patches"])
+        rows.append(
+            [
+                water, f"{survey['test_psnr']:.1f} dB", f"{100 * survey['scale_error']:+.2f} %",
+                f"{survey['height_median_error']:.1f} px", f"{survey['height_p95_error']:.1f} px",
+                *(f"{100 * survey['areas'][name]['error']:+.1f} %" for name in names),
+                of(wrong, len(survey["patches"])),
+            ]
+        )  # fmt: skip
+    return markdown(heads, rows)
+
+
+@table
+def change_truth() -> str:
+    """Changes between trained surveys of a known seabed."""
+    rows = []
+    for name, pair in results("products")["changes"].items():
+        invented = pair["invented"]
+        farthest = max((item["from_edge"] for item in invented), default=0.0)
+        rows.append(
+            [
+                name, of(pair["found"], len(pair["expected"])), len(invented),
+                f"{100 * farthest:.0f} cm" if invented else "-", percent(pair["compared"]),
+                f"{pair['height_limit']:.1f} px",
+            ]
+        )  # fmt: skip
+    heads = "later survey", "changes found", "invented", "farthest of them from the edge", "compared", "told from"
+    return markdown(heads, rows)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Write or check the tables of all pages and return the exit code."""
     texts = {path: path.read_text("utf-8") for path in pages()}

@@ -716,6 +716,8 @@ class Dem:
     NAME_rugosity.tif (surface over planar area)."""
     window: float = 1.0
     """Edge of the windows over which rugosity is taken, in metres or units."""
+    above: float | None = None
+    """Height of a horizontal plane, in the heights of the map: the volume of what lies above it is measured."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
@@ -724,7 +726,7 @@ class Dem:
         from ..products.dem import describe, make_dem
         from .progress import stage_progress
 
-        options = self.plane, self.derived, self.window
+        options = self.plane, self.derived, self.window, self.above
         with stage_progress() as progress:
             result = make_dem(self.source, self.out, self.pixel, self.box, *options, progress=progress)
         show(result, self.json, describe(result))

@@ -31,6 +31,7 @@ def make_dem(
     plane: str = "up",
     derived: tuple[str, ...] = (),
     window: float = WINDOW,
+    above: float | None = None,
     backend: str = "auto",
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -46,12 +47,13 @@ def make_dem(
         plane: As in `load_map_scene`.
         derived: Names of DERIVED; each becomes NAME_hillshade.tif and so on, from the first surface.
         window: Edge of the windows over which rugosity is taken.
+        above: Height of the plane, in the heights of the map, above which the volume is measured; None for no volume.
         backend: What renders.
         progress: As in `make_ortho`.
 
     Returns:
-        As `make_ortho`, with `heights`, the lowest and the highest, and `rugosity`, surface over planar area of the
-        whole map.
+        As `make_ortho`, with `heights`, the lowest and the highest, `rugosity`, surface over planar area of the whole
+        map, and `volume` with `above`: `height` of the plane, `volume` and `area` of what lies above it.
 
     Raises:
         InputError: If an option or a file cannot be used.
@@ -59,6 +61,8 @@ def make_dem(
     require_packages()
     if not (np.isfinite(window) and window > 0):
         raise InputError(f"The window of rugosity is {window:g}: it must be above 0.")
+    if above is not None and not np.isfinite(above):
+        raise InputError(f"The height of the plane is {above:g}: give --above a number.")
     scene = load_map_scene(source, plane)
     grid = make_grid(scene.splats, pixel, box)
     crs = map_crs(scene)
@@ -76,6 +80,7 @@ def make_dem(
         "covered": seen / (grid.width * grid.height),
         "heights": [low, high] if seen else None,
         "rugosity": _total_rugosity(out, grid),
+        "volume": None if above is None else _volume_above(out, grid, above),
         "notes": notes,
     }
 
@@ -131,6 +136,11 @@ def describe(document: dict[str, Any]) -> str:
         lines.append(
             f"Heights {low:.4g} to {high:.4g} {document['unit']}, surface over planar area {document['rugosity']:.3f}"
         )
+    if found := document["volume"]:
+        unit = document["unit"]
+        lines.append(
+            f"Above {found['height']:.4g} {unit}: {found['volume']:.4g} {unit}³ on {found['area']:.4g} {unit}²"
+        )
     return "\n".join(lines)
 
 
@@ -163,3 +173,13 @@ def _total_rugosity(dem: Path, grid: MapGrid) -> float | None:
         known = np.isfinite(factor)
         surface, pixels = surface + float(factor[known].sum()), pixels + int(known.sum())
     return surface / pixels if pixels else None
+
+
+def _volume_above(dem: Path, grid: MapGrid, height: float) -> dict[str, float]:
+    """Volume between a horizontal plane and the surface above it, and the area of that."""
+    volume, pixels = 0.0, 0
+    for tile in tiles_of(grid):
+        over = read_heights(dem, tile=tile) - height
+        over = over[over > 0]  # false for what was not seen
+        volume, pixels = volume + float(over.sum()), pixels + len(over)
+    return {"height": height, "volume": volume * grid.pixel**2, "area": pixels * grid.pixel**2}

@@ -24,6 +24,8 @@ SOLID = 0.5
 """Least opacity of splats that a plane is fitted to."""
 FIT_ROUNDS = 10
 """Rounds in which splats farther than 2 standard deviations from the plane lose their weight."""
+STEEP = 0.5
+"""Vertical part of a plane's normal below which it is steep: 60 degrees."""
 LEAST_TOP = 1e-6
 """Least relative length of the up direction within the plane for it to point to the top of the map."""
 
@@ -135,9 +137,15 @@ def _load_run(folder: Path, plane: str, direction: np.ndarray | None, water: flo
         matrix[:3, :3] = (metres or 1.0) * rotation
     if measured and measured.axes == "estimated" and plane == "up":
         notes.append("The up direction is estimated from cameras and points, not measured.")
+    placed = transformed(splats, matrix)
+    if plane == "up" and _is_steep(placed):
+        notes.append(
+            f"{scene_folder.name} is mostly steep: for a wall, map it from its side with --plane fit; in Blender, "
+            "choose it in Seen From."
+        )
     labels = _label_names(run)
     return MapScene(
-        transformed(splats, matrix), "m" if metres else "units", placement, _scale_error(measured), north, development,
+        placed, "m" if metres else "units", placement, _scale_error(measured), north, development,
         matrix, labels, tuple(notes), BESIDE_BACKGROUND if run.has_background_color() else SEEN, folder,
     )  # fmt: skip
 
@@ -177,11 +185,23 @@ def _rotation_to_view(direction: np.ndarray, up: np.ndarray) -> np.ndarray:
     return np.stack([np.cross(top, direction), top, direction])
 
 
+def _is_steep(splats: Splats) -> bool:
+    """Whether the plane that fits splats in the frame of a map is nearer to vertical than to level."""
+    points = splats.positions[splats.opacities >= SOLID].astype(np.float64)
+    return len(points) >= 3 and abs(float(_plane(points)[0][2])) < STEEP
+
+
 def _fitted_normal(splats: Splats, viewpoint: np.ndarray) -> np.ndarray:
     """Fit a plane to solid splats by reweighted least squares; the normal (3,) points to the viewpoint."""
     points = splats.positions[splats.opacities >= SOLID].astype(np.float64)
     if len(points) < 3:
         raise InputError("There are too few solid splats to fit a plane: give its direction, as in --plane 0,0,1.")
+    normal, middle = _plane(points)
+    return normal if normal @ (viewpoint - middle) >= 0 else -normal
+
+
+def _plane(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal (3,) of the plane that fits points (N, 3), and their middle (3,)."""
     weights = np.ones(len(points))
     for _ in range(FIT_ROUNDS):
         middle = np.average(points, axis=0, weights=weights)
@@ -190,5 +210,4 @@ def _fitted_normal(splats: Splats, viewpoint: np.ndarray) -> np.ndarray:
         distances = np.abs(centred @ axes[:, 0])
         limit = 2 * 1.4826 * np.median(distances)
         weights = np.maximum((distances <= limit).astype(np.float64), 1e-9)
-    normal = axes[:, 0]
-    return normal if normal @ (viewpoint - middle) >= 0 else -normal
+    return axes[:, 0], middle

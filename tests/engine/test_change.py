@@ -249,18 +249,18 @@ def test_memory_does_not_grow_with_the_map(tmp_path, monkeypatch):
 
 
 def test_places_that_few_photos_see_are_not_compared(tmp_path, monkeypatch):
-    """Four cameras over the west and three over the east, two metres above the middle: 2 m wide images."""
+    """Six cameras over the west and three over the east, two metres above the middle: 2 m wide images."""
     run = write_run(tmp_path, [survey(0)])
     scene = load_map_scene(run)
     grid = make_grid(scene.splats, 0.1, (0, 0, 4, 3))
     cameras = []
-    for x in (0.5, 0.6, 0.7, 0.8, 3.3, 3.4, 3.5):
+    for x in (0.5, 0.6, 0.7, 0.7, 0.8, 0.8, 3.3, 3.4, 3.5):
         to_camera = np.diag([1.0, -1, -1, 1])
         to_camera[:3, 3] = -to_camera[:3, :3] @ [x, 1.5, 2.0]
         cameras.append(Camera("", 200, 200, 200.0, 200.0, 100.0, 100.0, to_camera @ scene.matrix))
     (tile,) = tiles.tiles_of(grid)
     counts = count_views(cameras, scene, grid, tile, np.zeros((30, 40)))
-    assert (counts[6:24, :14] == 4).all() and not counts[:4].any()
+    assert (counts[6:24, :14] == 6).all() and not counts[:4].any()
     assert counts[15, [19, 24, 27, 39]].tolist() == [0, 2, 3, 3]
     monkeypatch.setattr(change, "training_cameras", lambda scene: cameras)
     make_change(run, run, tmp_path / "change", 0.1, (0, 0, 4, 3))

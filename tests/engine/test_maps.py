@@ -288,3 +288,69 @@ def test_previews_are_transparent_where_nothing_was_seen_and_in_the_colors_of_th
     to_map, extent = np.array(found["to_map"]), found["extent"]
     np.testing.assert_allclose(to_map, GEOREFERENCE.matrix)
     assert extent == pytest.approx([-1, 0, 4, 2]) and found["top"] == pytest.approx(0.5)
+
+
+def test_the_volume_above_a_plane(tmp_path, capsys):
+    """A block of 1 m by 1 m, 30 cm above the ground at -12 m, and a hole beside it."""
+    parts = [sheet(0, 0, 4, 1, 0.03), sheet(0, 1, 4, 2, 0.03), sheet(1, 0.5, 2, 1.5, 0.02, 0.3)]
+    run = write_run(tmp_path, parts)
+    options = ["--pixel", "0.02", "--box", "0", "0", "4", "3", "--above", "-11.95"]
+    assert main(["dem", str(run), "--out", str(tmp_path / "dem.tif"), *options, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["volume"]
+    assert found["volume"] == pytest.approx(0.25 * 1.04**2, rel=0.03)  # half a splat at each edge
+    assert found["area"] == pytest.approx(1.04**2, rel=0.03)
+    assert main(["dem", str(run), "--out", str(tmp_path / "dem.tif"), *options]) == 0
+    assert "Above -11.95 m: 0.2" in capsys.readouterr().out
+    with pytest.raises(InputError, match="The height of the plane is nan: give --above a number"):
+        make_dem(run, tmp_path / "dem.tif", above=float("nan"))
+
+
+# -- what cannot be mapped --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "case, sentence",
+    [
+        ("no scale", "The scale of scene was not measured: lengths are in units of the scene. Measure it with"),
+        ("holes", "50.0% covered"),
+        ("nothing", "Nothing was seen in the map: all heights are nodata"),
+        ("label without splats", "No pixel shows the label seagrass."),
+    ],
+)
+def test_what_is_missing_is_said_in_one_sentence(case, sentence, tmp_path, capsys):
+    parts = [sheet(0, 0, 1, 1, 0.02, label=1)] if case == "holes" else [sheet(0, 0, 2, 1, 0.05, label=1)]
+    run = write_run(tmp_path, parts, ("sand", "seagrass"), None if case == "no scale" else GEOREFERENCE)
+    box = {"holes": ["0", "0", "2", "1"], "nothing": ["8", "8", "9", "9"]}.get(case, ["0", "0", "2", "1"])
+    command = "areas" if case == "label without splats" else "dem"
+    out = tmp_path / ("areas" if command == "areas" else "dem.tif")
+    assert main([command, str(run), "--out", str(out), "--pixel", "0.02", "--box", *box]) == 0
+    said = capsys.readouterr().out
+    assert sum(sentence in line for line in said.splitlines()) == 1, said
+
+
+@pytest.mark.parametrize("command", ["ortho", "dem", "areas", "profile", "change"])
+@pytest.mark.parametrize("case", ["degrees", "folder"])
+def test_what_cannot_be_written_is_refused_in_one_sentence(command, case, tmp_path, capsys):
+    degrees = measured(placement=Placement("EPSG:4326", (15.0, 36.0, 0.0)))
+    splats = sheet(0, 0, 2, 1, 0.05, lambda x, y: 0.1 * np.sin(5 * x), label=1)
+    run = write_run(tmp_path, [splats], ("sand",), degrees if case == "degrees" else GEOREFERENCE)
+    (tmp_path / "file").touch()
+    name = {"profile": "line.csv", "areas": "areas", "change": "change"}.get(command, "map.tif")
+    out = tmp_path / ("maps" if case == "degrees" else "file") / name
+    more = {"profile": ["--line", "0", "0", "2", "1"], "change": [str(run)]}.get(command, [])
+    assert main([command, str(run), *more, "--out", str(out), "--pixel", "0.1"]) == 2
+    said = capsys.readouterr().err.splitlines()
+    wanted = {"degrees": "EPSG:4326 is in degrees, and a map needs metres", "folder": "Cannot write "}[case]
+    assert wanted in said[-1] and not (tmp_path / "maps").exists()
+    assert "choose another folder" in said[-1] or case == "degrees"
+
+
+@pytest.mark.parametrize("command", ["ortho", "dem"])
+def test_a_wall_needs_its_plane(command, tmp_path, capsys):
+    """A vertical wall seen from above has next to no area: the sentence says how to see it from its side."""
+    wall = sheet(0, 0, 3, 2, 0.05)
+    wall.positions[:] = wall.positions[:, [0, 2, 1]] * [1, -1, 1]
+    wall.rotations[:] = [np.sqrt(0.5), np.sqrt(0.5), 0, 0]
+    run = write_run(tmp_path, [wall])
+    assert main([command, str(run), "--out", str(tmp_path / "map.tif"), "--pixel", "0.02"]) == 0
+    assert "is mostly steep: for a wall, map it from its side with --plane fit" in capsys.readouterr().out
