@@ -1,8 +1,8 @@
 """Every hard case through the whole loop: plan, train, evaluate, export, Blender; docs/hard-cases.md says what happens.
 
-The CPU backend runs every case. Of each property that cases vary, the torch backend runs the first case and the CUDA
-backend the last: what a property does to a backend's own code shows in one case. The kernels alone meet the same cases
-in tests/engine/test_rasterize.py, test_cuda.py and test_water.py (HARD).
+The CPU backend runs every case. Of each property that cases vary, the torch backend runs the first case, the WebGPU
+backend one in the middle and the CUDA backend the last: what a property does to a backend's own code shows in one case.
+The kernels alone meet the same cases in tests/engine/test_rasterize.py, test_cuda.py and test_water.py (HARD).
 """
 
 import json
@@ -22,8 +22,10 @@ from swag_engine.formats.export import export_run
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
 from swag_engine.gaussians.init import gaussians_from_points
-from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels import webgpu_device
+from swag_engine.kernels.backends import CPU, KERNELS
 from swag_engine.kernels.cuda import CudaKernels
+from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.planning.plan import plan_scene
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
@@ -32,7 +34,7 @@ from tests.scenes.hard import CLOUDS, SCENES, WATER, make_hard_scene
 from tests.scenes.runs import train_with
 
 SETTINGS = TrainSettings(iterations=120, width=32, max_gaussians=150, backend="cpu")
-FEW = {"torch": 6, "cuda": 3}
+FEW = {"torch": 6, "wgpu": 6, "cuda": 3}
 """Iterations of the slow backends."""
 
 EXAMINED = ("auto", "cores", "system", "engine", "python")
@@ -42,11 +44,13 @@ Catalogue = dict[str, dict[str, Any]]
 
 
 def chosen(catalogue: Catalogue) -> list[Any]:
-    """Parameters (case, change, backend): every case on cpu, each property's first on torch and its last on cuda."""
+    """Parameters (case, change, backend): every case on cpu, each property's first, middle and last on the others."""
     parameters = []
     for cases in catalogue.values():
         names = list(cases)
-        for backend, selected in {"cpu": names, "torch": names[:1], "cuda": names[-1:]}.items():
+        middle = len(names) // 2
+        few = {"torch": names[:1], "wgpu": names[middle : middle + 1], "cuda": names[-1:]}
+        for backend, selected in ({"cpu": names} | few).items():
             parameters += [pytest.param(name, cases[name], backend, id=f"{name}-{backend}") for name in selected]
     return parameters
 
@@ -105,9 +109,23 @@ def whole_loop(
     assert [n for name, n in held["clouds"].items() if not name.endswith(" Points")] == 3 * [metrics["gaussians"]]
 
 
+@pytest.fixture(scope="module")
+def gpu(missing):
+    if not webgpu_device._adapters():
+        missing("A Vulkan driver is missing: apt-get install mesa-vulkan-drivers.")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(webgpu_device.ALLOW_SOFTWARE, "1")
+        return webgpu_device.request(default_limits=True)
+
+
 @pytest.fixture
 def backend(request, monkeypatch):
-    """cpu, torch, or cuda: its kernels on CPU fibres."""
+    """cpu, torch, wgpu on a driver that runs on the processor, or cuda: its kernels on CPU fibres."""
+    if request.param == "wgpu":
+        device = request.getfixturevalue("gpu")
+        kernels = WebGpuKernels(CPU, lambda: device)
+        monkeypatch.setitem(KERNELS, "wgpu", kernels)
+        monkeypatch.setattr(kernels, "fail", lambda failure: pytest.fail(str(failure)))
     if request.param == "cuda":
         if sys.platform != "linux":
             pytest.skip("the fibres are for Linux")
