@@ -30,6 +30,7 @@ from swag_engine.products.change import make_change
 from swag_engine.products.dem import make_dem, read_heights
 from swag_engine.products.geotiff import read_map
 from swag_engine.products.grid import MapGrid
+from swag_engine.products.heights import surface_factor
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
 from tests.scenes.seabed import COAST, EXTENT, LABELS, METRES_PER_UNIT, OCEAN, TARGET_SIZE, WATERS, Seabed, write_survey
@@ -78,6 +79,7 @@ def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> 
     areas = make_areas(run, out / "areas", PIXEL, BOX)
     grid = MapGrid(**areas["grid"])
     heights, labels = truth(bed, grid)
+    surface = surface_factor(heights, PIXEL, labels)
     errors = read_heights(out / "dem.tif") - heights
     errors = errors[np.isfinite(errors)]
     found = read_map(out / "areas" / "labels.tif").values
@@ -99,6 +101,7 @@ def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> 
         figures["areas"][name] = {
             "true": true,
             "error": row["planar_area"] / true - 1,
+            "surface_error": row["surface_area"] / (float(np.nansum(surface[labels == number])) * PIXEL**2) - 1,
             "corrected_error": row["planar_corrected"] / true - 1,
             "in_interval": bool(row["planar_low"] <= true <= row["planar_high"]),
         }

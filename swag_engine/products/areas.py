@@ -17,7 +17,7 @@ from ..semantics.labels import TABLE
 from .dem import read_heights, write_heights
 from .geotiff import NO_LABEL, map_crs, map_transform, read_map
 from .grid import MapGrid, make_grid
-from .heights import surface_factor
+from .heights import SURFACE_MARGIN, surface_factor
 from .label_errors import area_errors, held_out_confusion
 from .label_map import (
     CorrectedMap,
@@ -233,10 +233,11 @@ def _table(
 def _surfaces(labels: Path, heights: Path, grid: MapGrid) -> np.ndarray:
     """Sum surface over planar area of the pixels of each label, (255,); 1 where the surface is not known."""
     sums = np.zeros(NO_LABEL)
+    inner = (slice(SURFACE_MARGIN, -SURFACE_MARGIN),) * 2
     for tile in tiles_of(grid):
-        around = read_map(labels, tile, margin=1).values
-        factor = surface_factor(read_heights(heights, tile=tile, margin=1), grid.pixel, around)[1:-1, 1:-1]
-        part = around[1:-1, 1:-1]
+        around = read_map(labels, tile, margin=SURFACE_MARGIN).values
+        factor = surface_factor(read_heights(heights, tile=tile, margin=SURFACE_MARGIN), grid.pixel, around)[inner]
+        part = around[inner]
         seen = part != NO_LABEL
         sums += np.bincount(part[seen], np.where(np.isfinite(factor), factor, 1.0)[seen], NO_LABEL)
     return sums

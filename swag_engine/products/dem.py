@@ -8,7 +8,7 @@ import numpy as np
 from ..base.errors import InputError
 from .geotiff import NO_HEIGHT, create_map, map_crs
 from .grid import MapGrid, make_grid
-from .heights import EDGE, surface_factor, tile_heights
+from .heights import EDGE, SURFACE_MARGIN, surface_factor, tile_heights
 from .map_frame import MapScene, load_map_scene
 from .ortho import describe as describe_map
 from .ortho import map_answer
@@ -149,7 +149,7 @@ def _write_derived(
 ) -> None:
     """Write hillshade (8 bits), slope (degrees) or rugosity (float32) of a DEM, tile by tile."""
     pixels = 2 * max(1, round(window / grid.pixel / 2)) + 1
-    margin = pixels // 2 + 1 if name == "rugosity" else 1
+    margin = pixels // 2 + SURFACE_MARGIN if name == "rugosity" else 1
     dtype, nodata = ("uint8", 0.0) if name == "hillshade" else ("float32", NO_HEIGHT)
     tags = {"WINDOW": f"{pixels * grid.pixel:g}"} if name == "rugosity" else {}
     with create_map(path, scene, grid, (name,), dtype, nodata, tags=tags) as writer:
@@ -169,7 +169,8 @@ def _total_rugosity(dem: Path, grid: MapGrid) -> float | None:
     """Surface over planar area of a DEM, None where it has no surface."""
     surface, pixels = 0.0, 0
     for tile in tiles_of(grid):
-        factor = surface_factor(read_heights(dem, tile=tile, margin=1), grid.pixel)[1:-1, 1:-1]
+        factor = surface_factor(read_heights(dem, tile=tile, margin=SURFACE_MARGIN), grid.pixel)
+        factor = factor[SURFACE_MARGIN:-SURFACE_MARGIN, SURFACE_MARGIN:-SURFACE_MARGIN]
         known = np.isfinite(factor)
         surface, pixels = surface + float(factor[known].sum()), pixels + int(known.sum())
     return surface / pixels if pixels else None

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from .tiles import Tile, TileRenderer
@@ -16,6 +17,11 @@ MEDIAN = 0.5
 """Absorbed fraction at the median height."""
 OUTLIERS = 1e-3
 """Fraction of a tile's splats above and below the layers, which the outer ones take in."""
+SMOOTHING = 5
+"""Edge of the median filter before surfaces are measured, pixels: noise of a pixel's height counts as surface. On
+trained surveys it makes a surplus of 18 to 50 % on sand one of 6 to 14 % (benchmarks/products.py)."""
+SURFACE_MARGIN = SMOOTHING // 2 + 1
+"""Pixels around a pixel that its surface depends on."""
 EDGE = 256
 """Edge of the tiles in which heights are found, pixels: 4 LAYERS channels are blended at once."""
 
@@ -84,13 +90,23 @@ def tile_heights(renderer: TileRenderer, tile: Tile) -> TileHeights:
 def surface_factor(heights: np.ndarray, pixel: float, regions: np.ndarray | None = None) -> np.ndarray:
     """Return surface area over planar area of each pixel, sqrt(1 + |gradient|^2), NaN where it is not known.
 
+    Heights are smoothed before: each pixel depends on SURFACE_MARGIN around it.
+
     Args:
         heights: (H, W), NaN where nothing was seen.
         pixel: Edge of a pixel, in the unit of the heights.
         regions: (H, W) numbers; steps between regions are not slopes of either.
     """
-    down, right = gradients(heights, pixel, regions)
+    down, right = gradients(smoothed(heights), pixel, regions)
     return np.sqrt(1 + down * down + right * right)
+
+
+def smoothed(heights: np.ndarray) -> np.ndarray:
+    """Return heights (H, W) after a median filter of SMOOTHING pixels; beside holes, and in them, they stay."""
+    holes = np.isnan(heights)
+    filtered = cv2.medianBlur(np.where(holes, 0, heights).astype(np.float32), SMOOTHING)
+    beside = cv2.dilate(holes.astype(np.uint8), np.ones((SMOOTHING, SMOOTHING), np.uint8)) > 0
+    return np.where(beside, heights, filtered)
 
 
 def gradients(heights: np.ndarray, pixel: float, regions: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

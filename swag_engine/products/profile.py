@@ -13,6 +13,7 @@ from ..base.files import atomic_path
 from .dem import read_heights, write_heights
 from .geotiff import map_crs
 from .grid import USUAL_PIXELS, MapGrid, make_grid
+from .heights import smoothed
 from .map_frame import load_map_scene
 from .packages import require_packages
 from .tiles import Progress
@@ -88,7 +89,7 @@ def make_profile(
     with atomic_path(picture) as temporary:
         _plot(distances, first, median, scene.unit).savefig(temporary, format="png", dpi=120)
     step = np.diff(distances)
-    rise = np.diff(first)
+    rise = np.diff(sample(smoothed(bands[0]), grid, places))
     known = np.isfinite(rise)
     surface = float(np.hypot(step, rise)[known].sum())
     seen = np.isfinite(first)
