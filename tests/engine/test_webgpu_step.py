@@ -13,6 +13,7 @@ from swag_engine.kernels.backends import CPU, KERNELS
 from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.kernels.webgpu_device import ALLOW_SOFTWARE, Workspace
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import native_step
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.guard import Guard
 from swag_engine.training.native_step import NativeStep
@@ -30,6 +31,7 @@ from tests.engine.step_scenes import (
     inputs_of_step,
     trainers,
 )
+from tests.scenes.runs import train_with
 
 
 @pytest.fixture(scope="module", params=["atomic floats", "compare and swap"])
@@ -158,6 +160,29 @@ def test_a_step_that_is_not_finite_changes_nothing(make, kernels, name):
 
 
 @one_gpu
+def test_dropped_gaussians_have_no_gradient_and_others_are_as_visible_on_average(make, kernels, monkeypatch):
+    trainer = make()
+    trainer.state.dropout = 0.3
+    states = trainer.state, trainer._copied(trainer.state)
+    target, config = inputs_of_step(trainer)
+    on_gpu, on_cpu = steps_of(trainer, kernels)
+    on_gpu(states[0], target, config)
+    used = on_gpu._resident.fetch("opacities", (len(states[0].cloud),))
+    dropped = (used == 0).float().mean()
+    assert 0.2 < dropped < 0.4
+    factors = (used > 0).float() / 0.7
+    monkeypatch.setattr(native_step, "opacity_factors", lambda *_: factors)
+    on_cpu(states[1], target, config)
+    states[0].synchronize()
+    for name, (mean, _) in states[1].optimizer.moments.items():
+        assert relative(states[0].optimizer.moments[name][0], mean) < 2e-4, name
+    state = trainer._copied(states[1])
+    state.iteration = 1
+    on_gpu(state, target, config)
+    assert not torch.equal(on_gpu._resident.fetch("opacities", used.shape) == 0, used == 0)  # others in each iteration
+
+
+@one_gpu
 def test_what_the_cpu_changes_between_steps_counts(make, kernels):
     trainer = make()
     states = trainer.state, trainer._copied(trainer.state)
@@ -259,6 +284,31 @@ def test_a_run_that_was_stopped_resumes(kernels, tiny_scene, tmp_path, monkeypat
         assert metrics["test_psnr"] == pytest.approx(whole["test_psnr"], abs=0.1)
     tensors = [load_checkpoint(tmp_path / name)[0] for name in ("whole", "cpu")]
     assert int(tensors[0]["adam.steps"]) == int(tensors[1]["adam.steps"]) == 60
+
+
+@one_gpu
+def test_effects_are_tried_in_forks_of_what_is_on_the_card(kernels, tiny_scene, tmp_path):
+    def try_lamp(trainer):
+        trainer.selection.to_try = ["lamp"]
+        trainer.selection.switch(trainer.state, {"lamp": False})
+
+    settings = replace(FEW, effects=ALL.replace("lamp=on,", ""))
+    trials = {}
+    for backend in ("wgpu", "cpu"):
+        run = train_with(tiny_scene, tmp_path / backend, replace(settings, backend=backend), try_lamp)
+        (trials[backend],) = run["metrics"]["trials"]
+    assert trials["wgpu"]["kept"] == trials["cpu"]["kept"]
+    assert trials["wgpu"]["gain"] == pytest.approx(trials["cpu"]["gain"], abs=0.05)
+
+
+@one_gpu
+def test_a_run_with_an_effect_that_is_not_on_the_card_trains(kernels, tiny_scene, tmp_path):
+    settings = replace(FEW, iterations=10, effects=ALL.replace("caustics=off", "caustics=on"))
+    psnr = [
+        train(tiny_scene, tmp_path / backend, replace(settings, backend=backend))["metrics"]["test_psnr"]
+        for backend in ("wgpu", "cpu")
+    ]
+    assert psnr[0] == pytest.approx(psnr[1], abs=0.05) and not kernels.failure
 
 
 @one_gpu
