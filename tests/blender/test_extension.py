@@ -13,7 +13,8 @@ def test_zip_contains_what_runs_and_nothing_else(extension_zip):
     with zipfile.ZipFile(extension_zip) as archive:
         names = archive.namelist()
     for needed in ("__init__.py", "blender_manifest.toml", "LICENSE", "constraints.txt", "requirements.txt",
-                   "swag_engine/app/worker.py", "swag_blender/panels.py", "operators/train.py"):  # fmt: skip
+                   "swag_engine/app/worker.py", "swag_engine/kernels/photo.wgsl", "swag_blender/panels.py",
+                   "operators/train.py"):  # fmt: skip
         assert needed in names
     assert any(name.startswith("swag_engine/kernels/lib/") for name in names)
     tops = {name.split("/")[0] for name in names}
