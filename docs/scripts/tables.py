@@ -691,22 +691,23 @@ def water_colors() -> str:
 @table
 def effects_volume() -> str:
     """Decisions and coefficients in scattering water."""
-    rows = []
-    for row in results("effects_volume")["rows"]:
+    scenes, rows = results("effects_volume")["rows"], []
+    effects = list(dict.fromkeys(name for row in scenes for name in row["states"]))
+    for row in scenes:
         truth, states, found = row["truth"], row["states"], row.get("fit")
         beam = [a + b for a, b in zip(truth["absorption"], truth["scattering"], strict=True)]
         rows.append(
             [
                 row["scene"],
                 row["pattern"],
+                str(row["seed"]),
                 triple(truth["absorption"]),
                 triple(beam),
                 triple(found and found["beta_D"]),
-                *(STATES.get(state, state) for state in states.values()),
+                *(STATES.get(states.get(effect, "-"), states.get(effect, "-")) for effect in effects),
             ]
         )
-    states = results("effects_volume")["rows"][0]["states"]
-    return markdown(["water", "cameras", "absorption", "beam attenuation", "beta_D found", *states], rows)
+    return markdown(["water", "cameras", "seed", "absorption", "beam attenuation", "beta_D found", *effects], rows)
 
 
 @table
@@ -724,12 +725,13 @@ def effects_volume_colors() -> str:
         [
             row["scene"],
             row["pattern"],
+            str(row["seed"]),
             *(f"{row['delta_e'][name]:.1f}" if name in row["delta_e"] else "-" for name in titles),
         ]
         for row in results("effects_volume")["rows"]
         if "delta_e" in row
     ]
-    return markdown(["water", "cameras", *titles.values()], rows)
+    return markdown(["water", "cameras", "seed", *titles.values()], rows)
 
 
 def decisions(states: Mapping[str, Mapping[str, str]], effects: Sequence[str]) -> str:
