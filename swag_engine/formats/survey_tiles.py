@@ -1,7 +1,7 @@
 """Tiles of a merged survey, in levels of detail: which files they have, and how they are found. Blender imports it.
 
-Level 0 has all splats. Each further level has fewer, larger ones that were made of those of the level before. A level is
-cut into cubes; the cubes of level n have edges of `edge` * 2^n. A tile is the 3DGS PLY of one cube. Each splat of a
+Level 0 has all splats. Each further level has fewer, larger ones that were made of those of the level before. A level
+is cut into cubes; the cubes of level n have edges of `edge` * 2^n. A tile is the 3DGS PLY of one cube. Each splat of a
 level is in one tile, that of its position.
 """
 
