@@ -65,6 +65,10 @@ def _flush_names(folder: Path) -> None:
             os.close(opened)
 
 
+class FolderInUse(InputError):
+    """Another process is working in a folder."""
+
+
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
     """Lock a folder against other processes while the block runs, and remove temporary files of killed ones.
@@ -75,7 +79,8 @@ def locked_folder(folder: Path) -> Iterator[None]:
         folder: The folder; it is made.
 
     Raises:
-        InputError: When another process holds the lock, or the folder cannot be written to.
+        FolderInUse: When another process holds the lock.
+        InputError: When the folder cannot be written to.
     """
     lock = folder / LOCK
     try:
@@ -114,7 +119,7 @@ def _locked(path: Path, folder: Path) -> BinaryIO:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):
         file.close()
-        raise InputError(f"Another process is working in {folder}: wait for its end or choose another one.") from None
+        raise FolderInUse(f"Another process is working in {folder}: wait for its end or choose another one.") from None
     except OSError:
         pass
     return file

@@ -1,7 +1,7 @@
 """Exposure: each image has a brightness, and perhaps a white balance, of its own.
 
 A gain multiplies the linear light of a whole image, water included. Only ratios of gains mean anything, so the mean of
-their logarithms is always 0. A held-out image has no gain of its own: nothing of it may be used.
+the logarithms of learned gains is always 0. A held-out image has no gain of its own: nothing of it may be used.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,10 +31,12 @@ class Exposure:
     Attributes:
         raw: (V, 1) log gains of V images, or (V, 3) where the white balance changes too.
         names: Names of the images, sorted.
+        centred: Whether the mean is subtracted; not for gains that were measured against a finished model.
     """
 
     raw: Tensor
     names: Sequence[str]
+    centred: bool = True
 
     @classmethod
     def starting(cls, log_gains: dict[str, float], channels: int = 1) -> "Exposure":
@@ -47,14 +49,14 @@ class Exposure:
         """Return what is learned, by attribute name."""
         return {"raw": self.raw}
 
-    def settings(self) -> list[str]:
-        """Return the image names, for a checkpoint."""
-        return list(self.names)
+    def settings(self) -> dict[str, Any]:
+        """Return what a checkpoint has beside the tensor."""
+        return {"names": list(self.names), "centred": self.centred}
 
     @property
     def log_gains(self) -> Tensor:
-        """(V, 1 or 3), mean 0 over the images."""
-        return self.raw - self.raw.mean(0)
+        """(V, 1 or 3); of mean 0 over the images where they are centred."""
+        return self.raw - self.raw.mean(0) if self.centred else self.raw
 
     def log_gain(self, image: str, height: int = 0, width: int = 0) -> Tensor:
         """Return the log gain (1 or 3,) of an image; predicted from its neighbours where none was learned for it.
@@ -116,7 +118,9 @@ def _initial(context: InitialContext) -> Exposure:
 
 
 def _load(tensors: dict[str, Tensor], settings: Any) -> Exposure:
-    return Exposure(**tensors, names=settings)
+    # Earlier checkpoints have the list of names alone.
+    stored = settings if isinstance(settings, dict) else {"names": settings}
+    return Exposure(tensors["raw"], stored["names"], stored.get("centred", True))
 
 
 def _cost(probe: CostProbe) -> Callable[[], Tensor]:

@@ -17,8 +17,7 @@ from ..formats.run_folder import RunFolder
 from ..gaussians.cloud import GaussianCloud
 from ..rendering.render import render
 from ..scene.cameras import Camera
-from ..scene.colmap import load_scene
-from ..scene.split import split_views
+from ..scene.colmap import Scene, load_scene
 from ..splats.development import KNEE, NO_DEVELOPMENT, ColorView, Development
 
 WIDTH = 160
@@ -68,13 +67,16 @@ def color_view(folder: Path, develop: str, cloud: GaussianCloud, effects: SceneE
     return run.color_view(develop)
 
 
-def automatic_development(folder: Path, cloud: GaussianCloud, effects: SceneEffects) -> dict[str, Any]:
+def automatic_development(
+    folder: Path, cloud: GaussianCloud, effects: SceneEffects, scene: Scene | None = None
+) -> dict[str, Any]:
     """Find the automatic development of a run from its restored training views.
 
     Args:
         folder: Folder of the run.
         cloud: Gaussians of the run.
         effects: Effects of the run.
+        scene: The scene, or the part of it that the run was trained on; read without it.
 
     Returns:
         The values of `Development`, for `RunFolder.write_development`; `clipped` and `clipped_before`, fractions of the
@@ -89,9 +91,9 @@ def automatic_development(folder: Path, cloud: GaussianCloud, effects: SceneEffe
     if effects.medium is None and effects.lamp is None:
         note = "No water was modelled: colors are as photographed and are not developed."
         return NO_DEVELOPMENT.to_json() | {"note": note}
-    views = load_scene(scene_folder).views
-    train = split_views([view.name for view in views]).train
-    cameras = [view.camera.resized(min(WIDTH, view.camera.width)) for view in views if view.name in train]
+    scene = scene or load_scene(scene_folder)
+    train = set(scene.split.train)
+    cameras = [view.camera.resized(min(WIDTH, view.camera.width)) for view in scene.views if view.name in train]
     seen = [_restored(cloud, effects, camera, settings.sh_degree) for camera in cameras]
     colors, weights = (np.concatenate(parts) for parts in zip(*seen, strict=True))
     development, neutral = find_development(colors, weights)

@@ -223,6 +223,20 @@ class SurveyFolder:
         """Return the run of a block, or of the coarse model."""
         return self.coarse if name == COARSE else RunFolder(self.job(name) / "run")
 
+    def scene_part(self, name: str) -> Path:
+        """Return the file of the part of the scene that a block, or the coarse model, is trained on."""
+        return self.job(name) / "scene.npz"
+
+    @property
+    def all_views(self) -> Path:
+        """Cameras of all training images of the survey, without points."""
+        return self.path / COARSE / "views.npz"
+
+    @property
+    def whole(self) -> Path:
+        """What blocks take over from the coarse model beside its checkpoint: exposures and colors of the survey."""
+        return self.path / COARSE / "whole.json"
+
     def done(self, name: str) -> Path:
         """Return the file that a finished block has: figures and the hash of its result."""
         return self.job(name) / "done.json"

@@ -72,6 +72,17 @@ class GaussianCloud:
         """Return all tensors by name, in the order of the fields."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
+    def rows(self, chosen: slice | Tensor) -> "GaussianCloud":
+        """Return some of the Gaussians, by a slice (views of the tensors), a mask (N,) or indices (M,)."""
+        rows = {name: tensor[chosen] for name, tensor in self.parameters().items() if name != "background"}
+        return GaussianCloud(**rows, background=self.background)
+
+    def followed_by(self, last: "GaussianCloud") -> "GaussianCloud":
+        """Return the Gaussians and others after them, with the background of these."""
+        more = last.parameters()
+        rows = {name: torch.cat([rows, more[name]]) for name, rows in self.parameters().items() if name != "background"}
+        return GaussianCloud(**rows, background=self.background)
+
     def to(self, device: torch.device) -> "GaussianCloud":
         """Return the cloud with its tensors on a device."""
         return GaussianCloud(**{name: tensor.to(device) for name, tensor in self.parameters().items()})

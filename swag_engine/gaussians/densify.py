@@ -68,6 +68,10 @@ class DensificationStatistics:
         self.gradient += means2d_gradient.norm(dim=-1) * (width / 2)
         self.views += radii > 0
 
+    def first(self, count: int) -> "DensificationStatistics":
+        """Return the statistics of the first Gaussians, as views."""
+        return DensificationStatistics(self.gradient[:count], self.views[:count])
+
     def score(self) -> Tensor:
         """Return the mean gradient (N,) over the views in which each Gaussian was visible."""
         return self.gradient / self.views.clamp(min=1)

@@ -17,7 +17,6 @@ from ..evidence.observations import FIT_WIDTH
 from ..evidence.scene_evidence import DepthNetwork, FrameNetwork, SceneEvidence
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images, mask_path
-from ..scene.split import split_views
 from ..settings.effect_names import EFFECTS, parse_effects
 from .costs import measured_costs
 
@@ -172,7 +171,7 @@ def plan_scene(
         InputError: If the scene cannot be read.
     """
     scene = load_scene(scene_folder)
-    split = split_views([view.name for view in scene.views])
+    split = scene.split
     seen = [view for view in scene.views if view.name not in set(split.test)]
     images = load_images(scene, seen, FIT_WIDTH)
     plan = make_plan(scene, images, labels=labels, depth=depth, interpolator=interpolator, width=width, backend=backend)

@@ -130,27 +130,54 @@ class LightSums:
         """
         return (self.information * J.square()).sum(0) / self.information.sum(0).clamp(min=LEAST)
 
-    def error(self, J: Tensor) -> Tensor:
-        """Return the variance (N, 3) of the error of J (N, 3), by noise and by errors of the water."""
+    def error(self, signal: Tensor) -> Tensor:
+        """Return the variance (N, 3) of the error of J, by noise and by errors of the water.
+
+        Args:
+            signal: (3,) mean square of the light of the scene.
+        """
         information = self.information.clamp(min=LEAST)
         error = (
             self.noise / information.square()
             + (BACKSCATTER_ERROR * self.backscatter / information).square()
-            + self.signal(J) * (ATTENUATION_ERROR * self.optical_depth / information).square()
+            + signal * (ATTENUATION_ERROR * self.optical_depth / information).square()
         )
         return torch.where(self.information > LEAST, error, MOST_ERROR).clamp(max=MOST_ERROR)
 
-    def confidence(self, J: Tensor) -> Tensor:
+    def confidence(self, signal: Tensor) -> Tensor:
         """Compute the confidence in J: the Wiener weight, variance of the scene's J / (that + variance of the error).
 
         Args:
-            J: (N, 3) light of the Gaussians.
+            signal: (3,) mean square of the light of the scene.
 
         Returns:
             (N, 3) in 0..1; 0 for Gaussians that no image shows.
         """
-        signal = self.signal(J)
-        return torch.where(self.information > LEAST, signal / (signal + self.error(J)).clamp(min=LEAST), 0.0)
+        return torch.where(self.information > LEAST, signal / (signal + self.error(signal)).clamp(min=LEAST), 0.0)
+
+
+@dataclass(frozen=True)
+class SceneColors:
+    """How the colors of a scene are distributed, in linear light, all float64.
+
+    Attributes:
+        signal: (3,) mean square.
+        mean: (3,) mean.
+        covariance: (3, 3) covariance of red, green and blue.
+    """
+
+    signal: Tensor
+    mean: Tensor
+    covariance: Tensor
+
+    def to_json(self) -> dict[str, list]:
+        """Return a plain dict that `from_json` reads."""
+        return {entry.name: getattr(self, entry.name).tolist() for entry in fields(self)}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, list]) -> "SceneColors":
+        """Read what `to_json` returned."""
+        return cls(*(torch.tensor(document[entry.name], dtype=torch.float64) for entry in fields(cls)))
 
 
 @torch.no_grad()
@@ -161,7 +188,8 @@ def restoration_limit(
     noise: Noise,
     lamp: Lamp | None = None,
     backend: str = "auto",
-) -> tuple[RestorationLimit, Tensor]:
+    colors: SceneColors | None = None,
+) -> tuple[RestorationLimit, Tensor, SceneColors]:
     """Compute how far the images of a scene allow to restore the colors of Gaussians.
 
     Args:
@@ -171,10 +199,11 @@ def restoration_limit(
         noise: Noise of the images.
         lamp: A lamp at the camera.
         backend: What computes, as in `kernels_for`.
+        colors: How the colors of the scene are distributed; found from the Gaussians without it.
 
     Returns:
-        The limit, and the fraction (3,) of what the images show of the Gaussians whose red, green and blue have a
-        confidence of RESTORED_FROM or more.
+        The limit, the fraction (3,) of what the images show of the Gaussians whose red, green and blue have a
+        confidence of RESTORED_FROM or more, and how the colors are distributed.
     """
     color = (0.5 + C0 * cloud.sh0[:, 0]).clamp(0, BRIGHTEST_COLOR)
     J = to_light(color)
@@ -192,51 +221,72 @@ def restoration_limit(
         transmission = (whole - backscatter).clamp(min=0)
         light = transmission * J + backscatter
         sums.add(weight, light, transmission, backscatter, offset + slope * light)
-    confidence = sums.confidence(J)
-    likely = to_display(likely_light(J, sums.error(J), sums.weight[:, 0]))
+    signal = sums.signal(J) if colors is None else colors.signal.to(J)
+    confidence, error, weight = sums.confidence(signal), sums.error(signal), sums.weight[:, 0]
+    colors = colors or scene_colors(J, error, weight, signal)
+    likely = to_display(likely_light(J, error, colors))
     restored = (sums.weight * (confidence >= RESTORED_FROM)).sum(0) / sums.weight.sum(0).clamp(min=LEAST)
-    return RestorationLimit(confidence, torch.where(sums.weight > 0, likely, color)), restored
+    return RestorationLimit(confidence, torch.where(sums.weight > 0, likely, color)), restored, colors
 
 
-def likely_light(J: Tensor, error: Tensor, weight: Tensor) -> Tensor:
-    """Estimate the light of surfaces from uncertain values and from how the scene's colors are distributed.
+def scene_colors(J: Tensor, error: Tensor, weight: Tensor, signal: Tensor) -> SceneColors:
+    """Estimate how the colors of a scene are distributed from uncertain values.
 
-    Colors of the scene are taken as normally distributed with a mean and a covariance of red, green and blue, which are
-    found together with the light by expectation maximisation (Dempster, Laird and Rubin 1977). The most likely light
-    given the values is their linear estimate of least mean square error: a channel that is uncertain follows the
-    others as it does elsewhere in the scene, and where none is certain it is the scene's mean color.
+    They are taken as normally distributed; mean and covariance are found together with the light by expectation
+    maximisation (Dempster, Laird and Rubin 1977).
 
     Args:
         J: (N, 3) linear light.
         error: (N, 3) variance of its error.
         weight: (N,) pixels that show each.
+        signal: (3,) mean square of the light of the scene.
 
     Returns:
-        (N, 3) linear light, at least 0.
+        The distribution; without anything shown, one of mean 0 and of a large variance.
     """
-    dtype = J.dtype
     J, error, weight = J.double(), error.double().clamp(min=LEAST), weight.double()
-
-    def estimate(J: Tensor, error: Tensor, mean: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
-        gain = covariance @ torch.linalg.inv(covariance + torch.diag_embed(error))
-        return mean + (gain @ (J - mean)[..., None])[..., 0], covariance - gain @ covariance
-
     shown = torch.nonzero(weight > 0)[:, 0]
     some = shown[:: max(1, len(shown) // PRIOR_GAUSSIANS)]
     if not len(some):
-        return J.to(dtype)
+        return SceneColors(signal.double(), J.new_zeros(3), MOST_ERROR * torch.eye(3).to(J))
     values, variances, weights = J[some], error[some], weight[some, None] / weight[some].sum()
     certain = weights / (error[some] + values.square().mean(0))
     certain = certain / certain.sum(0)
     mean = (certain * values).sum(0)
     covariance = torch.diag((certain * (values - mean).square()).sum(0) + LEAST)
     for _ in range(PRIOR_STEPS):
-        likely, uncertainty = estimate(values, variances, mean, covariance)
+        likely, uncertainty = _estimated(values, variances, mean, covariance)
         mean = (weights * likely).sum(0)
         apart = likely - mean
         spread = apart[:, :, None] * apart[:, None, :] + uncertainty
         covariance = (weights[..., None] * spread).sum(0) + LEAST * torch.eye(3).to(spread)
-    return estimate(J, error, mean, covariance)[0].clamp(min=0).to(dtype)
+    return SceneColors(signal.double(), mean, covariance)
+
+
+def likely_light(J: Tensor, error: Tensor, colors: SceneColors) -> Tensor:
+    """Estimate the light of surfaces from uncertain values and from how the scene's colors are distributed.
+
+    The most likely light given the values is their linear estimate of least mean square error: a channel that is
+    uncertain follows the others as it does elsewhere in the scene, and where none is certain it is the scene's mean
+    color.
+
+    Args:
+        J: (N, 3) linear light.
+        error: (N, 3) variance of its error.
+        colors: How the colors are distributed.
+
+    Returns:
+        (N, 3) linear light, at least 0.
+    """
+    mean, covariance = colors.mean.to(J.device), colors.covariance.to(J.device)
+    likely, _ = _estimated(J.double(), error.double().clamp(min=LEAST), mean, covariance)
+    return likely.clamp(min=0).to(J.dtype)
+
+
+def _estimated(J: Tensor, error: Tensor, mean: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the linear estimate (N, 3) of least mean square error, and its covariance (N, 3, 3)."""
+    gain = covariance @ torch.linalg.inv(covariance + torch.diag_embed(error))
+    return mean + (gain @ (J - mean)[..., None])[..., 0], covariance - gain @ covariance
 
 
 def describe_restored(restored: Tensor) -> str:

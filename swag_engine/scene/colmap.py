@@ -17,6 +17,7 @@ from .colmap_library import pycolmap
 from .georeference import Georeference, read_georeference
 from .lenses import Lens
 from .model_quality import FEW_REGISTERED
+from .split import Split, split_views
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
 
@@ -75,6 +76,7 @@ class Scene:
         warnings: Sentences for the user.
         up: Unit vector (3,) float64 in the world, that of `georeference` where it was measured (see `up_direction`).
         georeference: Scale, axes and coordinates, None where they were not measured.
+        split_of_whole: Split of the views of a part of a larger scene; None for a whole scene.
     """
 
     folder: Path
@@ -87,6 +89,12 @@ class Scene:
     warnings: tuple[str, ...]
     up: np.ndarray
     georeference: Georeference | None = None
+    split_of_whole: Split | None = None
+
+    @property
+    def split(self) -> Split:
+        """Which views are trained on, and which are held out."""
+        return self.split_of_whole or split_views(view.name for view in self.views)
 
     @property
     def metres_per_unit(self) -> float:

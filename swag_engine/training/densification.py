@@ -66,7 +66,7 @@ class Densification:
         """
         random = random_of(self.inputs.settings.seed, state.iteration)
         with part("densification"):
-            strategy_of(state.recipe).perturb(state.cloud, means_rate, self.inputs.median_range, random)
+            strategy_of(state.recipe).perturb(state.free_cloud, means_rate, self.inputs.median_range, random)
             self._densify(state, random)
             self._relocate(state, sh_degree, water_degree)
             self._enforce_least_size(state)
@@ -76,7 +76,7 @@ class Densification:
         final = state.clock.fraction >= state.recipe.stage_two_from
         if final or state.iteration % self.inputs.schedule.densify_every == 0:
             cameras = [image.camera for image in self.inputs.training]
-            enforce_least_size(state.cloud, cameras, self.inputs.median_range)
+            enforce_least_size(state.free_cloud, cameras, self.inputs.median_range)
 
     def _densify(self, state: RunState, random: torch.Generator) -> None:
         schedule, fraction, until = self.inputs.schedule, state.clock.fraction, state.recipe.densify_until
@@ -87,12 +87,13 @@ class Densification:
         budget = state.start_count + int((most - state.start_count) * min(1.0, progress / FULL_AFTER))
         weight = None
         if self.guidance:
-            self.guidance.prune(state.cloud)
-            weight = self.guidance.densification_weights(state.cloud)
+            self.guidance.prune(state.free_cloud)
+            weight = self.guidance.densification_weights(state.free_cloud)
         with torch.no_grad():
-            state.replace_cloud(
+            statistics = state.statistics.first(state.free_count)
+            state.replace_free(
                 *strategy_of(state.recipe).densify(
-                    state.cloud, state.statistics, budget, self.inputs.median_range, random, weight
+                    state.free_cloud, statistics, budget, self.inputs.median_range, random, weight
                 )
             )
 
@@ -117,4 +118,5 @@ class Densification:
         S, E = scores(state.cloud, views, sh_degree, effects.medium, water_degree, backend, effects.lamp)
         if self.guidance and (weight := self.guidance.densification_weights(state.cloud)) is not None:
             E = E * weight
-        state.replace_cloud(*relocate(state.cloud, S, E, identical=recipe.reallocation == "identical"))
+        free, count = state.free_cloud, state.free_count
+        state.replace_free(*relocate(free, S[:count], E[:count], identical=recipe.reallocation == "identical"))

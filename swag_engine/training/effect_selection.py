@@ -1,6 +1,7 @@
 """Which effects a run models, what they start from, and switching them while the run lasts."""
 
 from collections.abc import Mapping
+from copy import deepcopy
 
 import torch
 
@@ -17,6 +18,7 @@ from .inputs import RunInputs
 from .objective import Objective
 from .state import RunState
 from .trials import undetermined_effects
+from .whole import Whole
 
 
 class EffectSelection:
@@ -25,15 +27,16 @@ class EffectSelection:
     Args:
         inputs: Images and settings of the run.
         plan: The plan that the run follows, None for a recipe without one.
+        whole: Model of a larger scene, whose effects the run takes over and does not change.
 
     Attributes:
         to_try: Effects that the plan leaves undetermined, which trials decide; off until then.
         water: The water that the run started from.
     """
 
-    def __init__(self, inputs: RunInputs, plan: Plan | None) -> None:
-        self.inputs, self.plan = inputs, plan
-        self.to_try = undetermined_effects(plan) if inputs.validation else []
+    def __init__(self, inputs: RunInputs, plan: Plan | None, whole: Whole | None = None) -> None:
+        self.inputs, self.plan, self.whole = inputs, plan, whole
+        self.to_try = undetermined_effects(plan) if inputs.validation and not whole else []
         self.water = InitialWater()
 
     def recipe(self, choices: Mapping[str, bool]) -> Recipe:
@@ -47,11 +50,17 @@ class EffectSelection:
         return Objective(recipe, self.inputs.median_range, self.water.order, self.inputs.settings.backend)
 
     def initial_choices(self) -> dict[str, bool]:
-        """Return the effects to try, all off."""
-        return dict.fromkeys(self.to_try, False)
+        """Return the effects to try, all off; in a part of a larger scene, what was chosen for the whole."""
+        return dict(self.whole.choices) if self.whole else dict.fromkeys(self.to_try, False)
 
     def initial_effects(self, recipe: Recipe, cloud: GaussianCloud) -> SceneEffects:
         """Make the effects that a run starts with, and take their water out of the cloud's colors, in place."""
+        if self.whole:
+            effects = deepcopy(self.whole.effects).to(self.inputs.device)
+            if isinstance(effects.medium, Medium):
+                remove_water_from_colors(cloud, effects.medium, self.inputs.training)
+            self.water = InitialWater("The water is that of the whole survey.") if effects.medium else InitialWater()
+            return effects
         self._find_water(recipe, cloud)
         return self._initial(recipe, self.water.medium)
 
@@ -101,7 +110,9 @@ class EffectSelection:
         return SceneEffects.initial(medium, recipe.effects, context).to(self.inputs.device)
 
     def learning_rates(self, state: RunState) -> dict[str, float]:
-        """Return Adam's step size at the start of the run by parameter name, for all parameters of effects."""
+        """Return Adam's step size at the start of the run by parameter name, for all effects that change."""
+        if self.whole:
+            return {}
         water = {
             name: state.recipe.B_inf_rate if name == "medium.background_sh" else state.recipe.water_rate
             for name in state.effects.parameters()

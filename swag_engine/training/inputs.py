@@ -10,7 +10,6 @@ import torch
 from ..kernels.backends import device_for
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage, load_images
-from ..scene.split import split_views
 from ..settings.settings import TrainSettings
 from .schedule import Schedule
 
@@ -74,7 +73,7 @@ def load_inputs(
         on_event({"event": "progress", "stage": "load", "iteration": done, "iterations": total})
 
     images = {image.camera.name: image for image in load_images(scene, scene.views, settings.width, report)}
-    split = split_views([view.camera.name for view in scene.views])
+    split = scene.split
     training = [images[name] for name in split.train]
     return RunInputs(
         scene,

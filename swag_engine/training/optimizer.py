@@ -26,14 +26,15 @@ class Optimizer:
         cloud: The Gaussians; updated in place.
         effects: The effects; updated in place.
         backend: What computes.
+        fixed: Number of Gaussians, the last ones of the cloud, that never change.
 
     Attributes:
         steps: Steps since the moments were last zero.
         moments: First and second moment by parameter name.
     """
 
-    def __init__(self, cloud: GaussianCloud, effects: SceneEffects, backend: str = "auto") -> None:
-        self.backend = backend
+    def __init__(self, cloud: GaussianCloud, effects: SceneEffects, backend: str = "auto", fixed: int = 0) -> None:
+        self.backend, self.fixed = backend, fixed
         self.cloud = cloud
         self.effects = effects
         self.steps = 0
@@ -67,8 +68,10 @@ class Optimizer:
         self.steps += 1
         for name, parameter in self.parameters().items():
             if parameter.grad is not None and name in rates:
-                moments = self.moments[name]
-                adam_step(parameter.detach(), parameter.grad, *moments, rates[name], self.steps, self.backend)
+                mean, square = self.moments[name]
+                moved = slice(len(parameter) - self.fixed if name in PER_GAUSSIAN else None)
+                values, gradient = parameter.detach()[moved], parameter.grad[moved]
+                adam_step(values, gradient, mean[moved], square[moved], rates[name], self.steps, self.backend)
         self.clear_gradients()
 
     def clear_gradients(self) -> None:

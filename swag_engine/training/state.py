@@ -34,7 +34,7 @@ class RunState:
         clock: How far the run is.
         guarded: Last good parameters, and what the guard has seen.
         statistics: What densification goes by, collected since the last change of the cloud.
-        start_count: Number of Gaussians at the start.
+        start_count: Number of Gaussians at the start, without the fixed ones.
         choices: Effects switched on or off by trials.
         trials: Trials that were made, as metrics.json has them.
         motion: Masks of moving objects.
@@ -86,6 +86,7 @@ class RunState:
         iterations: int,
         start_count: int,
         backend: str,
+        fixed: int = 0,
     ) -> "RunState":
         """Make the state at the start of a run.
 
@@ -96,11 +97,12 @@ class RunState:
             iterations: Planned iterations.
             start_count: Number of Gaussians that densification starts from.
             backend: What computes.
+            fixed: Number of Gaussians, the last ones of the model, that never change.
 
         Returns:
             The state.
         """
-        optimizer = Optimizer(model.cloud, model.effects, backend)
+        optimizer = Optimizer(model.cloud, model.effects, backend, fixed)
         guarded = GuardedState()
         guarded.keep(optimizer)
         statistics = DensificationStatistics.zeros(len(model.cloud), model.cloud.means.device)
@@ -116,13 +118,26 @@ class RunState:
         """The effects that are modelled."""
         return self.optimizer.effects
 
-    def replace_cloud(self, cloud: GaussianCloud, source: Tensor) -> None:
-        """Continue with another cloud, and with new statistics.
+    @property
+    def free_count(self) -> int:
+        """Number of Gaussians that may change."""
+        return len(self.cloud) - self.optimizer.fixed
+
+    @property
+    def free_cloud(self) -> GaussianCloud:
+        """The Gaussians that may change, as views of the cloud's tensors."""
+        return self.cloud.rows(slice(self.free_count)) if self.optimizer.fixed else self.cloud
+
+    def replace_free(self, cloud: GaussianCloud, source: Tensor) -> None:
+        """Continue with other Gaussians in place of those that may change, and with new statistics.
 
         Args:
             cloud: The Gaussians.
             source: Index (N',) of the Gaussian whose optimiser moments each one takes, -1 for none.
         """
+        if self.optimizer.fixed:
+            fixed = torch.arange(self.free_count, len(self.cloud), device=source.device)
+            cloud, source = cloud.followed_by(self.cloud.rows(fixed)), torch.cat([source, fixed])
         self.optimizer.replace(cloud, source)
         self.reset_statistics()
 
@@ -151,6 +166,7 @@ class RunState:
             "curve": list(self.curve),
             "spent": self.budget_spent,
             "start_count": self.start_count,
+            "fixed": self.optimizer.fixed,
             "psnr": self.psnr,
             "ssim": self.ssim,
             "dropout": self.dropout,
@@ -183,7 +199,7 @@ class RunState:
             The state, which shares no memory with the arguments.
         """
         model = SceneModel.from_checkpoint(tensors, stored).to(device)
-        optimizer = Optimizer(model.cloud, model.effects, backend)
+        optimizer = Optimizer(model.cloud, model.effects, backend, stored.get("fixed", 0))
         optimizer.load_state(tensors)
         last_good = {
             name.removeprefix("guard."): tensor.to(device, copy=True)

@@ -53,6 +53,7 @@ from .step import GEOMETRY, AutogradStep, Step, StepConfig
 from .target_cache import Targets
 from .trials import run_trials, trials_due
 from .webgpu_step import WebGpuStep, with_backend_of_run
+from .whole import Whole
 
 InitialCloud = Callable[[Points, int, int, int, np.ndarray], GaussianCloud]
 
@@ -109,8 +110,13 @@ def make_trainer(
     started: float,
     schedule: Schedule = STANDARD,
     initial_cloud: InitialCloud = gaussians_from_points,
+    part: Scene | None = None,
+    whole: Whole | None = None,
 ) -> "Trainer":
-    """Make the trainer of a new run, or of one as far as it came; arguments and errors as of `train` and `Trainer`."""
+    """Make the trainer of a new run, or of one as far as it came; arguments and errors as of `train` and `Trainer`.
+
+    With `part`, that part of the scene in the folder is trained, and nothing else of it is read.
+    """
     longer = False
     if resume:
         if not run.config.exists():
@@ -120,7 +126,7 @@ def make_trainer(
         raise InputError(
             f"{run.path} holds a training run already; continue it with --resume or choose another folder."
         )
-    scene = load_scene(scene_folder)
+    scene = part or load_scene(scene_folder)
     if not resume:
         settings = with_scale_of(scene, settings)
     settings, budget = fit_budget(scene, fit_preset(scene, settings), started, schedule.closing_seconds)
@@ -131,7 +137,7 @@ def make_trainer(
     settings, backend_note = with_backend_of_run(settings, resume)
     try:
         trainer = none_if_out_of_memory(
-            lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud)
+            lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud, whole)
         )
         if not trainer:
             raise InputError(TOO_LITTLE)
@@ -170,6 +176,7 @@ class Trainer:
         resume: Whether the run continues; then `resume` is called next.
         schedule: When things happen, and the learning rates.
         initial_cloud: Makes the Gaussians that a new run starts from; called as `gaussians_from_points` is.
+        whole: Model of a larger scene, of which this is a part.
 
     Attributes:
         inputs: What never changes during the run.
@@ -194,8 +201,9 @@ class Trainer:
         resume: bool = False,
         schedule: Schedule = STANDARD,
         initial_cloud: InitialCloud = gaussians_from_points,
+        whole: Whole | None = None,
     ) -> None:
-        self.run, self.on_event = run, on_event
+        self.run, self.on_event, self.whole = run, on_event, whole
         self.notes: list[str] = []
         self.training_psnr: float | None = None
         self.pacer = Pacer(budget)
@@ -205,11 +213,11 @@ class Trainer:
             scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, inputs.median_color()
         )
         start_count = len(cloud)
-        plan = plan_of_run(inputs, run.plan, weights_dir, resume)
+        plan = whole.plan if whole else plan_of_run(inputs, run.plan, weights_dir, resume)
         if plan:
             on_event({"event": "plan", "plan": plan.to_json()})
             write_plan(run.plan, plan)
-        self.selection = EffectSelection(inputs, plan)
+        self.selection = EffectSelection(inputs, plan, whole)
         choices = self.selection.initial_choices()
         recipe = self.selection.recipe(choices)
         effects = self.selection.initial_effects(recipe, cloud)
@@ -223,13 +231,18 @@ class Trainer:
             note, frames = interpolated_frames(scene, inputs.training, weights_dir)
             self.notes.append(note)
         guidance: Guidance | None = None
-        if recipe.uses_regions:
+        if recipe.uses_regions and whole:
+            self.notes.append("Labels are not learned in parts of a survey: label the merged result.")
+        elif recipe.uses_regions:
             note, guidance = find_guidance(scene, inputs.training, recipe, settings, weights_dir)
             self.notes.append(note)
             cloud.features = cloud.means.new_zeros(len(cloud), DIMENSIONS if guidance else 0)
         iterations = settings.iterations or (budget.iterations if budget else 1)
-        model = SceneModel(cloud.to(inputs.device), effects)
-        self.state = RunState.initial(model, recipe, choices, iterations, start_count, settings.backend)
+        if whole:
+            cloud.background = whole.surroundings.background
+            cloud = cloud.followed_by(whole.surroundings)
+        model, fixed = SceneModel(cloud.to(inputs.device), effects), len(whole.surroundings) if whole else 0
+        self.state = RunState.initial(model, recipe, choices, iterations, start_count, settings.backend, fixed)
         self.guard = Guard(iterations)
         self.targets = Targets(inputs, depth, frames, guidance)
         self._act_on(guidance)
@@ -298,9 +311,9 @@ class Trainer:
             return loss
         state = self.state
         state.optimizer.restart(state.guarded.last_good)
-        state.replace_cloud(*reduced(state.cloud))
+        state.replace_free(*reduced(state.free_cloud))
         state.guarded.keep(state.optimizer)
-        state.relief.relieve(len(state.cloud))
+        state.relief.relieve(state.free_count)
         self.targets.clear()
         return math.nan
 
@@ -336,7 +349,7 @@ class Trainer:
             fraction=fraction,
             sh_degree=self._sh_degree(fraction),
             water_degree=self._water_degree(fraction),
-            with_water=fraction >= recipe.water_from,
+            with_water=self.whole is not None or fraction >= recipe.water_from,
             stage_two=fraction >= recipe.stage_two_from,
             learning_rates=self._learning_rates(fraction),
         )
@@ -346,7 +359,7 @@ class Trainer:
         return min(self.inputs.settings.sh_degree, joined)
 
     def _water_degree(self, fraction: float) -> int:
-        return MAX_DEGREE if fraction >= self.state.recipe.B_inf_degrees_from else 0
+        return MAX_DEGREE if self.whole or fraction >= self.state.recipe.B_inf_degrees_from else 0
 
     def _learning_rates(self, fraction: float) -> dict[str, float]:
         """Adam's step size by parameter name, `fraction` (0..1) of the way through the run."""
@@ -361,6 +374,8 @@ class Trainer:
         else:
             falling = 0.5 * (1 + math.cos(math.pi * fraction))
             rates |= {name: falling * rate for name, rate in self.selection.learning_rates(state).items()}
+        if self.whole:
+            rates.pop("background", None)
         return {name: state.guarded.record.rate_factor * rate for name, rate in rates.items()}
 
     def _mask_motion(self) -> None:
@@ -428,14 +443,14 @@ class Trainer:
             "ssim": state.ssim,
             "curve": state.curve,
             "next_minute_db": next_minute(state.curve),
-            "gaussians": len(state.cloud),
+            "gaussians": state.free_count,
             "iterations_per_second": round(self.pacer.iterations_per_second(state.iteration), 2),
         }
 
     def _write_preview(self) -> None:
         self.state.synchronize(parameters_only=True)
         state = self.state
-        write_ply(self.run.preview, state.cloud.to_splats(sh_degree=0))
+        write_ply(self.run.preview, state.free_cloud.to_splats(sh_degree=0))
         water = state.effects.medium.to_json() if state.effects.medium else None  # per scene unit
         path = str(self.run.preview)
         self.on_event({"event": "preview", "path": path, "iteration": state.iteration, "water": water})
@@ -474,7 +489,7 @@ class Trainer:
                 "training_psnr": self.training_psnr,
                 "psnr": state.psnr,
                 "ssim": state.ssim,
-                "gaussians": len(state.cloud),
+                "gaussians": state.free_count,
                 "ms": round(1000 * seconds / max(1, state.iteration), 2),
             }
         )
@@ -491,10 +506,11 @@ class Trainer:
         state, inputs = self.state, self.inputs
         medium = state.effects.medium
         assert isinstance(medium, Medium)
-        noise = estimate_noise(inputs.training)
+        noise = (self.whole and self.whole.noise) or estimate_noise(inputs.training)
+        colors = self.whole.colors if self.whole else None
         cameras = [image.camera for image in inputs.training]
-        limit, restored = restoration_limit(
-            state.cloud, cameras, medium, noise, state.effects.lamp, inputs.settings.backend
+        limit, restored, _ = restoration_limit(
+            state.cloud, cameras, medium, noise, state.effects.lamp, inputs.settings.backend, colors
         )
         self.notes += filter(None, [describe_restored(restored)])
         return limit
@@ -506,9 +522,9 @@ class Trainer:
         if inputs.validation and state.iteration:
             self._validate(loss)
         cloud = limit.apply(state.cloud) if limit else state.cloud
-        splats = cloud.to_splats()
+        splats = cloud.rows(slice(state.free_count)).to_splats()
         if limit:
-            splats.extras[CONFIDENCE] = to_numpy(limit.least_confidence)
+            splats.extras[CONFIDENCE] = to_numpy(limit.least_confidence[: state.free_count])
         if self.guidance:
             self.guidance.write(self.run.path, splats, inputs.scene.up.tolist(), state.cloud)
         else:
@@ -528,7 +544,7 @@ class Trainer:
             "ssim": state.ssim,
             "iteration": state.iteration,
             "iterations": state.clock.planned(state.iteration),
-            "gaussians": len(state.cloud),
+            "gaussians": state.free_count,
             "seconds": round(seconds, 2),
             "ledger": self.ledger.milliseconds(),
             "interrupted": interrupted,

@@ -110,7 +110,7 @@ class WebGpuStep:
             not self.kernels.failure
             and runs_natively(self.selection.objective(state.recipe), state.effects, target, medium, config.fraction)
             and strategy_of(state.recipe).regularisation(state.cloud, self.inputs.median_range) is None
-            and not (state.recipe.undimmed_densification or state.recipe.uses_regions)
+            and not (state.recipe.undimmed_densification or state.recipe.uses_regions or state.optimizer.fixed)
         )
         if not native or isinstance(medium, WaterNetwork):
             state.synchronize()

@@ -11,6 +11,7 @@ from swag_engine.base.transfer import linear_to_srgb
 from swag_engine.effects.lamp import Lamp
 from swag_engine.evidence.noise import LEAST_OFFSET, LEAST_SLOPE, Noise, estimate_noise
 from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.gaussians.densify import PER_GAUSSIAN
 from swag_engine.kernels.reference.harmonics import C0
 from swag_engine.rendering.render import render
 from swag_engine.rendering.restoration import (
@@ -18,10 +19,12 @@ from swag_engine.rendering.restoration import (
     BACKSCATTER_ERROR,
     LightSums,
     RestorationLimit,
+    SceneColors,
     describe_restored,
     likely_light,
     render_confidence,
     restoration_limit,
+    scene_colors,
 )
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
@@ -118,12 +121,13 @@ def test_confidence_is_the_wiener_weight_of_the_least_squares_solution():
     signal = (information * J**2).sum(0) / information.sum(0)
     depth = (weight * T**2 * -np.log(T)).sum(0) / information
     error = noise + backscatter**2 + signal * (ATTENUATION_ERROR * depth) ** 2
-    np.testing.assert_allclose(sums.confidence(torch.from_numpy(J)).numpy(), signal / (signal + error), rtol=1e-12)
+    found = sums.signal(torch.from_numpy(J))
+    np.testing.assert_allclose(sums.confidence(found).numpy(), signal / (signal + error), rtol=1e-12)
 
 
 def test_near_colors_stay_and_far_ones_are_limited_the_more_the_less_light_arrives():
     cloud = row_of_gaussians()
-    limit, restored = restoration_limit(cloud, [CAMERA], BLUE, NOISE)
+    limit, restored, _ = restoration_limit(cloud, [CAMERA], BLUE, NOISE)
     confidence = limit.confidence.numpy()
     assert (np.diff(confidence, axis=0) < 0).all()
     assert (np.diff(confidence[2:], axis=1) > 0).all()  # red is lost first, then green
@@ -164,9 +168,14 @@ def test_water_without_backscatter_leaves_noise_and_attenuation_alone():
 def test_gaussians_that_no_image_shows_keep_their_color():
     cloud = row_of_gaussians(np.random.default_rng(0).random((len(RANGES), 3)))
     cloud.means[2, 2] *= -1
-    limit, _ = restoration_limit(cloud, [CAMERA], BLUE, NOISE)
+    limit = restoration_limit(cloud, [CAMERA], BLUE, NOISE)[0]
     assert (limit.confidence[2] == 0).all()
     np.testing.assert_allclose(limit.apply(cloud).sh0[2], cloud.sh0[2], atol=1e-6)
+
+
+def likely(J, error, weight):
+    J, error, weight = map(torch.from_numpy, (J, error, weight))
+    return likely_light(J, error, scene_colors(J, error, weight, J.square().mean(0))).numpy()
 
 
 def scene_of_known_colors(count=4000):
@@ -180,7 +189,7 @@ def scene_of_known_colors(count=4000):
 
 def test_likely_light_is_the_best_linear_estimate_without_knowing_the_scene():
     J, seen, error, mean, covariance = scene_of_known_colors()
-    found = likely_light(*map(torch.from_numpy, (seen, error, np.ones(len(J))))).numpy()
+    found = likely(seen, error, np.ones(len(J)))
     gain = covariance @ np.linalg.inv(covariance + error[:, :, None] * np.eye(3))
     best = mean + np.einsum("nij,nj->ni", gain, seen - mean)
     each = mean + 0.01 / (0.01 + error) * (seen - mean)
@@ -195,16 +204,27 @@ def test_a_channel_without_evidence_follows_the_others_and_a_surface_without_any
     seen[2], error[2] = (0.5, 0.1, 0.3), 1e-9
     weight = np.ones(len(seen))
     weight[3], seen[3] = 0, 1e3
-    red, nothing, certain = likely_light(*map(torch.from_numpy, (seen, error, weight))).numpy()[:3]
+    red, nothing, certain = likely(seen, error, weight)[:3]
     expected = mean[0] + covariance[0, 1:] @ np.linalg.inv(covariance[1:, 1:]) @ (red[1:] - mean[1:])
     assert red[0] == pytest.approx(expected, abs=0.01) and red[0] > mean[0] + 0.1
     np.testing.assert_allclose(nothing, mean, atol=0.01)
     np.testing.assert_allclose(certain, [0.5, 0.1, 0.3], atol=1e-4)
 
 
-def test_light_that_no_image_shows_is_returned_as_it_is():
-    J = torch.rand(4, 3)
-    assert torch.equal(likely_light(J, torch.ones(4, 3), torch.zeros(4)), J)
+def test_light_that_no_image_shows_stays():
+    J = np.random.default_rng(0).random((4, 3))
+    np.testing.assert_allclose(likely(J, np.ones((4, 3)), np.zeros(4)), J, rtol=1e-5)
+
+
+def test_parts_of_a_scene_are_limited_alike_by_the_colors_of_the_whole():
+    whole = row_of_gaussians(np.random.default_rng(0).random((len(RANGES), 3)))
+    limit, _, colors = restoration_limit(whole, [CAMERA], BLUE, NOISE)
+    part = GaussianCloud(**{name: getattr(whole, name)[3:] for name in PER_GAUSSIAN}, background=whole.background)
+    known = SceneColors.from_json(colors.to_json())
+    alike, apart = (restoration_limit(part, [CAMERA], BLUE, NOISE, colors=of)[0] for of in (known, None))
+    torch.testing.assert_close(alike.color, limit.color[3:], atol=1e-5, rtol=0)
+    torch.testing.assert_close(alike.confidence, limit.confidence[3:])
+    assert (apart.color - limit.color[3:]).abs().max() > 0.02
 
 
 def test_a_limit_is_kept_in_a_checkpoint():

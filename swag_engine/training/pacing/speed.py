@@ -15,7 +15,6 @@ from ...kernels.backends import device_for
 from ...rendering.render import render
 from ...scene.colmap import Scene
 from ...scene.images import TrainingImage, load_images
-from ...scene.split import split_views
 from ...settings.presets import Size
 from ...settings.settings import TrainSettings
 from ...water.medium import Medium
@@ -83,7 +82,7 @@ class Extent:
     @classmethod
     def of(cls, scene: Scene) -> "Extent":
         """Return the size of a scene."""
-        split = split_views([view.camera.name for view in scene.views])
+        split = scene.split
         camera = max((view.camera for view in scene.views), key=lambda camera: camera.width)
         held_out = len(split.validation) + len(split.test)
         tracks = scene.points.track_lengths

@@ -1,0 +1,101 @@
+"""State of the blocks of a survey, as their files show it. Blender imports it."""
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from ..base.claim import read_claim
+from ..base.errors import InputError
+from ..base.strict_json import from_json
+from .run_folder import read_json
+from .survey_folder import COARSE, State, SurveyFolder
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a block is.
+
+    Attributes:
+        name: Name of the block, or of the coarse model.
+        state: Its state.
+        fraction: How much of its iterations is done, 0..1.
+        psnr: PSNR of its held-out images, dB: of its test images once it is done; None while it is not known.
+        gaussians: Number of its Gaussians, 0 while it is not known.
+        beat: Number that the process which works on it counts up; -1 without one.
+        problem: Why it failed, empty for other states.
+    """
+
+    name: str
+    state: State
+    fraction: float
+    psnr: float | None
+    gaussians: int
+    beat: int
+    problem: str
+
+
+def progress_of(folder: SurveyFolder, name: str, iterations: int) -> Progress:
+    """Read how far a block, or the coarse model, is. Nothing is locked or written.
+
+    A block that was killed counts as running as long as its claim is there: whether `beat` changes from one reading to
+    the next tells the two apart, on whatever machine it runs.
+
+    Args:
+        folder: The survey.
+        name: Name of the block, or COARSE.
+        iterations: Iterations that it will have.
+    """
+    if done := _read(folder.done(name)):
+        return Progress(name, "done", 1.0, _number(done.get("test_psnr")), int(done.get("gaussians", 0)), -1, "")
+    entry = _last_entry(folder, name)
+    fraction = min(1.0, entry.get("iteration", 0) / max(1, iterations))
+    figures = fraction, _number(entry.get("psnr")), int(entry.get("gaussians") or 0)
+    claim = read_claim(folder.claim(name))
+    if claim is not None:
+        beat = claim.get("beat")
+        return Progress(name, "running", *figures, beat if isinstance(beat, int) else 0, "")
+    if failed := _read(folder.failed(name)):
+        return Progress(name, "failed", *figures, -1, str(failed.get("problem", "")))
+    begun = folder.run(name).config.exists()
+    return Progress(name, "begun" if begun else "waiting", *figures, -1, "")
+
+
+def progress_of_all(folder: SurveyFolder) -> list[Progress]:
+    """Read how far the coarse model and all blocks are, in this order.
+
+    Raises:
+        InputError: If the folder is not a survey, or a file is damaged.
+    """
+    survey = folder.read()
+    coarse = progress_of(folder, COARSE, survey.coarse_settings.iterations)
+    return [coarse, *(progress_of(folder, name, folder.read_block(name).iterations) for name in survey.blocks)]
+
+
+def _read(file: Any) -> dict[str, Any] | None:
+    try:
+        return read_json(file, "missing")
+    except InputError:
+        return None
+
+
+def _last_entry(folder: SurveyFolder, name: str) -> dict[str, Any]:
+    """Return the last whole line of the run's metrics.jsonl; its last kilobytes are enough."""
+    try:
+        with open(folder.run(name).metrics_log, "rb") as log:
+            log.seek(0, 2)
+            log.seek(max(0, log.tell() - 4096))
+            lines = re.findall(rb"^\{.*\}$", log.read(), re.MULTILINE)
+    except OSError:
+        return {}
+    for line in reversed(lines):
+        try:
+            entry = from_json(line)
+        except ValueError:
+            continue
+        if isinstance(entry, dict) and "psnr" in entry:
+            return entry
+    return {}
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, int | float) else None

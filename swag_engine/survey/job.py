@@ -1,0 +1,219 @@
+"""The jobs of a survey: the coarse model, and the blocks. A job can be started again at any time, on any machine."""
+
+import hashlib
+import sys
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..base.claim import claimed
+from ..base.errors import InputError
+from ..base.files import FolderInUse, locked_folder
+from ..formats.ply import read_ply
+from ..formats.run_folder import RunFolder, read_json, write_json
+from ..formats.survey_folder import COARSE, VERSION, Survey, SurveyFolder, inside
+from ..gaussians.cloud import GaussianCloud
+from ..gaussians.init import gaussians_from_points
+from ..kernels.machine import engine_version
+from ..scene.colmap import Points, Scene
+from ..scene.scene_part import read_part
+from ..settings.settings import TrainSettings
+from ..training.checkpoint import checkpoints, load_checkpoint
+from ..training.inputs import Event
+from ..training.schedule import STANDARD
+from ..training.trainer import InitialCloud, make_trainer
+from ..training.whole import Whole
+from .whole_model import around, keep_whole, load_whole
+
+
+def run_job(
+    folder: Path,
+    name: str,
+    on_event: Callable[[Event], None] = lambda event: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> dict[str, Any]:
+    """Train a block, or the coarse model, of a survey, as far as that is not done.
+
+    Args:
+        folder: Folder of the survey.
+        name: Name of the block, or COARSE.
+        on_event: Gets the events of the run.
+        should_stop: Asked between two iterations; the job then ends with everything kept.
+
+    Returns:
+        `state`: done, running (another process has it; `note` says which) or begun (it was stopped); for done the
+        figures of done.json.
+
+    Raises:
+        InputError: For anything that keeps the job from being done; failed.json then says it, too.
+    """
+    survey_folder = SurveyFolder(folder)
+    survey = survey_folder.read()
+    if name not in (COARSE, *survey.blocks):
+        raise InputError(f"The survey {folder} has no block {name}; its first is {survey.blocks[0]}.")
+    try:
+        with claimed(survey_folder.job(name)) as claim:
+            if done := _done(survey_folder, name):
+                return {"state": "done"} | done
+            try:
+                _check_engine(survey)
+                return _train(survey_folder, survey, name, on_event, lambda: claim.lost or should_stop())
+            except InputError as error:
+                _note_failure(survey_folder, name, str(error))
+                raise
+    except FolderInUse as used:
+        return {"state": "running", "note": str(used)}
+
+
+def _done(folder: SurveyFolder, name: str) -> dict[str, Any] | None:
+    """Return done.json where it is there and the result is the one that it names."""
+    if not folder.done(name).exists():
+        return None
+    try:
+        done = read_json(folder.done(name), "")
+        if done.get("result_sha256") == hash_of(folder.run(name).ply):
+            return done
+    except InputError:
+        pass
+    folder.done(name).unlink()
+    return None
+
+
+def _train(
+    folder: SurveyFolder, survey: Survey, name: str, on_event: Callable[[Event], None], should_stop: Callable[[], bool]
+) -> dict[str, Any]:
+    started, processor = time.monotonic(), time.process_time()
+    part = read_part(folder.scene_part(name), survey.scene)
+    settings, whole = survey.coarse_settings, None
+    initial_cloud: InitialCloud = gaussians_from_points
+    if name != COARSE:
+        settings, whole, initial_cloud = _block_inputs(folder, survey, name, part)
+    run = folder.run(name)
+    metrics = read_json(run.metrics, "") if run.metrics.exists() and run.finished() else None
+    if metrics is None:
+        metrics = _trained(run, survey.scene, settings, part, whole, initial_cloud, on_event, should_stop)
+    if metrics["interrupted"]:
+        return {"state": "begun", "iteration": metrics["iteration"]}
+    if name == COARSE:
+        keep_whole(folder)
+    splats = read_ply(run.ply)
+    in_core = len(splats)
+    if name != COARSE:
+        in_core = int(folder.read_block(name).in_core(survey.ground.on_ground(splats.positions)).sum())
+    document = {
+        "version": VERSION,
+        "block": name,
+        "engine": engine_version(),
+        "result_sha256": hash_of(run.ply),
+        "gaussians": metrics["gaussians"],
+        "gaussians_in_core": in_core,
+        "iterations": metrics["iteration"],
+        "images": len(part.views),
+        "test_psnr": metrics["test_psnr"],
+        "validation_psnr": metrics["psnr"],
+        "seconds": round(time.monotonic() - started, 2),
+        "processor_seconds": round(time.process_time() - processor, 2),
+        "peak_memory": _peak_memory(),
+        "notes": metrics["notes"],
+    }
+    write_json(folder.done(name), document)
+    folder.failed(name).unlink(missing_ok=True)
+    return {"state": "done"} | document
+
+
+def _trained(
+    run: RunFolder,
+    scene: Path,
+    settings: TrainSettings,
+    part: Scene,
+    whole: Whole | None,
+    initial_cloud: InitialCloud,
+    on_event: Callable[[Event], None],
+    should_stop: Callable[[], bool],
+) -> dict[str, Any]:
+    """Train a new run, or one that was begun, and return its figures."""
+    # The coarse run lies in the folder of its job, which is locked already.
+    with nullcontext() if run.path.name == COARSE else locked_folder(run.path):
+        resume = run.config.exists()
+        if resume and checkpoints(run.path) and not _can_be_read(run):
+            for path in checkpoints(run.path):
+                path.unlink()
+        trainer = make_trainer(
+            run, scene, settings, resume, on_event, None, time.monotonic(), STANDARD, initial_cloud, part, whole
+        )
+        return trainer.run_to_end(should_stop, preview=False)["metrics"]
+
+
+def _can_be_read(run: RunFolder) -> bool:
+    """Return whether a checkpoint of a run can be read; without one the run starts again, and ends the same."""
+    try:
+        return load_checkpoint(run.path) is not None
+    except InputError:
+        return False
+
+
+def _block_inputs(
+    folder: SurveyFolder, survey: Survey, name: str, part: Scene
+) -> tuple[TrainSettings, Whole, InitialCloud]:
+    """Return the settings of a block, what it takes over, and what makes its Gaussians: points in its extended box."""
+    block, whole = folder.read_block(name), load_whole(folder)
+    settings = replace(survey.settings, iterations=block.iterations, max_gaussians=block.max_gaussians, seed=block.seed)
+    coarse = survey.ground.on_ground(whole.surroundings.means.numpy())
+    cameras = [view.camera for view in part.views]
+
+    def initial_cloud(points: Points, most: int, sh_degree: int, seed: int, background: np.ndarray) -> GaussianCloud:
+        near = inside(block.extended, survey.ground.on_ground(points.positions))
+        of_block = Points(
+            *(values[near] for values in (points.positions, points.colors, points.errors, points.track_lengths))
+        )
+        return gaussians_from_points(of_block, most, sh_degree, seed, background)
+
+    return settings, around(whole, block, coarse, cameras), initial_cloud
+
+
+def _check_engine(survey: Survey) -> None:
+    version = engine_version()
+    if survey.engine != version:
+        raise InputError(
+            f"The survey was planned with version {survey.engine} of SWAG Splatting, and this machine has {version}: "
+            "blocks of one survey need one version. Install it here, or plan the survey again."
+        )
+
+
+def _note_failure(folder: SurveyFolder, name: str, problem: str) -> None:
+    """Write failed.json, as far as the disk allows."""
+    try:
+        attempts = read_json(folder.failed(name), "").get("attempts", 0) if folder.failed(name).exists() else 0
+        attempts = attempts if isinstance(attempts, int) else 0
+        write_json(
+            folder.failed(name), {"version": VERSION, "block": name, "problem": problem, "attempts": attempts + 1}
+        )
+    except InputError:
+        print(f"{folder.failed(name)} could not be written.", file=sys.stderr)
+
+
+def hash_of(path: Path) -> str:
+    """Return the SHA-256 of a file as hexadecimal digits.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
+
+
+def _peak_memory() -> int:
+    """Return the largest memory of this process so far, bytes; 0 where the system does not say."""
+    if sys.platform == "win32":
+        return 0
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -1,0 +1,195 @@
+"""What blocks take over from the coarse model: water, lamp, lens, exposure of each image, colors and surroundings."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ..base.errors import InputError
+from ..base.transfer import linear_of_bytes, srgb_to_linear
+from ..effects.exposure import Exposure
+from ..effects.scene_effects import SceneEffects
+from ..evidence.noise import Noise, estimate_noise
+from ..experiments.develop_run import automatic_development
+from ..formats.run_folder import read_json, write_json
+from ..formats.survey_folder import Block, SurveyFolder, inside
+from ..gaussians.cloud import GaussianCloud
+from ..planning.plan import read_plan
+from ..rendering.model import SceneModel
+from ..rendering.render import render
+from ..rendering.restoration import SceneColors, restoration_limit
+from ..scene.cameras import Camera
+from ..scene.colmap import Scene
+from ..scene.images import TrainingImage, load_images
+from ..scene.scene_part import read_part
+from ..settings.recipes import RECIPES
+from ..training.checkpoint import load_checkpoint
+from ..training.whole import Whole
+from ..water.medium import Medium
+
+MEASURED_WIDTH = 160
+"""Width in pixels at which the exposure of an image is measured: means over many pixels."""
+AT_ONCE = 100
+"""Images that are in memory at once while exposures are measured."""
+COVERED = 0.9
+"""Least alpha of a pixel that exposure is measured on."""
+DARKEST, BRIGHTEST = 0.005, 0.9
+"""Linear light between which a pixel counts: darker ones are noise, brighter ones are clipped."""
+FEWEST_PIXELS = 200
+"""Pixels from which an exposure counts as measured; else that of the neighbours is taken."""
+
+
+def keep_whole(folder: SurveyFolder) -> None:
+    """Find what blocks take over from the finished coarse run, and write whole.json and development.json.
+
+    Args:
+        folder: The survey.
+
+    Raises:
+        InputError: If the coarse run has no checkpoint, or an image cannot be read.
+    """
+    survey = folder.read()
+    part = read_part(folder.scene_part("coarse"), survey.scene)
+    model, stored = _coarse_model(folder)
+    document: dict = {"choices": stored["choices"], "log_gains": None, "colors": None, "noise": None}
+    medium = model.effects.medium
+    training = set(survey.coarse_training)
+    if isinstance(medium, Medium) and medium.light == "linear":
+        images = load_images(part, [view for view in part.views if view.name in training], survey.coarse_settings.width)
+        noise = estimate_noise(images)
+        cameras = [image.camera for image in images]
+        _, _, colors = restoration_limit(model.cloud, cameras, medium, noise, model.effects.lamp)
+        document |= {
+            "colors": colors.to_json(),
+            "noise": {"offset": noise.offset.tolist(), "slope": noise.slope.tolist()},
+        }
+    exposure = model.effects.models.get("exposure")
+    if isinstance(exposure, Exposure):
+        views = read_part(folder.all_views, survey.scene)
+        document["log_gains"] = measure_exposures(model, exposure, views)
+    folder.coarse.write_development(automatic_development(folder.coarse.path, model.cloud, model.effects, part))
+    write_json(folder.whole, document)
+
+
+def load_whole(folder: SurveyFolder) -> Whole:
+    """Read what blocks take over from the coarse model; its surroundings are all Gaussians of the model.
+
+    Args:
+        folder: The survey.
+
+    Raises:
+        InputError: If the coarse model is not finished, or a file is damaged.
+    """
+    survey = folder.read()
+    document = read_json(folder.whole, f"The coarse model of {folder.path} is not trained yet: train it first.")
+    model, _ = _coarse_model(folder)
+    plan = read_plan(folder.coarse.plan) if RECIPES[survey.settings.recipe].planned else None
+    try:
+        gains, colors, noise = document["log_gains"], document["colors"], document["noise"]
+        if gains is not None:
+            names = sorted(gains)
+            raw = torch.tensor([gains[name] for name in names], dtype=torch.float32)
+            model.effects.models["exposure"] = Exposure(raw, names, centred=False)
+        return Whole(
+            plan,
+            model.effects,
+            model.cloud,
+            {str(name): bool(on) for name, on in document["choices"].items()},
+            colors and SceneColors.from_json(colors),
+            noise and Noise(np.array(noise["offset"]), np.array(noise["slope"])),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{folder.whole} is damaged ({error!r}): remove it and {folder.done('coarse').name} beside it, and run "
+            "the survey again."
+        ) from error
+
+
+def around(whole: Whole, block: Block, on_ground: np.ndarray, cameras: list[Camera]) -> Whole:
+    """Return what a block is trained with: of the coarse Gaussians those outside its extended box that it sees.
+
+    Args:
+        whole: What was taken over from the coarse model.
+        block: The block.
+        on_ground: (N, 3) places of the coarse Gaussians on the ground of the survey.
+        cameras: Cameras of the block.
+    """
+    seen = _seen(whole.surroundings, cameras) & torch.from_numpy(~inside(block.extended, on_ground))
+    return replace(whole, surroundings=whole.surroundings.rows(seen))
+
+
+def measure_exposures(model: SceneModel, learned: Exposure, views: Scene) -> dict[str, list[float]]:
+    """Measure the exposure of images against a model that was trained on some of them.
+
+    It is the median over the pixels of the log of photographed over rendered light. Images that the model was trained
+    on keep their learned exposure; those that show too little of the model get that of their neighbours.
+
+    Args:
+        model: The model.
+        learned: Its exposures.
+        views: The scene of the images.
+
+    Returns:
+        Log gains, 1 or 3 an image, by image name.
+    """
+    effects = SceneEffects({key: each for key, each in model.effects.models.items() if key != "exposure"})
+    light = torch.from_numpy(linear_of_bytes()).float()
+    gains = {name: learned.log_gain(name).tolist() for name in learned.names}
+    missing = []
+    for image in _images_of(views, [view for view in views.views if view.name not in gains]):
+        ratios = _log_ratios(SceneModel(model.cloud, effects), image, light)
+        if len(ratios) < FEWEST_PIXELS:
+            missing.append(image.camera.name)
+            continue
+        channels = ratios.median(0).values
+        gains[image.camera.name] = (channels if learned.raw.shape[1] == 3 else ratios.median().reshape(1)).tolist()
+    known = sorted(gains)
+    measured = Exposure(torch.tensor([gains[name] for name in known]), known, centred=False)
+    return gains | {name: measured.log_gain(name).tolist() for name in missing}
+
+
+@torch.no_grad()
+def _log_ratios(model: SceneModel, image: TrainingImage, light: torch.Tensor) -> torch.Tensor:
+    """Return the logs (M, 3) of photographed over rendered light in the pixels that can be compared."""
+    effects = model.effects
+    picture = render(model.cloud, image.camera, 3, effects.medium, lamp=effects.lamp)
+    shown = effects.apply_to_image(picture.color, image.camera.name).cpu()
+    rendered = torch.from_numpy(srgb_to_linear(shown.numpy())).float()
+    photographed = light[torch.from_numpy(image.pixels).long()]
+    both = torch.cat([rendered, photographed], dim=-1)
+    chosen = (both > DARKEST).all(-1) & (both < BRIGHTEST).all(-1)
+    chosen &= torch.from_numpy(image.valid) & (picture.alpha.cpu() > COVERED)
+    return (photographed[chosen] / rendered[chosen]).log()
+
+
+def _images_of(scene: Scene, views: list) -> Iterator[TrainingImage]:
+    for start in range(0, len(views), AT_ONCE):
+        yield from load_images(scene, views[start : start + AT_ONCE], MEASURED_WIDTH)
+
+
+def _coarse_model(folder: SurveyFolder) -> tuple[SceneModel, dict]:
+    loaded = load_checkpoint(folder.coarse.path)
+    if loaded is None:
+        raise InputError(f"The coarse model of {folder.path} is not trained yet: train it first.")
+    return SceneModel.from_checkpoint(*loaded), loaded[1]
+
+
+def _seen(cloud: GaussianCloud, cameras: list[Camera]) -> torch.Tensor:
+    """Return which Gaussians (N,) bool reach into the view of a camera."""
+    reach = 3 * cloud.scales.amax(1)
+    seen = torch.zeros(len(cloud), dtype=torch.bool)
+    for camera in cameras:
+        pose = torch.from_numpy(camera.world_to_camera).float()
+        x, y, z = torch.addmm(pose[:3, 3], cloud.means, pose[:3, :3].T).unbind(-1)
+        ahead = z > -reach
+        # Beyond the planes through the edges of the image, by their distance.
+        for edge, focal, along in (
+            (-camera.cx, camera.fx, x), (camera.width - camera.cx, camera.fx, x),
+            (-camera.cy, camera.fy, y), (camera.height - camera.cy, camera.fy, y),
+        ):  # fmt: skip
+            tangent = edge / focal
+            distance = (along - tangent * z) / (1 + tangent**2) ** 0.5
+            ahead &= distance > -reach if edge < 0 else distance < reach
+        seen |= ahead
+    return seen
