@@ -33,10 +33,12 @@ from ..kernels.backends import device_for
 from ..kernels.machine import examine
 from ..rendering.model import SceneModel
 from ..rendering.restoration import RestorationLimit
+from ..scene.cameras import Camera
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import TrainingImage, load_images, read_image
 from ..scene.inspect import inspect_scene
 from ..scene.split import split_views
+from ..splats.development import Development
 from ..training.checkpoint import load_checkpoint
 from ..training.inputs import median_range
 from .develop_run import color_view
@@ -244,19 +246,48 @@ def render_run(
         if view.camera.name not in wanted:
             continue
         sized = view.camera.resized(min(settings.width, view.camera.width))
-        path = (out / view.camera.name).with_suffix(".exr" if exr else ".png")
-        if exr:
-            color = render_color(cloud, sized, settings.sh_degree, effects=effects, amount=water)
-            write_light_exr(path, srgb_to_linear(color.numpy()))
-        else:
-            image = render_image(
-                cloud, sized, settings.sh_degree, effects=effects, amount=water, development=development
-            )
-            pixels = (image * 255).round().byte().numpy()
-            with atomic_path(path) as temporary:
-                temporary.write_bytes(cv2.imencode(".png", pixels[..., ::-1])[1].tobytes())
-        files.append(path)
+        files.append(write_view(out, cloud, sized, settings.sh_degree, effects, water, development, exr))
     return files
+
+
+def write_view(
+    out: Path,
+    cloud: GaussianCloud,
+    camera: Camera,
+    sh_degree: int,
+    effects: SceneEffects,
+    water: float,
+    development: Development,
+    exr: bool,
+) -> Path:
+    """Render a view to an image file of its name.
+
+    Args:
+        out: Folder of the file.
+        cloud: The Gaussians.
+        camera: The camera.
+        sh_degree: Degree of the spherical harmonics.
+        effects: Effects to render with.
+        water: Amount of water, from 0 (removed) to 1 (as photographed).
+        development: Development of a PNG file.
+        exr: Write linear light without development to an OpenEXR file in place of a PNG file.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    path = (out / camera.name).with_suffix(".exr" if exr else ".png")
+    if exr:
+        color = render_color(cloud, camera, sh_degree, effects=effects, amount=water)
+        write_light_exr(path, srgb_to_linear(color.numpy()))
+        return path
+    image = render_image(cloud, camera, sh_degree, effects=effects, amount=water, development=development)
+    pixels = (image * 255).round().byte().numpy()
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(cv2.imencode(".png", pixels[..., ::-1])[1].tobytes())
+    return path
 
 
 @dataclass(frozen=True)

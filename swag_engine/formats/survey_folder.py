@@ -229,7 +229,7 @@ class SurveyFolder:
 
     @property
     def all_views(self) -> Path:
-        """Cameras of all training images of the survey, without points."""
+        """Cameras of all images of the survey and their split, without points."""
         return self.path / COARSE / "views.npz"
 
     @property

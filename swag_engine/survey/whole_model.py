@@ -128,7 +128,7 @@ def measure_exposures(model: SceneModel, learned: Exposure, views: Scene) -> dic
     Args:
         model: The model.
         learned: Its exposures.
-        views: The scene of the images.
+        views: Cameras of all images, and their split: held-out images are not looked at.
 
     Returns:
         Log gains, 1 or 3 an image, by image name.
@@ -136,8 +136,8 @@ def measure_exposures(model: SceneModel, learned: Exposure, views: Scene) -> dic
     effects = SceneEffects({key: each for key, each in model.effects.models.items() if key != "exposure"})
     light = torch.from_numpy(linear_of_bytes()).float()
     gains = {name: learned.log_gain(name).tolist() for name in learned.names}
-    missing = []
-    for image in _images_of(views, [view for view in views.views if view.name not in gains]):
+    wanted, missing = set(views.split.train) - set(gains), []
+    for image in _images_of(views, [view for view in views.views if view.name in wanted]):
         ratios = _log_ratios(SceneModel(model.cloud, effects), image, light)
         if len(ratios) < FEWEST_PIXELS:
             missing.append(image.camera.name)
