@@ -107,22 +107,26 @@ def passes_of(place: Place, pose: np.ndarray, width: int, height: int, focal: fl
     x, y = np.meshgrid((np.arange(width) + 0.5 - width / 2) / focal, (np.arange(height) + 0.5 - height / 2) / focal)
     rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
     rays = rays / np.linalg.norm(rays, axis=1, keepdims=True) @ pose[:3, :3]
-    distance, hit, axis = np.full(len(rays), np.inf), np.full(len(rays), -1), np.zeros(len(rays), int)
+    rays = rays.reshape(height, width, 3)
+    distance, hit, axis = np.full((height, width), np.inf), np.full((height, width), -1), np.zeros((height, width), int)
     with np.errstate(divide="ignore", invalid="ignore"):
         for k, (low, high) in enumerate(place.boxes):
-            a, b = (low - centre) / rays, (high - centre) / rays
+            part = _pixels_of(low, high, pose, width, height, focal)
+            a, b = (low - centre) / rays[part], (high - centre) / rays[part]
             enters, leaves = np.minimum(a, b), np.maximum(a, b)
-            near, far = enters.max(1), leaves.min(1)
+            near, far = enters.max(2), leaves.min(2)
             if place.inside and k == 0:
-                t, side, there = far, leaves.argmin(1), far > 0
+                t, side, there = far, leaves.argmin(2), far > 0
             else:
-                t, side, there = near, enters.argmax(1), (near < far) & (near > 0)
-            nearer = there & (t < distance)
-            distance[nearer], hit[nearer], axis[nearer] = t[nearer], k, side[nearer]
+                t, side, there = near, enters.argmax(2), (near < far) & (near > 0)
+            nearer = there & (t < distance[part])
+            distance[part][nearer], hit[part][nearer], axis[part][nearer] = t[nearer], k, side[nearer]
+    rays, distance, hit, axis = rays.reshape(-1, 3), distance.ravel(), hit.ravel(), axis.ravel()
     color, sun_share = np.zeros((len(rays), 3)), np.zeros(len(rays))
     solid = hit >= 0
     points = centre + rays * np.where(solid, distance, 0)[:, None]
-    for k, levels in enumerate(place.textures):
+    for k in np.unique(hit[solid]):
+        levels = place.textures[k]
         for side in range(3):
             own = np.flatnonzero((hit == k) & (axis == side))
             if not len(own):
@@ -152,6 +156,22 @@ def passes_of(place: Place, pose: np.ndarray, width: int, height: int, focal: fl
         sun_share.reshape(shape).astype(np.float32),
         np.zeros(shape, np.float32),
         np.zeros(shape, np.uint8),
+    )
+
+
+def _pixels_of(
+    low: np.ndarray, high: np.ndarray, pose: np.ndarray, width: int, height: int, focal: float
+) -> tuple[slice, slice]:
+    """Return the rows and columns of the pixels that may show a box; all where it reaches behind the camera."""
+    corners = np.where(np.indices((2, 2, 2)).reshape(3, 8).T, high, low) @ pose[:3, :3].T + pose[:3, 3]
+    if corners[:, 2].max() <= 0:
+        return slice(0, 0), slice(0, 0)
+    if corners[:, 2].min() < 0.01:
+        return slice(0, height), slice(0, width)
+    columns, rows = (focal * corners[:, :2] / corners[:, 2:] + [width / 2, height / 2]).T
+    return tuple(  # type: ignore[return-value]
+        slice(max(0, int(at.min()) - 1), max(0, min(most, int(at.max()) + 2)))
+        for at, most in ((rows, height), (columns, width))
     )
 
 

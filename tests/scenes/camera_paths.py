@@ -16,11 +16,11 @@ import numpy as np
 
 from swag_engine.scene.lenses import Lens
 
-_HEIGHT_CELL = 0.02
+HEIGHT_CELL = 0.02
 """Spacing of the height field, metres."""
 _MARCH_STEP = 0.06
 """Distance in metres at which a ray looks whether it is below the floor: thinner edges can be missed."""
-_FARTHEST = 14.0
+FARTHEST = 14.0
 """Range in metres beyond which only water is seen."""
 _DETAIL_LEVELS = 5
 """Levels of the texture, each with half the resolution of the one before."""
@@ -101,7 +101,7 @@ def make_camera_scene(
     lens = _resized(layout.lens, width or layout.lens.width)
     world_to_camera = layout.path(layout.images, random)
     distance = float(np.median(world_to_camera[:, 2, 3]))
-    ground = _Ground(layout.floor, random, texel=max(0.6 * distance / lens.params[0], 0.001))
+    ground = Ground(layout.floor, random, texel=max(0.6 * distance / lens.params[0], 0.001))
     rays = _rays(lens)
     world_to_camera = world_to_camera[:images]
     names = tuple(f"{number:04d}.jpg" for number in range(len(world_to_camera)))
@@ -133,33 +133,37 @@ def _rays(lens: Lens) -> np.ndarray:
 # The floor
 
 
-class _Ground:
+class Ground:
     """Heights and textures of a floor, with the middle of its area at x = y = 0."""
 
     def __init__(self, floor: Floor, random: np.random.Generator, texel: float):
-        columns, rows = (round(side / _HEIGHT_CELL) for side in floor.size)
+        columns, rows = (round(side / HEIGHT_CELL) for side in floor.size)
         self.origin = np.array(floor.size, np.float32) / 2
         self.texel = texel
         self.heights = floor.relief * _heights(rows, columns, random)
         if floor.mound:
             self.heights += _mound(rows, columns, random)
-        self.lowest, self.highest = float(self.heights.min()), float(self.heights.max())
-        slope_y, slope_x = np.gradient(self.heights, _HEIGHT_CELL)
-        normals = np.dstack([-slope_x, -slope_y, np.ones_like(slope_x)])
-        self.normals = (normals / np.linalg.norm(normals, axis=2, keepdims=True)).astype(np.float32)
-        tint = np.dstack([_octaves(rows, columns, (0.25, 1.0), _HEIGHT_CELL, random) for _ in range(3)])
+        self.find_slopes()
+        tint = np.dstack([octaves(rows, columns, (0.25, 1.0), HEIGHT_CELL, random) for _ in range(3)])
         self.colors = np.clip(0.45 + 0.04 * tint, 0.2, 0.7).astype(np.float32)
         across, along = (round(side / texel) for side in floor.size)
         sizes = texel * 2.0 ** np.arange(1, 9)
-        detail = _octaves(along, across, tuple(sizes[sizes < 1]), texel, random)
+        detail = octaves(along, across, tuple(sizes[sizes < 1]), texel, random)
         detail *= np.clip(
-            0.5 + 0.35 * _octaves(along, across, (0.8,), texel, random), 0.12, 1
+            0.5 + 0.35 * octaves(along, across, (0.8,), texel, random), 0.12, 1
         )  # sand has little texture
         level: np.ndarray = np.clip(128 + 55 * detail, 0, 255).astype(np.uint8)
         self.details = [level]
         for _ in range(_DETAIL_LEVELS - 1):
             level = cv2.resize(level, (level.shape[1] // 2, level.shape[0] // 2), interpolation=cv2.INTER_AREA)
             self.details.append(level)
+
+    def find_slopes(self) -> None:
+        """Compute what follows from the heights: their limits and the normals."""
+        self.lowest, self.highest = float(self.heights.min()), float(self.heights.max())
+        slope_y, slope_x = np.gradient(self.heights, HEIGHT_CELL)
+        normals = np.dstack([-slope_x, -slope_y, np.ones_like(slope_x)])
+        self.normals = (normals / np.linalg.norm(normals, axis=2, keepdims=True)).astype(np.float32)
 
     def sample(self, grid: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Read a grid over the floor's area, of any resolution, at positions (H, W) in metres."""
@@ -174,13 +178,13 @@ class _Ground:
         )
 
     def hit(self, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
-        """Return the ranges (H, W) float32 at which rays from a point meet the floor, `_FARTHEST` where they do not."""
+        """Return the ranges (H, W) float32 at which rays from a point meet the floor, `FARTHEST` where they do not."""
         with np.errstate(divide="ignore", invalid="ignore"):
             entry = (self.highest - origin[2]) / rays[..., 2]
             exit_ = (self.lowest - origin[2]) / rays[..., 2]
         down = rays[..., 2] < 0
-        far = np.where(down, np.clip(exit_, 0, _FARTHEST), _FARTHEST).astype(np.float32)
-        near = np.where(down, np.clip(entry, 0, _FARTHEST), _FARTHEST).astype(np.float32)
+        far = np.where(down, np.clip(exit_, 0, FARTHEST), FARTHEST).astype(np.float32)
+        near = np.where(down, np.clip(entry, 0, FARTHEST), FARTHEST).astype(np.float32)
         near = np.minimum(near, far)
         steps = int(np.clip(np.ceil((far - near).max() / _MARCH_STEP), 8, 160))
         step = (far - near) / steps
@@ -199,7 +203,7 @@ class _Ground:
             below = self._below(origin, rays, middle)
             after = np.where(below, middle, after)
             before = np.where(below, before, middle)
-        return np.where(found, after, np.float32(_FARTHEST))
+        return np.where(found, after, np.float32(FARTHEST))
 
     def _below(self, origin: np.ndarray, rays: np.ndarray, ranges: np.ndarray) -> np.ndarray:
         x, y, z = (origin[axis] + rays[..., axis] * ranges for axis in range(3))
@@ -227,7 +231,7 @@ class _Ground:
         return clear
 
 
-def _octaves(rows: int, columns: int, sizes: tuple[float, ...], cell: float, random: np.random.Generator) -> np.ndarray:
+def octaves(rows: int, columns: int, sizes: tuple[float, ...], cell: float, random: np.random.Generator) -> np.ndarray:
     """Return smooth noise (rows, columns) float32 of standard deviation about 1, summed over sizes in metres."""
     total = np.zeros((rows, columns), np.float32)
     for size in sizes:
@@ -239,24 +243,24 @@ def _octaves(rows: int, columns: int, sizes: tuple[float, ...], cell: float, ran
 
 def _heights(rows: int, columns: int, random: np.random.Generator) -> np.ndarray:
     """Return a floor (rows, columns) float32 of slopes and rocks, metres."""
-    heights = 0.12 * _octaves(rows, columns, (3.0,), _HEIGHT_CELL, random)
-    heights += 0.03 * _octaves(rows, columns, (0.1, 0.3, 0.8), _HEIGHT_CELL, random)
-    area = rows * columns * _HEIGHT_CELL**2
+    heights = 0.12 * octaves(rows, columns, (3.0,), HEIGHT_CELL, random)
+    heights += 0.03 * octaves(rows, columns, (0.1, 0.3, 0.8), HEIGHT_CELL, random)
+    area = rows * columns * HEIGHT_CELL**2
     for _ in range(round(1.2 * area)):
         radius = random.uniform(0.12, 0.4)
-        reach = round(1.3 * radius / _HEIGHT_CELL)
+        reach = round(1.3 * radius / HEIGHT_CELL)
         row, column = random.integers(0, rows), random.integers(0, columns)
-        rock = _rock(radius, random.uniform(0.5, 1.1) * radius, random)
+        added = rock(radius, random.uniform(0.5, 1.1) * radius, random)
         top, left = max(0, row - reach), max(0, column - reach)
         part = heights[top : row + reach, left : column + reach]
-        part += rock[top - row + reach :, left - column + reach :][: part.shape[0], : part.shape[1]]
+        part += added[top - row + reach :, left - column + reach :][: part.shape[0], : part.shape[1]]
     return heights
 
 
-def _rock(radius: float, height: float, random: np.random.Generator) -> np.ndarray:
+def rock(radius: float, height: float, random: np.random.Generator) -> np.ndarray:
     """Return the heights (2n, 2n) float32 that a rock adds, with an uneven outline."""
-    reach = round(1.3 * radius / _HEIGHT_CELL)
-    across = (np.arange(2 * reach, dtype=np.float32) - reach) * _HEIGHT_CELL
+    reach = round(1.3 * radius / HEIGHT_CELL)
+    across = (np.arange(2 * reach, dtype=np.float32) - reach) * HEIGHT_CELL
     x, y = across, across[:, None]
     turn, stretch = random.uniform(0, np.pi), random.uniform(1.0, 1.5)
     along, aside = x * np.cos(turn) + y * np.sin(turn), stretch * (y * np.cos(turn) - x * np.sin(turn))
@@ -268,9 +272,9 @@ def _rock(radius: float, height: float, random: np.random.Generator) -> np.ndarr
 
 def _mound(rows: int, columns: int, random: np.random.Generator) -> np.ndarray:
     """Return the heights of a coral head of 1.3 m in the middle of the floor."""
-    x = (np.arange(columns, dtype=np.float32) - columns / 2) * _HEIGHT_CELL
-    y = (np.arange(rows, dtype=np.float32)[:, None] - rows / 2) * _HEIGHT_CELL
-    bumps = 1 + 0.15 * _octaves(rows, columns, (0.2, 0.5), _HEIGHT_CELL, random)
+    x = (np.arange(columns, dtype=np.float32) - columns / 2) * HEIGHT_CELL
+    y = (np.arange(rows, dtype=np.float32)[:, None] - rows / 2) * HEIGHT_CELL
+    bumps = 1 + 0.15 * octaves(rows, columns, (0.2, 0.5), HEIGHT_CELL, random)
     return 1.3 * np.sqrt(np.clip(1 - (x**2 + y**2) / 1.1**2, 0, 1)) * bumps
 
 
@@ -278,7 +282,7 @@ def _mound(rows: int, columns: int, random: np.random.Generator) -> np.ndarray:
 
 
 def _render(
-    ground: _Ground, water: Water, lens: Lens, rays: np.ndarray, pose: np.ndarray, random: np.random.Generator
+    ground: Ground, water: Water, lens: Lens, rays: np.ndarray, pose: np.ndarray, random: np.random.Generator
 ) -> np.ndarray:
     """Return a photo (H, W, 3) uint8 RGB."""
     rotation = pose[:3, :3]
@@ -302,7 +306,7 @@ def _render(
         strength = beam * np.clip((normals * to_lamp).sum(-1), 0, 1) * ground.lit(points, to_lamp, distance)
         light += (water.lamp * strength / distance**2)[..., None] * np.exp(-distance[..., None] * attenuation)
         haze += 0.03 * water.lamp * beam[..., None] * background
-    through = np.exp(-ranges[..., None] * attenuation) * (ranges < _FARTHEST)[..., None]
+    through = np.exp(-ranges[..., None] * attenuation) * (ranges < FARTHEST)[..., None]
     linear = albedo * light * through + haze * (1 - through)
     display = 255 * np.clip(linear, 0, 1) ** (1 / 2.2)
     display += water.noise * random.standard_normal(display.shape, np.float32)

@@ -280,6 +280,8 @@ def write_model(
         model="PINHOLE", width=width, height=height, params=[focal, focal, width / 2, height / 2], camera_id=1
     )
     model.add_camera_with_trivial_rig(camera)
+    rotations, translations = (np.array(poses)[:, :3, part] for part in (slice(3), 3))
+    reach = np.array([width, height]) / 2 + 1  # from the middle of the image, pixels
     tracks: list[tuple[np.ndarray, list[int], np.ndarray, np.ndarray]] = []  # point, views, observations, color
     for view in range(len(names)):
         chance = contrast[view].ravel().astype(np.float64)
@@ -289,10 +291,11 @@ def write_model(
         world = world_points(ranges[view], focal, poses[view]).reshape(-1, 3)
         for pixel in rng.choice(len(chance), wanted, replace=False, p=chance / chance.sum()):
             seen, where = [], []
-            for other, pose in enumerate(poses):
-                x, y, z = local = pose[:3, :3] @ world[pixel] + pose[:3, 3]
-                if z < 0.05:
-                    continue
+            in_cameras = rotations @ world[pixel] + translations
+            depth = np.maximum(in_cameras[:, 2], 1e-9)
+            ahead = (in_cameras[:, 2] >= 0.05) & (np.abs(in_cameras[:, :2]) * focal <= depth[:, None] * reach).all(1)
+            for other in np.flatnonzero(ahead):
+                x, y, z = local = in_cameras[other]
                 u, v = focal * x / z + width / 2, focal * y / z + height / 2
                 column, row = int(np.floor(u)), int(np.floor(v))
                 if (
