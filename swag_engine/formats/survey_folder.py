@@ -9,7 +9,7 @@ Whether a block is done, running or waiting follows from its files and is stored
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -124,7 +124,7 @@ class Survey:
     """What a survey consists of: survey.json.
 
     Attributes:
-        scene: Folder of the scene.
+        scene: Folder of the scene; in the file relative to the survey where both are in one folder.
         engine: Version of the engine that planned the survey; blocks are trained by the same one.
         settings: Settings of the blocks; their sizes are filled in, iterations are those of the average block, and
             the number of Gaussians is that of all blocks together.
@@ -152,8 +152,7 @@ class Survey:
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain dict that `from_json` reads."""
-        document = asdict(self) | {"scene": str(self.scene)}
-        return {"version": VERSION} | document
+        return {"version": VERSION} | asdict(self) | {"scene": self.scene.as_posix()}  # Windows reads it, too
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> "Survey":
@@ -251,8 +250,7 @@ class SurveyFolder:
         """
         document = read_json(self.survey, f"{self.path} is not a survey: it has no survey.json.")
         survey = _parsed(self.survey, document, Survey.from_json)
-        scene = survey.scene if survey.scene.is_absolute() else (self.path / survey.scene)
-        return Survey(**{entry.name: getattr(survey, entry.name) for entry in fields(Survey)} | {"scene": scene})
+        return replace(survey, scene=(self.path / survey.scene).resolve())
 
     def write_block(self, block: Block) -> None:
         """Write the file that describes a block.
