@@ -9,7 +9,7 @@ Whether a block is done, running or waiting follows from its files and is stored
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -124,7 +124,7 @@ class Survey:
     """What a survey consists of: survey.json.
 
     Attributes:
-        scene: Folder of the scene.
+        scene: Folder of the scene; in the file relative to the survey where both are in one folder.
         engine: Version of the engine that planned the survey; blocks are trained by the same one.
         settings: Settings of the blocks; their sizes are filled in, iterations are those of the average block, and
             the number of Gaussians is that of all blocks together.
@@ -136,6 +136,7 @@ class Survey:
         bounds: Box on the ground that holds the cameras and all but the outermost sparse points, for maps.
         images: Number of images.
         blocks: Names of the blocks.
+        median_range: Median distance from a camera to the sparse points that it sees, scene units.
     """
 
     scene: Path
@@ -149,11 +150,11 @@ class Survey:
     bounds: Box
     images: int
     blocks: tuple[str, ...]
+    median_range: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain dict that `from_json` reads."""
-        document = asdict(self) | {"scene": str(self.scene)}
-        return {"version": VERSION} | document
+        return {"version": VERSION} | asdict(self) | {"scene": self.scene.as_posix()}  # Windows reads it, too
 
     @classmethod
     def from_json(cls, document: Mapping[str, Any]) -> "Survey":
@@ -178,6 +179,7 @@ class Survey:
             bounds=(left, bottom, right, top),
             images=int(document["images"]),
             blocks=_names(document["blocks"]),
+            median_range=float(document["median_range"]),
         )
 
 
@@ -265,8 +267,7 @@ class SurveyFolder:
         """
         document = read_json(self.survey, f"{self.path} is not a survey: it has no survey.json.")
         survey = _parsed(self.survey, document, Survey.from_json)
-        scene = survey.scene if survey.scene.is_absolute() else (self.path / survey.scene)
-        return Survey(**{entry.name: getattr(survey, entry.name) for entry in fields(Survey)} | {"scene": scene})
+        return replace(survey, scene=(self.path / survey.scene).resolve())
 
     def write_block(self, block: Block) -> None:
         """Write the file that describes a block.

@@ -48,6 +48,17 @@ def part_of(scene: Scene, split: Split) -> Scene:
     )
 
 
+def without_points(scene: Scene) -> Scene:
+    """Return the views of a scene with their split, without the sparse points."""
+    none = np.zeros(0, np.int64)
+    return replace(
+        scene,
+        views=tuple(replace(view, point_indices=none) for view in scene.views),
+        points=Points(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0, np.float32), np.zeros(0, np.int32)),
+        split_of_whole=scene.split,
+    )
+
+
 def write_part(path: Path, part: Scene) -> None:
     """Write a part of a scene to a file. Images are named relative to the folder of the scene where they lie in it.
 

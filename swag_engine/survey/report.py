@@ -49,7 +49,7 @@ def report_survey(folder: Path, progress: Progress = lambda stage, fraction: Non
     blocks = [files.read_block(name) for name in survey.blocks]
     done = {name: read_json(files.done(name), f"{name} is not done.") for name in (COARSE, *survey.blocks)
             if files.done(name).exists()}  # fmt: skip
-    band = SEAM_BAND * median_range_of(blocks)
+    band = SEAM_BAND * survey.median_range
     views, comparisons, errors = {}, [], SeamErrors()
     test = [view for view in model.views.views if view.name in set(model.views.split.test)]
     development = files.coarse.color_view("auto").at(0)
@@ -119,20 +119,6 @@ class SeamErrors:
         """Return the PSNR of all pixels at seams, or of the others; NaN without any."""
         count = self.counts[int(at_seam)]
         return psnr_from_mse(float(self.sums[int(at_seam)] / count)) if count else float("nan")
-
-
-def median_range_of(blocks: Sequence[Block]) -> float:
-    """Return the median range of a survey, scene units, from the margins of its blocks, which are at least twice that.
-
-    The least margin of all finite edges is taken; 0 for a survey of one block.
-    """
-    margins = [
-        abs(inner - outer)
-        for block in blocks
-        for inner, outer in zip(block.core, block.extended, strict=True)
-        if np.isfinite(inner)
-    ]
-    return min(margins, default=0.0) / 2
 
 
 def score_levels(model: MergedModel, names: Sequence[str], progress: Progress) -> list[dict[str, Any]]:

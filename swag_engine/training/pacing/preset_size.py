@@ -78,21 +78,25 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
     """
     if settings.budget or all(settings.size.numbers().values()):
         return settings
-    extent, on_card = Extent.of(scene), device_for(settings.backend).type == "cuda"
-    preset = (CARD_PRESETS if on_card else PRESETS)[settings.preset]
-    widest = settings.width or resolved_width(scene, preset.width)
-    if on_card:
-        return replace(settings, **suited(settings, preset, extent, widest).numbers())
-    found = suited(settings, _grown(preset), extent, widest)
-    if settings.preset == "draft":
+    extent, largest = Extent.of(scene), largest_size(settings)
+    widest = settings.width or resolved_width(scene, largest.width)
+    found = suited(settings, largest, extent, widest)
+    if settings.preset == "draft" and device_for(settings.backend).type != "cuda":
         speed = speed or measure_speed(scene, settings)
         densify_until = recipe_of(settings.recipe, settings.effects).densify_until
         for step in range(1, DRAFT_STEPS):
             if predicted_seconds(speed, extent, found, densify_until) <= DRAFT_SECONDS:
                 break
-            smaller = size_at(LADDER.index(preset) * (1 - step / DRAFT_STEPS))
+            smaller = size_at(LADDER.index(PRESETS["draft"]) * (1 - step / DRAFT_STEPS))
             found = suited(settings, _grown(smaller), extent, widest)
     return replace(settings, **found.numbers())
+
+
+def largest_size(settings: TrainSettings) -> Size:
+    """Return the largest sizes that a preset takes on the machine that trains."""
+    if device_for(settings.backend).type == "cuda":
+        return CARD_PRESETS[settings.preset]
+    return _grown(PRESETS[settings.preset])
 
 
 def _grown(size: Size) -> Size:
