@@ -14,6 +14,8 @@ import numpy as np
 from ..base.claim import claimed
 from ..base.errors import InputError
 from ..base.files import FolderInUse, locked_folder
+from ..base.html_page import number
+from ..base.text import time_text
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..formats.survey_folder import COARSE, VERSION, Survey, SurveyFolder, inside
@@ -71,7 +73,7 @@ def run_job(
 
 
 def _done(folder: SurveyFolder, name: str) -> dict[str, Any] | None:
-    """Return done.json where it is there and the result is the one that it names."""
+    """Return done.json where the result is the one that it names; else prepare that the result is written again."""
     if not folder.done(name).exists():
         return None
     try:
@@ -80,6 +82,7 @@ def _done(folder: SurveyFolder, name: str) -> dict[str, Any] | None:
             return done
     except InputError:
         pass
+    folder.run(name).metrics.unlink(missing_ok=True)  # the run then ends again, from its last checkpoint
     folder.done(name).unlink()
     return None
 
@@ -183,6 +186,18 @@ def _check_engine(survey: Survey) -> None:
             f"The survey was planned with version {survey.engine} of SWAG Splatting, and this machine has {version}: "
             "blocks of one survey need one version. Install it here, or plan the survey again."
         )
+
+
+def describe(document: dict[str, Any]) -> str:
+    """Format what `run_job` returned as the line that `survey block` prints."""
+    if document["state"] == "running":
+        return f"Nothing to do: {document['note']}"
+    if document["state"] == "begun":
+        return f"Stopped after {document['iteration']} iterations; started again, it continues."
+    return (
+        f"{document['block']} is done: {document['gaussians_in_core']:,} splats in its core, test PSNR "
+        f"{number(document['test_psnr'], 2, ' dB')}, {time_text(document['seconds'])}."
+    )
 
 
 def _note_failure(folder: SurveyFolder, name: str, problem: str) -> None:
