@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from generated import ROOT, update
 
 from swag_engine.app.cli import COMMANDS, DESCRIPTION, command_name
+from swag_engine.app.survey import Step, Survey
 from swag_engine.settings.field import settings_of
 from swag_engine.settings.settings import TrainSettings
 
@@ -38,6 +39,10 @@ python -m swag_engine export RUN --format glb --out scene.glb
 
 {DESCRIPTION}
 """
+
+
+POSITIONAL = {"run-folder": "RUN", "folder": "FOLDER"}
+"""What a user writes for arguments by place, where it is not the name of the field."""
 
 
 def sentences_of(options: type) -> dict[str, str]:
@@ -91,7 +96,7 @@ def rows(command: type) -> Iterator[tuple[str, str]]:
             text += f" Allowed: {described.range}." if described.range and not described.choices else ""
         required = field.default is dataclasses.MISSING
         if "Positional" in str(kind):
-            yield f"`{'RUN' if name == 'run-folder' else name.upper()}`", text
+            yield f"`{POSITIONAL.get(name, name.upper())}`", text
         else:
             value = value_of(kind)
             default = shown(field.default)
@@ -108,8 +113,15 @@ def section(title: str, description: str, options: type) -> str:
 
 def page() -> str:
     """Return the whole page."""
-    commands = [section(command_name(c), inspect.cleandoc(c.__doc__ or ""), c) for c in COMMANDS]
-    settings = section("Training settings", "Options of `train` and `forecast`.", TrainSettings)
+    named = {}
+    for command in COMMANDS:
+        if command is Survey:
+            steps = (typing.get_args(each)[0] for each in typing.get_args(Step))
+            named |= {f"survey {command_name(step)}": step for step in steps}
+        else:
+            named[command_name(command)] = command
+    commands = [section(name, inspect.cleandoc(each.__doc__ or ""), each) for name, each in named.items()]
+    settings = section("Training settings", "Options of `train`, `forecast` and `survey plan`.", TrainSettings)
     return "\n".join([START, *commands, settings])
 
 

@@ -25,6 +25,7 @@ from ..settings.field import settings_of
 from ..settings.settings import TrainSettings
 from .answers import refuse, refuse_missing, show
 from .interrupts import interrupts
+from .survey import Survey
 
 DESCRIPTION = """Underwater photos to 3D Gaussian splats. COMMAND --help says what a command takes.
 
@@ -886,7 +887,7 @@ class Doctor:
 COMMANDS = (
     Inspect, Sfm, ImportCameras, Scale, Targets, Plan, Forecast, Train, Evaluate, Report, Chart, Ablate, Tradeoff,
     Render, Film, Label, Search, Extract, Export, Ortho, Dem, Areas,
-    Profile, Change, Batch, Doctor,
+    Profile, Change, Survey, Batch, Doctor,
 )  # fmt: skip
 
 

@@ -7,7 +7,9 @@ from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
+from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+from rich.table import Table
 
 from ..base.text import BLOCKS, sparkline, time_text
 
@@ -72,6 +74,66 @@ def training_progress() -> Iterator[Callable[[dict[str, Any]], None]]:
                 show(event["stage"], progress_line(event), event["iteration"] / event["iterations"])
 
         yield update
+
+
+@contextmanager
+def survey_progress() -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Yield a function that takes the events of `run_survey`: a table of all blocks in a terminal, else lines."""
+    if not sys.stderr.isatty():
+        with progress_display() as show:
+
+            def write(event: dict[str, Any]) -> None:
+                show("survey", survey_line(event), event["done"] / len(event["blocks"]))
+
+            yield write
+        return
+    live = Live(console=Console(stderr=True), auto_refresh=False)
+
+    def draw(event: dict[str, Any]) -> None:
+        live.start()
+        live.update(survey_table(event), refresh=True)
+
+    try:
+        yield draw
+    finally:
+        live.stop()
+
+
+def survey_line(event: dict[str, Any]) -> str:
+    """Return a line of text about all blocks of a survey.
+
+    Args:
+        event: As `run_survey` reports it.
+    """
+    running = [
+        f"{row['name']} {row['iteration'] / max(1, row['iterations']):.0%}"
+        for row in event["blocks"]
+        if row["state"] == "running"
+    ]
+    parts = [f"{event['done']} of {len(event['blocks'])} done"]
+    parts += [f"training {', '.join(running)}"] if running else []
+    failed = sum(row["state"] == "failed" for row in event["blocks"])
+    parts += [f"{failed} failed"] if failed else []
+    parts += [f"about {time_text(event['seconds_left'])} left"] if event["seconds_left"] is not None else []
+    return "; ".join(parts)
+
+
+def survey_table(event: dict[str, Any]) -> Table:
+    """Return a table of all blocks of a survey; arguments as of `survey_line`."""
+    left = "" if event["seconds_left"] is None else f", about {time_text(event['seconds_left'])} left"
+    table = Table(title=f"{event['done']} of {len(event['blocks'])} done{left} ({event['executor']})", box=None)
+    for name in ("block", "state", "iterations", "validation PSNR", "left", "problem"):
+        table.add_column(name, justify="right" if name in ("iterations", "validation PSNR", "left") else "left")
+    for row in event["blocks"]:
+        table.add_row(
+            row["name"],
+            row["state"],
+            f"{row['iteration']} of {row['iterations']}",
+            "" if row["psnr"] is None else f"{row['psnr']:.2f} dB",
+            "" if row["seconds_left"] is None else time_text(row["seconds_left"]),
+            row["problem"],
+        )
+    return table
 
 
 def plan_line(plan: dict[str, Any]) -> str:
