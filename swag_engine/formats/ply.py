@@ -7,7 +7,7 @@ Binary little-endian, one element `vertex`: x y z nx ny nz f_dc_0..2 f_rest_0.. 
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from math import isqrt
@@ -59,24 +59,54 @@ def write_ply(path: Path, splats: Splats) -> None:
         InputError: If there are no splats, the name of an extra is in use or holds a space, its integers do not fit 32
             bits, or the file cannot be written.
     """
-    header, row, extras = _layout(path, splats)
-    rows = np.zeros(BLOCK, row)
+    write_ply_parts(path, [splats], len(splats))
+
+
+def write_ply_parts(path: Path, parts: Iterable[Splats], count: int) -> None:
+    """Write splats that come in parts as one 3DGS PLY, with one part in memory. The file is whole or absent.
+
+    Args:
+        path: File to write.
+        parts: The splats in their order, all of the same SH degree, extras (and dtypes of these), placement and
+            development.
+        count: Number of splats of all parts together.
+
+    Raises:
+        InputError: As `write_ply`.
+        ValueError: If parts differ in their properties, or hold another number of splats.
+    """
+    left, known = count, b""
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
-        file.write(header)
-        for start in range(0, len(splats), BLOCK):
-            part = slice(start, min(start + BLOCK, len(splats)))
-            block = rows[: part.stop - start]
-            opacities = splats.opacities[part].astype(np.float64).clip(SMALLEST_OPACITY, 1 - SMALLEST_OPACITY)
-            scales = splats.scales[part].astype(np.float64).clip(np.finfo(np.float32).tiny)
-            block["position"] = splats.positions[part]
-            block["f_dc"] = splats.sh[part, 0]
-            block["f_rest"] = splats.sh[part, 1:].transpose(0, 2, 1).reshape(len(block), -1)
-            block["opacity"] = np.log(opacities / (1 - opacities))
-            block["scale"] = np.log(scales)
-            block["rotation"] = splats.rotations[part]
-            for name, values in extras.items():
-                block[f"extra {name}"] = values[part]
-            file.write(block.data)
+        for part in parts:
+            header, row, extras = _layout(path, part, count)
+            if not known:
+                file.write(header)
+                rows = np.zeros(BLOCK, row)
+            elif header != known:
+                raise ValueError(f"parts of {path} differ in their properties")
+            known = header
+            _write_rows(file, part, rows, extras)
+            left -= len(part)
+        if left or not known:
+            raise ValueError(f"the parts of {path} hold {count - left} splats, not {count}")
+
+
+def _write_rows(file: BinaryIO, splats: Splats, rows: np.ndarray, extras: dict[str, np.ndarray]) -> None:
+    """Append splats to a file, through `rows` of its dtype."""
+    for start in range(0, len(splats), BLOCK):
+        part = slice(start, min(start + BLOCK, len(splats)))
+        block = rows[: part.stop - start]
+        opacities = splats.opacities[part].astype(np.float64).clip(SMALLEST_OPACITY, 1 - SMALLEST_OPACITY)
+        scales = splats.scales[part].astype(np.float64).clip(np.finfo(np.float32).tiny)
+        block["position"] = splats.positions[part]
+        block["f_dc"] = splats.sh[part, 0]
+        block["f_rest"] = splats.sh[part, 1:].transpose(0, 2, 1).reshape(len(block), -1)
+        block["opacity"] = np.log(opacities / (1 - opacities))
+        block["scale"] = np.log(scales)
+        block["rotation"] = splats.rotations[part]
+        for name, values in extras.items():
+            block[f"extra {name}"] = values[part]
+        file.write(block.data)
 
 
 def ply_size(path: Path, splats: Splats) -> int:
@@ -85,13 +115,13 @@ def ply_size(path: Path, splats: Splats) -> int:
     Raises:
         InputError: As `write_ply` before it writes.
     """
-    header, row, _ = _layout(path, splats)
+    header, row, _ = _layout(path, splats, len(splats))
     return len(header) + len(splats) * row.itemsize
 
 
-def _layout(path: Path, splats: Splats) -> tuple[bytes, np.dtype, dict[str, np.ndarray]]:
-    """Return the header, the dtype of a row, and the extras in dtypes that PLY has."""
-    if not len(splats):
+def _layout(path: Path, splats: Splats, count: int) -> tuple[bytes, np.dtype, dict[str, np.ndarray]]:
+    """Return the header for `count` splats like these, the dtype of a row, and the extras in dtypes that PLY has."""
+    if not count:
         raise InputError(f"There are no splats to write to {path}; choose at least one.")
     rest = (splats.sh.shape[1] - 1) * 3
     names = ["x", "y", "z", *NORMAL, "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(rest))]
@@ -101,7 +131,7 @@ def _layout(path: Path, splats: Splats) -> tuple[bytes, np.dtype, dict[str, np.n
         raise InputError(f"Cannot write {path}: a PLY cannot hold a property of the name '{taken[0]}'; rename it.")
     comments = _placement_comments(splats.placement) + _development_comments(splats.development)
     header = ["ply", "format binary_little_endian 1.0", *comments]
-    header += [f"element vertex {len(splats)}"]
+    header += [f"element vertex {count}"]
     header += [f"property float {name}" for name in names]
     header += [f"property {TYPE_NAMES[values.dtype.str[1:]]} {name}" for name, values in extras.items()]
     row: list[tuple] = [

@@ -43,8 +43,13 @@ class Ground:
     axes: tuple[tuple[float, float, float], ...]
 
     def on_ground(self, positions: np.ndarray) -> np.ndarray:
-        """Return x, y and height (N, 3) float64 of positions (N, 3), scene units."""
-        return (np.asarray(positions, np.float64) - np.array(self.origin)) @ np.array(self.axes).T
+        """Return x, y and height (N, 3) float64 of positions (N, 3), scene units.
+
+        A position has the same place to the last bit among any others, so that it is on one side of a border only. A
+        matrix product would not ensure that.
+        """
+        x, y, z = (np.asarray(positions, np.float64) - np.array(self.origin)).T
+        return np.stack([x * a + y * b + z * c for a, b, c in self.axes], axis=1)
 
 
 @dataclass(frozen=True)

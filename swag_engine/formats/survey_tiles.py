@@ -19,6 +19,7 @@ VERSION = 1
 """Version of tiles.json."""
 
 Corner = tuple[float, float, float]
+Cell = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
@@ -32,14 +33,16 @@ class Tile:
         high: Largest x, y and z.
         splats: Number of splats.
         file: The PLY file, relative to tiles.json.
+        reach: Largest distance from its position at which one of its splats is visible, scene units.
     """
 
     level: int
-    cell: tuple[int, int, int]
+    cell: Cell
     low: Corner
     high: Corner
     splats: int
     file: str
+    reach: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -150,7 +153,13 @@ def _tile(values: Mapping[str, Any]) -> Tile:
     if Path(file).is_absolute() or ".." in Path(file).parts:
         raise ValueError(f"a tile lies outside of its folder: {file}")
     return Tile(
-        int(values["level"]), (x, y, z), _corner(values["low"]), _corner(values["high"]), int(values["splats"]), file
+        int(values["level"]),
+        (x, y, z),
+        _corner(values["low"]),
+        _corner(values["high"]),
+        int(values["splats"]),
+        file,
+        float(values["reach"]),
     )
 
 
