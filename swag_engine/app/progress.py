@@ -2,12 +2,15 @@
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
+from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+from rich.text import Text
 
 from ..base.text import BLOCKS, sparkline, time_text
 
@@ -72,6 +75,50 @@ def training_progress() -> Iterator[Callable[[dict[str, Any]], None]]:
                 show(event["stage"], progress_line(event), event["iteration"] / event["iterations"])
 
         yield update
+
+
+@contextmanager
+def survey_progress() -> Iterator[Callable[[dict[str, Any]], None]]:
+    """Yield a function that takes the events of `run_survey` and shows a line for each block that is at work."""
+    if not sys.stderr.isatty():
+        with progress_display() as show:
+            yield lambda event: show("survey", "; ".join(survey_lines(event)), survey_fraction(event))
+        return
+    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+        yield lambda event: live.update(Text("\n".join(survey_lines(event))), refresh=True)
+
+
+def survey_fraction(event: dict[str, Any]) -> float:
+    """Return how far a survey is, as a fraction of its iterations.
+
+    Args:
+        event: An event of `run_survey`.
+    """
+    blocks = event["blocks"]
+    return sum(block["iteration"] for block in blocks) / max(1, sum(block["iterations"] for block in blocks))
+
+
+def survey_lines(event: dict[str, Any]) -> list[str]:
+    """Return a line about a survey, then one for each block that runs or has failed; the others are counted.
+
+    Args:
+        event: An event of `run_survey`.
+    """
+    blocks = event["blocks"]
+    counts = Counter(block["state"] for block in blocks)
+    states = [
+        f"{counts[state]} {state}" for state in ("done", "running", "begun", "waiting", "failed") if counts[state]
+    ]
+    left = "" if event["seconds_left"] is None else f", {time_text(event['seconds_left'])} left"
+    lines = [f"{', '.join(states)}{left} ({event['executor']})"]
+    for block in blocks:
+        if block["state"] == "failed":
+            lines.append(f"{block['name']}  failed: {block['problem']}")
+        elif block["state"] == "running":
+            psnr = "" if block["psnr"] is None else f"  PSNR {block['psnr']:.2f} dB"
+            seconds = "" if block["seconds_left"] is None else f"  {time_text(block['seconds_left'])} left"
+            lines.append(f"{block['name']}  iteration {block['iteration']} of {block['iterations']}{psnr}{seconds}")
+    return lines
 
 
 def plan_line(plan: dict[str, Any]) -> str:
