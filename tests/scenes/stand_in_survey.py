@@ -3,8 +3,9 @@
     python tests/scenes/stand_in_survey.py SURVEY --block NAME --json      what `survey block` would do
 
 Each iteration hashes the state, so that a block that lost or repeated one has another result. orders.json in the folder
-has what happens to a block at each of its starts: "kill" at half of the iterations that are left, "refuse" it with exit
-code 2, "crash" with a traceback, or "refuse on NODE" of a Ray cluster. Claims hold on one machine only.
+has what happens to a block at each of its starts: "kill" at half of the iterations that are left, "refuse" with exit
+code 2, "crash" with a traceback, or "refuse on PROCESS": on the node of a Ray cluster whose raylet has that number.
+Claims hold on one machine only.
 """
 
 import hashlib
@@ -51,9 +52,18 @@ def step(state: str, iteration: int) -> str:
 
 
 def starts(folder: Path, name: str) -> list[str]:
-    """Return a line for each start of a block: its process and the number of its threads."""
+    """Return a line for each start of a block: its process, the number of its threads, its node."""
     file = job_folder(folder, name) / "starts.txt"
     return file.read_text().splitlines() if file.exists() else []
+
+
+def results(folder: Path) -> dict[str, str | None]:
+    """Return the hash of each block, None for those that are not done."""
+    names = json.loads((folder / "survey.json").read_text())["blocks"]
+    files = {name: job_folder(folder, name) / "done.json" for name in names}
+    return {
+        name: json.loads(file.read_text())["result_sha256"] if file.exists() else None for name, file in files.items()
+    }
 
 
 def job_folder(folder: Path, name: str) -> Path:
@@ -97,10 +107,10 @@ def main(folder: Path, name: str) -> int:
 
 def train(folder: Path, job: Path, name: str) -> int:
     with open(job / "starts.txt", "a") as file:
-        file.write(f"{os.getpid()} {os.environ['OMP_NUM_THREADS']}\n")
+        file.write(f"{os.getpid()} {os.environ['OMP_NUM_THREADS']} {os.environ.get('RAY_RAYLET_PID')}\n")
     orders = json.loads((folder / "orders.json").read_text()).get(name, [])
     order = (orders + [""] * 100)[len(starts(folder, name)) - 1]
-    if order == "refuse" or order == f"refuse on {os.environ.get('RAY_NODE_ID')}":
+    if order == "refuse" or order == f"refuse on {os.environ.get('RAY_RAYLET_PID')}":
         write(job / "failed.json", {"version": 1, "block": name, "problem": "No photo a.png.", "attempts": 1})
         print(json.dumps({"error": f"{folder}/a.png cannot be read: it is not there."}))
         return 2

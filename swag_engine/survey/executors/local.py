@@ -77,4 +77,5 @@ class LocalExecutor:
 
     def describe(self) -> str:
         """Return how many jobs run at once, and with how many threads."""
-        return f"{self._at_once} at once with {self._threads} threads each"
+        threads = "1 thread" if self._threads == 1 else f"{self._threads} threads"
+        return f"{self._at_once} at once with {threads} each"

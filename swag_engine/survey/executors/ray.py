@@ -6,6 +6,7 @@ travels through Ray; splats and progress are files in the survey's folder, which
 
 import os
 import signal
+import socket
 import sys
 import threading
 import time
@@ -24,6 +25,9 @@ STORE_BYTES = 100 * 2**20
 """Shared memory of a cluster on this machine, bytes: only words travel through it; Ray takes no less than 75 MiB."""
 PORT = 6379
 """Port of a Ray cluster's head where the address names none: that of `ray start --head`."""
+
+CONNECT_SECONDS = 10.0
+"""Time in which the head of a cluster must answer."""
 
 
 class RayExecutor:
@@ -51,19 +55,11 @@ class RayExecutor:
                 '"swag-splatting[ray]", or use --executor local.'
             ) from error
         self._ray, self._backend = ray, backend
-        own = {"include_dashboard": False, "object_store_memory": STORE_BYTES} if address is None else {}
-        if address is None:
-            address = "local"
-        elif address != "auto" and ":" not in address:
-            address = f"{address}:{PORT}"
         on_sigterm = signal.getsignal(signal.SIGTERM)
-        try:
-            ray.init(address=address, log_to_driver=False, logging_level="error", **own)
-        except (ConnectionError, ValueError, RuntimeError, OSError) as error:
-            raise InputError(
-                f"No Ray cluster answers at {address}: start one with `ray start --head` on one machine and `ray start "
-                f"--address=HOST:{PORT}` on this and the others. Ray says: {str(error).splitlines()[0]}"
-            ) from error
+        if address is None:
+            ray.init("local", include_dashboard=False, object_store_memory=STORE_BYTES, log_to_driver=False)
+        else:
+            _join(ray, address)
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, on_sigterm)  # Ray has put one of its own there
         ray.cloudpickle.register_pickle_by_value(child)  # nodes may have another version of the engine, or none
@@ -130,7 +126,8 @@ class RayExecutor:
         """Return the nodes, and what each job gets."""
         nodes = len(self._nodes())
         card = " and a graphics card" if self._options.get("num_gpus") else ""
-        return f"{nodes} {'node' if nodes == 1 else 'nodes'}, {self._cores} threads{card} for each job"
+        threads = "1 thread" if self._cores == 1 else f"{self._cores} threads"
+        return f"{nodes} {'node' if nodes == 1 else 'nodes'}, {threads}{card} for each job"
 
     def _nodes(self) -> list[dict[str, Any]]:
         """Return the nodes that are there and have cores."""
@@ -152,11 +149,33 @@ class RayExecutor:
         try:
             node, host, values = self._ray.get(task)
         except self._ray.exceptions.RayError as error:
-            first = str(error).strip().splitlines()[0]
-            return Ended(job.name, 1, f"Ray could not run it: {first}")
+            return Ended(job.name, 1, f"Ray could not run it: {_first_line(error)}")
         ended = result_of(job.name, child.Exit(*values), host)
         if ended.code == 0:
             return ended
         self._refused.setdefault(job.name, set()).add(node)
         final = ended.code == BAD_INPUT and not self._others(job.name)
         return replace(ended, final=final)
+
+
+def _join(ray: Any, address: str) -> None:
+    """Connect to a cluster.
+
+    Raises:
+        InputError: If there is none at the address, or this machine does not belong to it.
+    """
+    try:
+        if address != "auto":
+            host, _, port = address.partition(":")
+            address = f"{host}:{port or PORT}"
+            socket.create_connection((host, int(port or PORT)), CONNECT_SECONDS).close()  # Ray would try for minutes
+        ray.init(address, log_to_driver=False)
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError(
+            f"No Ray cluster can be reached by the address {address}: start one with `ray start --head` on one machine "
+            f"and `ray start --address=HOST:{PORT}` on each of the others and on this one ({_first_line(error)})."
+        ) from error
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)
