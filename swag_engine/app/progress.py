@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-from rich.table import Table
+from rich.text import Text
 
 from ..base.text import BLOCKS, sparkline, time_text
 
@@ -78,62 +79,46 @@ def training_progress() -> Iterator[Callable[[dict[str, Any]], None]]:
 
 @contextmanager
 def survey_progress() -> Iterator[Callable[[dict[str, Any]], None]]:
-    """Yield a function that takes the events of `run_survey`: a table of all blocks in a terminal, else lines."""
+    """Yield a function that takes the events of `run_survey` and shows a line for each block that is at work."""
     if not sys.stderr.isatty():
         with progress_display() as show:
-
-            def write(event: dict[str, Any]) -> None:
-                show("survey", survey_line(event), event["done"] / len(event["blocks"]))
-
-            yield write
+            yield lambda event: show("survey", "; ".join(survey_lines(event)), survey_fraction(event))
         return
-    live = Live(console=Console(stderr=True), auto_refresh=False)
-
-    def draw(event: dict[str, Any]) -> None:
-        live.start()
-        live.update(survey_table(event), refresh=True)
-
-    try:
-        yield draw
-    finally:
-        live.stop()
+    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
+        yield lambda event: live.update(Text("\n".join(survey_lines(event))), refresh=True)
 
 
-def survey_line(event: dict[str, Any]) -> str:
-    """Return a line of text about all blocks of a survey.
+def survey_fraction(event: dict[str, Any]) -> float:
+    """Return how far a survey is, as a fraction of its iterations.
 
     Args:
-        event: As `run_survey` reports it.
+        event: An event of `run_survey`.
     """
-    running = [
-        f"{row['name']} {row['iteration'] / max(1, row['iterations']):.0%}"
-        for row in event["blocks"]
-        if row["state"] == "running"
+    blocks = event["blocks"]
+    return sum(block["iteration"] for block in blocks) / max(1, sum(block["iterations"] for block in blocks))
+
+
+def survey_lines(event: dict[str, Any]) -> list[str]:
+    """Return a line about a survey, then one for each block that runs or has failed; the others are counted.
+
+    Args:
+        event: An event of `run_survey`.
+    """
+    blocks = event["blocks"]
+    counts = Counter(block["state"] for block in blocks)
+    states = [
+        f"{counts[state]} {state}" for state in ("done", "running", "begun", "waiting", "failed") if counts[state]
     ]
-    parts = [f"{event['done']} of {len(event['blocks'])} done"]
-    parts += [f"training {', '.join(running)}"] if running else []
-    failed = sum(row["state"] == "failed" for row in event["blocks"])
-    parts += [f"{failed} failed"] if failed else []
-    parts += [f"about {time_text(event['seconds_left'])} left"] if event["seconds_left"] is not None else []
-    return "; ".join(parts)
-
-
-def survey_table(event: dict[str, Any]) -> Table:
-    """Return a table of all blocks of a survey; arguments as of `survey_line`."""
-    left = "" if event["seconds_left"] is None else f", about {time_text(event['seconds_left'])} left"
-    table = Table(title=f"{event['done']} of {len(event['blocks'])} done{left} ({event['executor']})", box=None)
-    for name in ("block", "state", "iterations", "validation PSNR", "left", "problem"):
-        table.add_column(name, justify="right" if name in ("iterations", "validation PSNR", "left") else "left")
-    for row in event["blocks"]:
-        table.add_row(
-            row["name"],
-            row["state"],
-            f"{row['iteration']} of {row['iterations']}",
-            "" if row["psnr"] is None else f"{row['psnr']:.2f} dB",
-            "" if row["seconds_left"] is None else time_text(row["seconds_left"]),
-            row["problem"],
-        )
-    return table
+    left = "" if event["seconds_left"] is None else f", {time_text(event['seconds_left'])} left"
+    lines = [f"{', '.join(states)}{left} ({event['executor']})"]
+    for block in blocks:
+        if block["state"] == "failed":
+            lines.append(f"{block['name']}  failed: {block['problem']}")
+        elif block["state"] == "running":
+            psnr = "" if block["psnr"] is None else f"  PSNR {block['psnr']:.2f} dB"
+            seconds = "" if block["seconds_left"] is None else f"  {time_text(block['seconds_left'])} left"
+            lines.append(f"{block['name']}  iteration {block['iteration']} of {block['iterations']}{psnr}{seconds}")
+    return lines
 
 
 def plan_line(plan: dict[str, Any]) -> str:

@@ -1,0 +1,181 @@
+"""Jobs on the nodes of a Ray cluster. Needs the extra `ray`.
+
+A Ray task is no more than a child process on its node: a crash of native code kills no Ray worker. Nothing but words
+travels through Ray; splats and progress are files in the survey's folder, which every node reaches by the same path.
+"""
+
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from ...base.errors import InputError
+from . import child
+from .protocol import BAD_INPUT, ROOT, Ended, Job, Machine, cores_for_each, result_of
+
+NODE_LOSSES = 20
+"""How often Ray starts a job again because its node is gone (spot machines); this is no failed attempt."""
+STORE_BYTES = 100 * 2**20
+"""Shared memory of a cluster on this machine, bytes: only words travel through it; Ray takes no less than 75 MiB."""
+PORT = 6379
+"""Port of a Ray cluster's head where the address names none: that of `ray start --head`."""
+
+CONNECT_SECONDS = 10.0
+"""Time in which the head of a cluster must answer."""
+
+
+class RayExecutor:
+    """Runs jobs on the nodes of a Ray cluster.
+
+    Args:
+        backend: `backend` of the survey's settings. Each job gets a graphics card for `cuda`, and for `auto` where the
+            cluster has cards; none for the others.
+        address: `auto` for the cluster that this machine belongs to, or HOST[:PORT] of its head; None to start one on
+            this machine.
+
+    Raises:
+        InputError: If Ray is not installed, or the cluster cannot be reached.
+    """
+
+    def __init__(self, backend: str, address: str | None = None) -> None:
+        if sys.platform != "linux":
+            raise InputError("Ray has clusters on Linux only: use --executor local here.")
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster of its own reports nothing to Ray's makers
+        try:
+            import ray
+        except ImportError as error:
+            raise InputError(
+                f"{sys.executable} lacks the package ray: install it with {sys.executable} -m pip install "
+                '"swag-splatting[ray]", or use --executor local.'
+            ) from error
+        self._ray, self._backend = ray, backend
+        on_sigterm = signal.getsignal(signal.SIGTERM)
+        if address is None:
+            ray.init("local", include_dashboard=False, object_store_memory=STORE_BYTES, log_to_driver=False)
+        else:
+            _join(ray, address)
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, on_sigterm)  # Ray has put one of its own there
+        ray.cloudpickle.register_pickle_by_value(child)  # nodes may have another version of the engine, or none
+        self._tasks: dict[Any, Job] = {}
+        self._refused: dict[str, set[str]] = {}
+        self._options: dict[str, Any] = {}
+        self._cores = 1
+
+    def divide(self, jobs: Sequence[Job]) -> None:
+        """Choose cores, memory and cards for each job."""
+        nodes = self._nodes()
+        if not nodes:
+            raise InputError("The Ray cluster has no node with processor cores: add one with `ray start`.")
+        resources = [node["Resources"] for node in nodes]
+        cards = self._backend == "cuda" or (self._backend == "auto" and any("GPU" in node for node in resources))
+        memory = min(max(job.memory for job in jobs), max(int(node.get("memory", 0)) for node in resources))
+        machines = [
+            Machine(int(node["CPU"]), int(node.get("memory", 0)), int(node.get("GPU", 0)) if cards else len(jobs))
+            for node in resources
+        ]
+        self._cores = cores_for_each(machines, memory, len(jobs))
+        if not self._cores:
+            raise InputError("The Ray cluster has no node with a graphics card, which the survey's backend cuda needs.")
+        self._options = {
+            "num_cpus": self._cores, "num_gpus": int(cards), "memory": memory, "max_retries": NODE_LOSSES,
+        }  # fmt: skip
+
+    def room(self) -> int:
+        """Return that all jobs may be started now: Ray keeps those for which no node is free."""
+        return sys.maxsize
+
+    def start(self, job: Job) -> None:
+        """Start a job on a node on which it has not failed yet, where there is one."""
+        others = self._others(job.name)
+        node = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy
+        refused = self._refused.get(job.name)
+        strategy = node(others[0], soft=True) if refused and others else "DEFAULT"
+        task = self._ray.remote(child.run_on_node).options(**self._options, scheduling_strategy=strategy, name=job.name)
+        self._tasks[task.remote(job.words(), self._cores, str(ROOT))] = job
+
+    def ended(self, seconds: float) -> list[Ended]:
+        """Return the jobs that have ended, each once; wait for the first of them for so many seconds."""
+        if not self._tasks:
+            time.sleep(seconds)
+            return []
+        self._ray.wait(list(self._tasks), timeout=seconds)
+        ready, _ = self._ray.wait(list(self._tasks), num_returns=len(self._tasks), timeout=0)
+        return [self._result(self._tasks.pop(task), task) for task in ready]
+
+    def cancel(self) -> None:
+        """Ask all jobs to end with what exists kept, and wait for it; those that do not end are killed."""
+        for task in self._tasks:
+            self._ray.cancel(task)
+        if self._tasks:
+            self._ray.wait(list(self._tasks), num_returns=len(self._tasks), timeout=child.GRACE_SECONDS)
+        self._tasks.clear()
+
+    def close(self) -> None:
+        """Leave the cluster; Ray then ends what is left, and a cluster of its own."""
+        self._tasks.clear()
+        self._ray.shutdown()
+
+    def describe(self) -> str:
+        """Return the nodes, and what each job gets."""
+        nodes = len(self._nodes())
+        card = " and a graphics card" if self._options.get("num_gpus") else ""
+        threads = "1 thread" if self._cores == 1 else f"{self._cores} threads"
+        return f"{nodes} {'node' if nodes == 1 else 'nodes'}, {threads}{card} for each job"
+
+    def _nodes(self) -> list[dict[str, Any]]:
+        """Return the nodes that are there and have cores."""
+        return [node for node in self._ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
+
+    def _others(self, name: str) -> list[str]:
+        """Return the nodes on which a job fits and has not failed, those with the fewest failures first."""
+        failures = Counter(node for refused in self._refused.values() for node in refused)
+        wanted = {"CPU": self._cores, "memory": self._options["memory"], "GPU": self._options["num_gpus"]}
+        fitting = [
+            node["NodeID"]
+            for node in self._nodes()
+            if all(node["Resources"].get(kind, 0) >= value for kind, value in wanted.items())
+        ]
+        return sorted(set(fitting) - self._refused.get(name, set()), key=lambda node: (failures[node], node))
+
+    def _result(self, job: Job, task: Any) -> Ended:
+        """Say how a job has ended."""
+        try:
+            node, host, values = self._ray.get(task)
+        except self._ray.exceptions.RayError as error:
+            return Ended(job.name, 1, f"Ray could not run it: {_first_line(error)}")
+        ended = result_of(job.name, child.Exit(*values), host)
+        if ended.code == 0:
+            return ended
+        self._refused.setdefault(job.name, set()).add(node)
+        final = ended.code == BAD_INPUT and not self._others(job.name)
+        return replace(ended, final=final)
+
+
+def _join(ray: Any, address: str) -> None:
+    """Connect to a cluster.
+
+    Raises:
+        InputError: If there is none at the address, or this machine does not belong to it.
+    """
+    try:
+        if address != "auto":
+            host, _, port = address.partition(":")
+            address = f"{host}:{port or PORT}"
+            socket.create_connection((host, int(port or PORT)), CONNECT_SECONDS).close()  # Ray would try for minutes
+        ray.init(address, log_to_driver=False)
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError(
+            f"No Ray cluster can be reached by the address {address}: start one with `ray start --head` on one machine "
+            f"and `ray start --address=HOST:{PORT}` on each of the others and on this one ({_first_line(error)})."
+        ) from error
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)
