@@ -18,7 +18,9 @@ class Progress:
     Attributes:
         name: Name of the block, or of the coarse model.
         state: Its state.
-        fraction: How much of its iterations is done, 0..1.
+        iteration: Iterations done.
+        iterations: Iterations that it will have.
+        seconds: Time trained, s.
         psnr: PSNR of its held-out images, dB: of its test images once it is done; None while it is not known.
         gaussians: Number of its Gaussians, 0 while it is not known.
         beat: Number that the process which works on it counts up; -1 without one.
@@ -27,11 +29,18 @@ class Progress:
 
     name: str
     state: State
-    fraction: float
+    iteration: int
+    iterations: int
+    seconds: float
     psnr: float | None
     gaussians: int
     beat: int
     problem: str
+
+    @property
+    def fraction(self) -> float:
+        """How much of its iterations is done, 0..1."""
+        return min(1.0, self.iteration / max(1, self.iterations))
 
 
 def progress_of(folder: SurveyFolder, name: str, iterations: int) -> Progress:
@@ -46,10 +55,11 @@ def progress_of(folder: SurveyFolder, name: str, iterations: int) -> Progress:
         iterations: Iterations that it will have.
     """
     if done := _read(folder.done(name)):
-        return Progress(name, "done", 1.0, _number(done.get("test_psnr")), int(done.get("gaussians", 0)), -1, "")
+        figures = iterations, iterations, float(done.get("seconds") or 0.0), _number(done.get("test_psnr"))
+        return Progress(name, "done", *figures, int(done.get("gaussians") or 0), -1, "")
     entry = _last_entry(folder, name)
-    fraction = min(1.0, entry.get("iteration", 0) / max(1, iterations))
-    figures = fraction, _number(entry.get("psnr")), int(entry.get("gaussians") or 0)
+    times = int(entry.get("iteration") or 0), iterations, float(entry.get("seconds") or 0.0)
+    figures = *times, _number(entry.get("psnr")), int(entry.get("gaussians") or 0)
     claim = read_claim(folder.claim(name))
     if claim is not None:
         beat = claim.get("beat")

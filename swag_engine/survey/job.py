@@ -63,7 +63,7 @@ def run_job(
             if done := _done(survey_folder, name):
                 return {"state": "done"} | done
             try:
-                _check_engine(survey)
+                check_engine(survey)
                 return _train(survey_folder, survey, name, on_event, lambda: claim.lost or should_stop())
             except InputError as error:
                 _note_failure(survey_folder, name, str(error))
@@ -179,7 +179,12 @@ def _block_inputs(
     return settings, around(whole, block, coarse, cameras), initial_cloud
 
 
-def _check_engine(survey: Survey) -> None:
+def check_engine(survey: Survey) -> None:
+    """Refuse a survey that another version of the engine has planned: its blocks would not fit together.
+
+    Raises:
+        InputError: If the versions differ.
+    """
     version = engine_version()
     if survey.engine != version:
         raise InputError(

@@ -83,6 +83,20 @@ def merge_survey(folder: Path, progress: Progress | None = None, partial: bool =
     }
 
 
+def describe(document: dict[str, Any]) -> str:
+    """Format what `merge_survey` returned as the lines that `survey merge` prints."""
+    lines = [
+        f"{len(document['blocks'])} blocks merged: {document['splats']:,} splats in {document['tiles']} tiles.",
+        *(
+            f"Level {each['level']}: {each['splats']:,} splats, {each['bytes'] / 1e6:.1f} MB"
+            for each in document["levels"]
+        ),
+        *document["notes"],
+        f"Tiles: {document['folder']}",
+    ]
+    return "\n".join(lines)
+
+
 class _Merge:
     """One merge of the given blocks."""
 

@@ -4,7 +4,6 @@ Whether a block is done is read from the folder alone, so that this program may 
 and several of it may work on one survey. No clock of one machine is compared with that of another.
 """
 
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import InputError
+from ..base.text import time_text
 from ..formats.run_folder import read_json, write_json
-from ..formats.survey_folder import COARSE, VERSION, Block, Survey, SurveyFolder
-from ..kernels.machine import engine_version
+from ..formats.survey_folder import COARSE, VERSION, Block, SurveyFolder
+from ..formats.survey_state import progress_of
 from .executors.protocol import Ended, Executor, Job
-from .states import progress_of, state_of
+from .job import check_engine
 
 ATTEMPTS = 3
 """Attempts of a block in which it gets no further than before; then it is left, and the others go on."""
@@ -59,20 +59,6 @@ def run_survey(
     finally:
         executor.close()
     return run.document() | {"seconds": round(time.monotonic() - started, 1)}
-
-
-def check_engine(survey: Survey) -> None:
-    """Refuse a survey that another version of the engine has planned: its blocks would not fit together.
-
-    Raises:
-        InputError: If the versions differ.
-    """
-    version = engine_version()
-    if version != survey.engine:
-        raise InputError(
-            f"The survey was planned by version {survey.engine} of the engine, and {sys.executable} has version "
-            f"{version}: install {survey.engine} there, or plan the survey again to a new folder."
-        )
 
 
 @dataclass
@@ -175,7 +161,7 @@ class _SurveyRun:
         record = self._records[ended.name]
         record.attempts += 1
         record.problem = ended.problem
-        iteration = progress_of(self._files, ended.name).get("iteration", 0)
+        iteration = progress_of(self._files, ended.name, record.iterations).iteration
         record.in_vain = record.in_vain + 1 if iteration <= record.furthest else 1
         record.furthest = max(record.furthest, iteration)
         record.given_up = ended.final or record.in_vain >= ATTEMPTS
@@ -187,7 +173,7 @@ class _SurveyRun:
 
     def _done(self, name: str) -> bool:
         """Return whether a job is done."""
-        if name not in self._figures and state_of(self._files, name) == "done":
+        if name not in self._figures and self._files.done(name).exists():
             self._figures[name] = read_json(self._files.done(name), "")
         return name in self._figures
 
@@ -214,22 +200,17 @@ class _SurveyRun:
     def _row(self, name: str) -> dict[str, Any]:
         """Return state and progress of a job."""
         record = self._records[name]
-        if self._done(name):
-            figures = self._figures[name]
-            state, iteration = "done", record.iterations
-            psnr, seconds = figures.get("validation_psnr"), figures.get("seconds") or 0.0
-        else:
-            log = progress_of(self._files, name)
-            state = "failed" if record.given_up else state_of(self._files, name)
-            if state == "failed" and not record.given_up:
-                state = "waiting"  # from an earlier start of this program; it is tried again
-            iteration, psnr, seconds = log.get("iteration", 0), log.get("psnr"), log.get("seconds") or 0.0
+        found = progress_of(self._files, name, record.iterations)
+        state = "failed" if record.given_up else found.state
+        if state == "failed" and not record.given_up:
+            state = "waiting"  # from an earlier start of this program; it is tried again
         left = None
-        if state == "running" and iteration and seconds:
-            left = seconds / iteration * (record.iterations - iteration)
+        if state == "running" and found.iteration and found.seconds:
+            left = found.seconds / found.iteration * (record.iterations - found.iteration)
         return {
-            "name": name, "state": state, "iteration": iteration, "iterations": record.iterations, "psnr": psnr,
-            "seconds": seconds, "seconds_left": left, "attempts": record.attempts, "problem": record.problem,
+            "name": name, "state": state, "iteration": found.iteration, "iterations": record.iterations,
+            "psnr": found.psnr, "seconds": found.seconds, "seconds_left": left, "attempts": record.attempts,
+            "problem": record.problem,
         }  # fmt: skip
 
     def document(self) -> dict[str, Any]:
@@ -254,6 +235,17 @@ class _SurveyRun:
             f"{what} failed {times}: {record.problem} To try it again: survey run {self._files.path}, or survey block "
             f"{self._files.path} --block {name}."
         )
+
+
+def describe(document: dict[str, Any]) -> str:
+    """Format what `run_survey` returned as the lines that `survey run` prints."""
+    failed = document["sentences"]
+    count = f"{document['done']} of {len(document['blocks'])} jobs are done, {time_text(document['seconds'])}."
+    if document["interrupted"]:
+        count = f"Interrupted: {count} Started again, survey run continues."
+    elif not failed and document["exit_code"] == 0:
+        count += f" Next: survey merge {document['survey']}"
+    return "\n".join([count, *failed])
 
 
 def _work(block: Block) -> int:
