@@ -16,8 +16,8 @@ from .focal_error import focal_errors
 from .model_observations import Observations
 from .rolling_shutter import RollingShutter, fit_rolling_shutter
 
-FEW_REGISTERED = 0.8
-"""Fraction of the images that have a pose, below which it is reported."""
+FEW_REGISTERED = 0.9
+"""Fraction of the images that have a pose, below which it is reported: of fewer than ten, each that has none."""
 _LARGE_ERROR = 2.0
 """Mean reprojection error in pixels above which poses are doubtful: COLMAP drops observations above 4, and the example
 scenes have 0.3 to 0.7."""

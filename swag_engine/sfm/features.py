@@ -98,22 +98,26 @@ def _is_doubled(width: int, height: int) -> bool:
 def extract_features(database: Path, pictures: Path, images: list[ImageData]) -> None:
     """Detect features in the grey copies of the images and write them to the database.
 
+    Images are entered in their order first: detection enters each when its features are done, so that its id, and with
+    it the order of all further steps, would depend on which thread is faster.
+
     Args:
         database: COLMAP's database, which is made.
         pictures: Folder of the grey copies (see `photos.equalise`).
         images: Data of the images.
     """
+    with pycolmap.Database.open(str(database)):
+        pass  # makes the file
     for group in camera_groups(images):
         first = images[group[0]]
         known = first.focal_length
         params = f"{known},{first.width / 2},{first.height / 2},0" if known else ""
+        names = [copy_name(number) for number in group]
+        mode = pycolmap.CameraMode.SINGLE
+        reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL", camera_params=params)
+        pycolmap.import_images(str(database), str(pictures), mode, names, reader)
         pycolmap.extract_features(
-            str(database),
-            str(pictures),
-            image_names=[copy_name(number) for number in group],
-            camera_mode=pycolmap.CameraMode.SINGLE,
-            reader_options=pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL", camera_params=params),
-            extraction_options=extraction_options(first.width, first.height),
+            str(database), str(pictures), names, mode, reader, extraction_options(first.width, first.height)
         )
 
 

@@ -7,6 +7,7 @@ and ends with its standard input, so that a crash or a cancel leaves no files.
 import copy
 import math
 import shutil
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,8 @@ MAPPING_STAGE = "Placing cameras"
 _INITIAL_TRIALS = 50
 """Candidates for the initial pair that COLMAP tries before it accepts smaller triangulation angles. Its default of 200
 takes longer than the mapping itself where all angles are small."""
+_RELAXATIONS = 4
+"""Times that mapping starts again with half as many matches, then half the angle, of an initial pair, as in COLMAP."""
 _GOOD_MATCHES = 100
 """Matches that an initial pair must have, as in COLMAP."""
 _SAMPLE_PAIRS = 60
@@ -202,16 +205,43 @@ def _run_incremental(
             options.init_image_id1, options.init_image_id2 = max(angles, key=lambda pair: angles[pair])
             options.multiple_models = False  # every further model would have the same initial pair
             options.mapper.init_min_tri_angle = 0.5
-    return list(
-        pycolmap.incremental_mapping(
-            str(database),
-            str(scratch / "pictures"),
-            str(models),
-            options,
-            initial_image_pair_callback=one_more,
-            next_image_callback=one_more,
-        ).values()
-    )
+    return _map_incrementally(database, options, one_more)
+
+
+def _map_incrementally(
+    database: Path, options: pycolmap.IncrementalPipelineOptions, image_placed: Callable[[], None]
+) -> list[pycolmap.Reconstruction]:
+    """Map as `pycolmap.incremental_mapping` does, but search the initial pair of images in one thread.
+
+    COLMAP searches it in all threads, and that of the thread which finds one first is taken: so the same matches led to
+    different models from run to run. Bundle adjustment of large scenes still uses all threads. Other Python threads
+    run only while `image_placed` is called.
+
+    Args:
+        database: COLMAP's database.
+        options: The options.
+        image_placed: Called after the initial pair and after each further image.
+
+    Returns:
+        The models.
+    """
+    manager = pycolmap.ReconstructionManager()
+    with pycolmap.Database.open(str(database)) as opened:
+        pipeline = pycolmap.IncrementalPipeline(options, opened, manager)
+    for event in ("INITIAL_IMAGE_PAIR_REG_CALLBACK", "NEXT_IMAGE_REG_CALLBACK"):
+        pipeline.add_callback(getattr(pycolmap.IncrementalPipelineCallback, event), image_placed)
+    mapper = pycolmap.IncrementalMapper(pipeline.database_cache)
+    constraints = options.get_mapper()
+    constraints.num_threads = 1
+    for relaxations in range(1 + _RELAXATIONS):
+        if relaxations:
+            constraints.init_min_num_inliers //= 1 + relaxations % 2
+            constraints.init_min_tri_angle /= 2 - relaxations % 2
+            mapper.reset_initialization_stats()
+        ended = pipeline.reconstruct(mapper, constraints, False) == pycolmap.IncrementalPipelineStatus.STOP
+        if ended or mapper.num_total_reg_images() == pipeline.database_cache.num_images():
+            break
+    return [manager.get(number) for number in range(manager.size())]
 
 
 def _incremental_options() -> pycolmap.IncrementalPipelineOptions:
@@ -261,6 +291,7 @@ def _run_global(
     say(stage=MAPPING_STAGE)
     options = pycolmap.GlobalPipelineOptions()
     options.random_seed = 0
+    options.num_threads = options.mapper.num_threads = 1  # sums of several threads differ from run to run
     options.mapper.track_required_tracks_per_view = _GLOBAL_TRACKS
     return list(pycolmap.global_mapping(str(database), str(scratch / "pictures"), str(models), options).values())
 

@@ -145,7 +145,7 @@ def test_points_without_parallax_are_said() -> None:
 
 def test_few_registered_images_are_said() -> None:
     model = make_model(orbit(12), block(300))
-    assert kinds(assess_model(model, 15)) == [] and kinds(assess_model(model, 16)) == ["registered"]
+    assert kinds(assess_model(model, 13)) == [] and kinds(assess_model(model, 14)) == ["registered"]
 
 
 def test_drift_is_measured_and_said() -> None:

@@ -4,7 +4,9 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from swag_engine.sfm.features import ImageData, camera_groups, estimate_memory
+from swag_engine.scene.colmap_library import pycolmap
+from swag_engine.sfm.features import ImageData, camera_groups, estimate_memory, extract_features
+from swag_engine.sfm.photos import copy_name, write_jpeg
 
 NOWHERE = (float("nan"), float("nan"))
 
@@ -36,3 +38,16 @@ def test_memory_grows_with_the_number_and_the_size_of_photos() -> None:
     small, large = (ImageData(width, width, None, NOWHERE, 0.0) for width in (300, 2000))
     assert estimate_memory([small] * 1000) > 5 * estimate_memory([small] * 100) > 5e8
     assert estimate_memory([large] * 2) > estimate_memory([small] * 2)
+
+
+def test_ids_of_images_are_in_their_order_whichever_thread_is_faster(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    for number in range(4):
+        grey = np.full((240, 320), 128, np.uint8)
+        if number in (0, 2):  # takes longer than the empty ones
+            grey = cv2.resize(random.integers(0, 255, (80, 107), np.uint8), (320, 240))
+        write_jpeg(tmp_path / copy_name(number), grey)
+    extract_features(tmp_path / "database.db", tmp_path, [ImageData(320, 240, None, NOWHERE, 0.0)] * 4)
+    with pycolmap.Database.open(str(tmp_path / "database.db")) as database:
+        assert [database.read_image(number + 1).name for number in range(4)] == [copy_name(n) for n in range(4)]
+        assert database.read_keypoints(1).shape[0] > 100 and database.num_cameras() == 1

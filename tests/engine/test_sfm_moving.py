@@ -1,4 +1,8 @@
-"""Motion in the scene, of which the matches between photos tell."""
+"""Motion in the scene, of which the matches between photos tell.
+
+The patches have more matches than the scene, so that the initial pair of photos decides which model is found: from 2
+and 4, a free focal length leaves out photo 0, which a held one places. The search of that pair is the same in each run.
+"""
 
 from pathlib import Path
 
