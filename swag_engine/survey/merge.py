@@ -7,7 +7,6 @@ The name of a tile's file ends in a hash of its content, and tiles.json is writt
 earlier merge are in place. Files that tiles.json does not list are removed.
 """
 
-import hashlib
 import os
 import shutil
 from collections.abc import Sequence
@@ -27,6 +26,7 @@ from ..formats.survey_folder import COARSE, VERSION, Survey, SurveyFolder
 from ..formats.survey_tiles import Cell, Level, Tile, Tiles
 from ..products.tiles import Progress
 from ..splats.splats import Splats, concatenate
+from .job import hash_of
 from .levels import coarser
 
 TILE_SPLATS = 32_768
@@ -173,7 +173,7 @@ class _Merge:
         if document.get("version") != VERSION or not isinstance(document.get("result_sha256"), str):
             raise InputError(f"{file} is damaged or of another version: {again}.")
         try:
-            digest = _sha256(result)
+            digest = hash_of(result)
         except OSError as error:
             raise InputError(f"Cannot read {result}: {error.strerror or error}; {again}.") from error
         if digest != document["result_sha256"]:
@@ -229,7 +229,7 @@ class _Merge:
         """Write a tile."""
         new = self.merged / "tiles" / "new.ply"
         write_ply(new, splats)
-        file = f"tiles/{level}/{_cell_name(cell)}-{_sha256(new)[:12]}.ply"
+        file = f"tiles/{level}/{_cell_name(cell)}-{hash_of(new)[:12]}.ply"
         (self.merged / file).parent.mkdir(parents=True, exist_ok=True)
         os.replace(new, self.merged / file)
         low, high = (tuple(limit(axis=0).tolist()) for limit in (splats.positions.min, splats.positions.max))
@@ -298,11 +298,6 @@ def _splats(rows: np.ndarray, pattern: Splats) -> Splats:
 
 def _cell_name(cell: Cell) -> str:
     return "_".join(map(str, cell))
-
-
-def _sha256(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _remove_unlisted(merged: Path) -> None:
