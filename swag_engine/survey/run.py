@@ -13,9 +13,11 @@ from typing import Any
 
 from ..base.errors import InputError
 from ..base.text import time_text
-from ..formats.run_folder import read_json, write_json
-from ..formats.survey_folder import COARSE, VERSION, Block, SurveyFolder
-from ..formats.survey_state import progress_of
+from ..formats.run_folder import write_json
+from ..formats.survey_folder import COARSE, VERSION, Block, Survey, SurveyFolder
+from ..formats.survey_state import Progress, progress_of
+from ..training.pacing.memory import needed
+from ..training.pacing.speed import Extent
 from .executors.protocol import Ended, Executor, Job
 from .job import check_engine
 
@@ -104,17 +106,16 @@ class _SurveyRun:
         survey = files.read()
         check_engine(survey)
         blocks = [files.read_block(name) for name in survey.blocks]
-        # The coarse model has no estimate of its own; it is smaller than a block, and nothing runs beside it.
-        memory = max(block.memory for block in blocks)
+        coarse = Job(files.path, COARSE, _coarse_memory(survey))
         self._records = {
-            COARSE: _Record(Job(files.path, COARSE, memory), survey.coarse_settings.iterations),
+            COARSE: _Record(coarse, survey.coarse_settings.iterations),
             **{block.name: _Record(Job(files.path, block.name, block.memory), block.iterations) for block in blocks},
         }
         # The longest first, so that none of them is left alone at the end.
         self._blocks = [block.name for block in sorted(blocks, key=_work, reverse=True)]
         self._files, self._executor = files, executor
         self._progress, self._should_stop = progress, should_stop
-        self._figures: dict[str, dict[str, Any]] = {}
+        self._finished: dict[str, Progress] = {}
         self._next_report = 0.0
         self._interrupted = False
 
@@ -161,7 +162,7 @@ class _SurveyRun:
         record = self._records[ended.name]
         record.attempts += 1
         record.problem = ended.problem
-        iteration = progress_of(self._files, ended.name, record.iterations).iteration
+        iteration = self._progress_of(ended.name).iteration
         record.in_vain = record.in_vain + 1 if iteration <= record.furthest else 1
         record.furthest = max(record.furthest, iteration)
         record.given_up = ended.final or record.in_vain >= ATTEMPTS
@@ -171,11 +172,18 @@ class _SurveyRun:
                 write_json(self._files.failed(ended.name), document)
         return not record.given_up
 
+    def _progress_of(self, name: str) -> Progress:
+        """Return how far a job is; the files of one that is done are read once."""
+        if name in self._finished:
+            return self._finished[name]
+        found = progress_of(self._files, name, self._records[name].iterations)
+        if found.state == "done":
+            self._finished[name] = found
+        return found
+
     def _done(self, name: str) -> bool:
         """Return whether a job is done."""
-        if name not in self._figures and self._files.done(name).exists():
-            self._figures[name] = read_json(self._files.done(name), "")
-        return name in self._figures
+        return self._progress_of(name).state == "done"
 
     def _report(self) -> None:
         """Report the progress of all jobs."""
@@ -200,10 +208,12 @@ class _SurveyRun:
     def _row(self, name: str) -> dict[str, Any]:
         """Return state and progress of a job."""
         record = self._records[name]
-        found = progress_of(self._files, name, record.iterations)
-        state = "failed" if record.given_up else found.state
-        if state == "failed" and not record.given_up:
-            state = "waiting"  # from an earlier start of this program; it is tried again
+        found = self._progress_of(name)
+        state = found.state
+        if record.given_up and state != "done":
+            state = "failed"
+        elif state == "failed":
+            state = "waiting"  # it is tried again
         left = None
         if state == "running" and found.iteration and found.seconds:
             left = found.seconds / found.iteration * (record.iterations - found.iteration)
@@ -251,3 +261,10 @@ def describe(document: dict[str, Any]) -> str:
 def _work(block: Block) -> int:
     """Return what the time of a block is about proportional to."""
     return block.iterations * block.max_gaussians
+
+
+def _coarse_memory(survey: Survey) -> int:
+    """Estimate the memory of the coarse model, bytes; its images count as square, the survey does not say otherwise."""
+    width, training = survey.coarse_settings.width, len(survey.coarse_training)
+    extent = Extent(training, len(survey.coarse_validation), 0, 1.0, width, width)
+    return needed(extent, width, survey.coarse_settings.max_gaussians)

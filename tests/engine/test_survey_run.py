@@ -12,6 +12,7 @@ import pytest
 from swag_engine.app.progress import survey_lines
 from swag_engine.base.errors import InputError
 from swag_engine.formats.survey_folder import SurveyFolder
+from swag_engine.survey import job as jobs
 from swag_engine.survey import run
 from swag_engine.survey.executors import local, protocol
 from swag_engine.survey.executors.local import LocalExecutor
@@ -110,6 +111,7 @@ def test_stopping_keeps_what_exists(tmp_path):
 
 DRIVER = """
 import sys, json; from pathlib import Path
+from swag_engine.survey import job as jobs
 from swag_engine.survey import run
 from swag_engine.survey.executors import protocol
 from swag_engine.survey.executors.local import LocalExecutor
@@ -152,9 +154,9 @@ def test_two_drivers_do_no_harm(tmp_path):
 
 
 def test_another_version_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(run, "engine_version", lambda: "9.9.9")
+    monkeypatch.setattr(jobs, "engine_version", lambda: "9.9.9")
     folder = make_survey(tmp_path / "survey")
-    with pytest.raises(InputError, match=r"planned by version \S+ of the engine, and \S+ has version 9.9.9"):
+    with pytest.raises(InputError, match="was planned with version .* and this machine has 9.9.9"):
         run_survey(folder, LocalExecutor("cpu"))
     assert not starts(folder, "coarse")
 
@@ -173,9 +175,9 @@ def test_memory_and_cores_say_how_many_run_at_once(monkeypatch, tmp_path, memory
 def test_after_memory_ran_out_fewer_run_at_once(tmp_path):
     folder = make_survey(tmp_path / "survey", orders={"B-001": ["kill"]})
     executor = LocalExecutor("cpu", most=2)
-    jobs = [Job(folder, name, 1) for name in BLOCKS[:2]]
-    executor.divide(jobs)
-    for job in jobs:
+    two = [Job(folder, name, 1) for name in BLOCKS[:2]]
+    executor.divide(two)
+    for job in two:
         executor.start(job)
     assert executor.room() == 0
     ended = executor.ended(10)

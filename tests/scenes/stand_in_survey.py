@@ -5,7 +5,6 @@
 Each iteration hashes the state, so that a block that lost or repeated one has another result. orders.json in the folder
 has what happens to a block at each of its starts: "kill" at half of the iterations that are left, "refuse" with exit
 code 2, "crash" with a traceback, or "refuse on PROCESS": on the node of a Ray cluster whose raylet has that number.
-Claims hold on one machine only.
 """
 
 import hashlib
@@ -15,6 +14,10 @@ import signal
 import sys
 import time
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from swag_engine.base.claim import claimed
+from swag_engine.base.files import FolderInUse
 
 PAUSE = float(os.environ.get("STAND_IN_PAUSE", 0.03))
 ITERATIONS = 20
@@ -71,38 +74,19 @@ def job_folder(folder: Path, name: str) -> Path:
 
 
 def write(file: Path, document: object) -> None:
+    file.parent.mkdir(exist_ok=True)
     temporary = file.with_name(f".{file.name}.{os.getpid()}")
     temporary.write_text(json.dumps(document))
     temporary.replace(file)
 
 
-def claim(file: Path) -> bool:
-    """Claim a block; return whether another process has it."""
-    while True:
-        try:
-            with open(file, "x") as claimed:
-                claimed.write(str(os.getpid()))
-            return True
-        except FileExistsError:
-            time.sleep(0.05)  # it may not be written yet
-            try:
-                os.kill(int(file.read_text()), 0)
-                return False
-            except ProcessLookupError:
-                file.unlink(missing_ok=True)
-            except FileNotFoundError:
-                pass
-
-
 def main(folder: Path, name: str) -> int:
     job = job_folder(folder, name)
-    job.mkdir(parents=True, exist_ok=True)
-    if (job / "done.json").exists() or not claim(job / "claim.json"):
-        return 0
     try:
-        return train(folder, job, name)
-    finally:
-        (job / "claim.json").unlink()
+        with claimed(job):
+            return 0 if (job / "done.json").exists() else train(folder, job, name)
+    except FolderInUse:
+        return 0
 
 
 def train(folder: Path, job: Path, name: str) -> int:
@@ -119,7 +103,7 @@ def train(folder: Path, job: Path, name: str) -> int:
     asked_to_end: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: asked_to_end.append(number))
     run = job if name == "coarse" else job / "run"
-    run.mkdir(exist_ok=True)
+    write(run / "config.json", {})
     checkpoint = run / "checkpoint-0000001.safetensors"
     begun, state = json.loads(checkpoint.read_text()) if checkpoint.exists() else (0, name)
     for iteration in range(begun, ITERATIONS):
@@ -133,7 +117,7 @@ def train(folder: Path, job: Path, name: str) -> int:
             log.write("\n")
         if asked_to_end:
             return 143
-    figures = {"result_sha256": state, "seconds": 2.0, "iterations": ITERATIONS, "validation_psnr": 30.0}
+    figures = {"result_sha256": state, "seconds": 2.0, "iterations": ITERATIONS, "test_psnr": 30.0}
     write(job / "done.json", {"version": 1, "block": name} | figures)
     (job / "failed.json").unlink(missing_ok=True)
     return 0
