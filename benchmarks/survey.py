@@ -253,10 +253,7 @@ def scale(folder: Path, results: Results) -> None:
             scene_of(folder, "reef", images), folder / "scale" / f"{images}", _settings_for(images), SCALE_BLOCK
         )
         seconds = trained(survey, workers=1)
-        merged = measured(
-            ["-c", "import sys; from swag_engine.survey.merge import merge_survey; merge_survey(__import__('pathlib')."
-             "Path(sys.argv[1]))", survey.path]
-        )  # fmt: skip
+        merged = measured(["-m", "swag_engine", "survey", "merge", survey.path])
         jobs = jobs_of(survey)
         row = {
             "images": images, "blocks": len(jobs) - 1, "block_images": SCALE_BLOCK, "seconds": seconds,
@@ -346,12 +343,7 @@ def plan(folder: Path, results: Results) -> None:
     scene = scene_of(folder, "model", LARGE["images"], points=LARGE["points"])
     out = folder / "surveys" / "large"
     shutil.rmtree(out, ignore_errors=True)
-    script = (
-        "import sys; from pathlib import Path; from swag_engine.settings.settings import TrainSettings; "
-        "from swag_engine.survey.plan import plan_survey; "
-        "plan_survey(Path(sys.argv[1]), Path(sys.argv[2]), TrainSettings(backend='cpu'))"
-    )
-    usage = measured(["-c", script, scene, out])
+    usage = measured(["-m", "swag_engine", "survey", "plan", scene, "--out", out, "--backend", "cpu"])
     survey = SurveyFolder(out)
     blocks = [survey.read_block(name) for name in survey.read().blocks]
     images = [len(block.images) for block in blocks]
