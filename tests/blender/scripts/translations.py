@@ -3,7 +3,14 @@
 import re
 
 import bpy
-from bl_ext.user_default.swag_splatting.swag_blender import color_chart, effect_pictures, effects, job, run_list
+from bl_ext.user_default.swag_splatting.swag_blender import (
+    color_chart,
+    effect_pictures,
+    effects,
+    job,
+    run_list,
+    survey_map,
+)
 from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_figures import FIGURES
 from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_names import EFFECTS
 
@@ -55,6 +62,7 @@ def shown_words():
         *effect_pictures.COLUMNS,
         *run_list.LABELS.values(),
         *color_chart.ROWS,
+        *(state.title for state in survey_map.STATES.values()),
         "Stopped",
         "Finished",
         job.NO_PHOTOS,
