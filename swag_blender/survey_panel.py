@@ -39,8 +39,9 @@ class SWAG_PT_survey(SwagPanel):
         button = layout.operator("swag.open_survey", icon="FILE_FOLDER")
         set_button(button, directory=str(folder.path) if folder is not None else "")
         if folder is None and not swag_of(scene).scene_folder:
-            text = "Choose the folder of a survey, or in Cameras the photos of a new one."
-            draw_wrapped(layout, text, width, icon="INFO")
+            draw_wrapped(
+                layout, "Choose the folder of a survey, or in Cameras the photos of a new one.", width, icon="INFO"
+            )
 
 
 def _draw_plan(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -90,7 +90,7 @@ class SwagSurveyJobs(PropertyGroup):
     problem: Annotated[str, StringProperty(description="Why the survey cannot be read")]
     merged: Annotated[bool, BoolProperty(description="Whether the survey has been merged")]
     jobs: Annotated["bpy.types.bpy_prop_collection_idprop[SwagSurveyJob]", CollectionProperty(type=SwagSurveyJob)]
-    active: Annotated[int, IntProperty(name="Block")]
+    active: Annotated[int, IntProperty(description="Number of the chosen job")]
 
     def count(self, state: str) -> int:
         """Number of blocks in a state, without the coarse model."""

@@ -22,6 +22,8 @@ KINDS = (
     bpy.types.AddonPreferences,
     bpy.types.FileHandler,
 )
+OF_SCRIPTS = ("SwagStatus", "SwagSurveyJob", "SwagSurveyJobs")
+"""Groups of properties whose values alone panels show."""
 
 
 def subclasses(kind):
@@ -36,8 +38,7 @@ def shown_words():
     classes = {cls for kind in KINDS for cls in subclasses(kind)}
     found = set()
     for cls in classes:
-        # SwagStatus is for scripts: panels show its values alone.
-        if "swag_splatting" not in cls.__module__ or not cls.is_registered or cls.__name__ == "SwagStatus":
+        if "swag_splatting" not in cls.__module__ or not cls.is_registered or cls.__name__ in OF_SCRIPTS:
             continue
         rna = cls.bl_rna
         if issubclass(cls, bpy.types.Operator):
