@@ -92,8 +92,12 @@ def make_map(scene: bpy.types.Scene, folder: SurveyFolder, survey: Survey, block
     place(obj, scene, folder, survey)
     obj[MAP_KEY] = json.dumps([block.name for block in blocks])
     obj.hide_render = True
+    # Viewports draw a line from an object to its parent, unless that is hidden.
+    parent = bpy.data.objects.new(f"{name} Texts", None)
+    parent.parent, parent.hide_viewport = obj, True
+    collection.objects.link(parent)
     for block, face in zip(blocks, faces, strict=True):
-        _add_text(block.name, face, survey, obj, collection)
+        _add_text(block.name, face, survey, parent, collection)
     return obj
 
 
@@ -117,7 +121,7 @@ def color_map(obj: bpy.types.Object, statuses: Mapping[str, JobStatus]) -> None:
         attributes["state"].data.foreach_set("value", states)
         attributes["psnr"].data.foreach_set("value", psnr)
         mesh.update()
-    for text in obj.children:
+    for text in obj.children_recursive:
         if isinstance(text.data, bpy.types.TextCurve) and text.get(MAP_KEY) in statuses:
             name = text[MAP_KEY]
             body = "\n".join((name, *texts_of(statuses[name])))
@@ -143,7 +147,7 @@ def _with_gap(box: Box) -> Box:
     return left + gap, bottom + gap, right - gap, top - gap
 
 
-def _add_text(name: str, face: Box, survey: Survey, obj: bpy.types.Object, collection: bpy.types.Collection) -> None:
+def _add_text(name: str, face: Box, survey: Survey, parent: bpy.types.Object, collection: bpy.types.Collection) -> None:
     left, bottom, right, top = face
     curve = cast(bpy.types.TextCurve, bpy.data.curves.new(name, "FONT"))
     curve.body, curve.align_x, curve.align_y = name, "CENTER", "CENTER"
@@ -151,7 +155,7 @@ def _add_text(name: str, face: Box, survey: Survey, obj: bpy.types.Object, colle
     curve.materials.append(block_material.material("SWAG Block Text", TEXT_COLOR, 1.0))
     text = bpy.data.objects.new(name, curve)
     collection.objects.link(text)
-    text.parent, text[MAP_KEY], text.hide_render, text.hide_select = obj, name, True, True
+    text.parent, text[MAP_KEY], text.hide_render, text.hide_select = parent, name, True, True
     axes = np.array(survey.ground.axes)
     matrix = np.eye(4)
     matrix[:3, :3] = axes.T
@@ -163,7 +167,7 @@ def _add_text(name: str, face: Box, survey: Survey, obj: bpy.types.Object, colle
 def _remove(obj: bpy.types.Object) -> None:
     """Remove a map, its texts and its collection."""
     collection = obj.users_collection[0] if obj.users_collection else None
-    objects = [obj, *obj.children]
+    objects = [obj, *obj.children_recursive]
     used: list[Any] = [one.data for one in objects if one.data is not None]
     bpy.data.batch_remove([*objects, *used])
     if collection is not None and not collection.all_objects and collection.name in bpy.data.collections:

@@ -4,6 +4,7 @@ from typing import Any
 
 import bpy
 
+from ..swag_engine.formats.survey_folder import COARSE
 from . import survey, survey_map, survey_watch
 from .blender_types import present, set_button
 from .properties import status_of, swag_of
@@ -69,17 +70,18 @@ def _draw_jobs(layout: bpy.types.UILayout, context: bpy.types.Context, path: str
         if count := shown.count(state):
             row.label(text=f"{count}", icon=look.icon)
     layout.template_list("SWAG_UL_survey_jobs", "", shown, "jobs", shown, "active", rows=5)
-    if shown.active < len(shown.jobs) and (problem := shown.jobs[shown.active].problem):
-        draw_wrapped(layout, problem, width, icon="ERROR")
+    chosen = list(shown.jobs[shown.active : shown.active + 1])
+    if failed := next((job for job in (*chosen, *shown.jobs) if job.problem), None):
+        draw_wrapped(layout, failed.problem, width, icon="ERROR")
     layout.operator("swag.show_blocks", icon="MESH_GRID")
     if shown.count("done") < len(shown.jobs) - 1:
         box = layout.box()
         draw_wrapped(box, "Train in a terminal, on as many machines as see this folder:", width)
         draw_wrapped(box, survey.run_command(path, blender=False), width)
-        row = box.row(align=True)
-        button = row.operator("swag.copy_survey_command", text="Copy", icon="COPYDOWN")
+        column = box.column(align=True)
+        button = column.operator("swag.copy_survey_command", text="Copy", icon="COPYDOWN")
         set_button(button, blender=False)
-        button = row.operator("swag.copy_survey_command", text="Copy for This Blender", icon="BLENDER")
+        button = column.operator("swag.copy_survey_command", text="Copy for This Blender", icon="BLENDER")
         set_button(button, blender=True)
     layout.operator("swag.merge_survey", icon="AUTOMERGE_ON")
 
@@ -128,13 +130,17 @@ class SWAG_UL_survey_jobs(bpy.types.UIList):
     ) -> None:
         """Draw one job; Blender calls this."""
         look = survey_map.STATES[item.state]
-        row = layout.row(align=True)
-        row.label(text=item.name, icon=look.icon, translate=False)
-        if item.state in ("running", "begun") and item.iteration:
-            row.label(text=f"{item.iteration:,}")
+        columns = layout.split(factor=0.45)
+        if item.name == COARSE:
+            columns.label(text="Coarse Model", icon=look.icon)
         else:
-            row.label(text=look.title)
-        figure = row.row()
+            columns.label(text=item.name, icon=look.icon, translate=False)
+        columns = columns.split(factor=0.55)
+        if item.state in ("running", "begun") and item.iteration:
+            columns.label(text=f"{item.iteration:,}")
+        else:
+            columns.label(text=look.title)
+        figure = columns.row()
         figure.alignment = "RIGHT"
         figure.label(text=f"{item.psnr:.1f} dB" if item.psnr else "-")
 

@@ -1052,6 +1052,7 @@ GERMAN = {
         "Die Fotos in Blöcke teilen, die einzeln trainiert werden, auf einem Rechner oder mehreren"
     ),
     "Reading the survey.": "Die Vermessung wird gelesen.",
+    "Coarse Model": "Grobes Modell",
     "Waiting": "Wartet",
     "Running": "Läuft",
     "Failed": "Fehlgeschlagen",

@@ -144,7 +144,7 @@ def test_the_blocks_are_a_map_that_follows_the_files(blender, tmp_path):
         "coarse": ["done", 22.0, 100, ""], "B-001": ["done", 24.56, 900, ""], "B-002": ["running", 21.25, 450, ""],
         "B-003": ["failed", 0.0, 0, "The disk is full."], "B-004": ["begun", 0.0, 0, ""],
     }  # fmt: skip
-    assert found["objects"] == found["objects again"] == 5 and (found["meshes"], found["fonts"]) == (1, 4)
+    assert found["objects"] == found["objects again"] == 6 and (found["meshes"], found["fonts"]) == (1, 4)
     assert {"1", "SWAG_UL_survey_jobs", "swag.show_blocks", "swag.merge_survey"} <= set(found["panel"])
 
 

@@ -247,7 +247,7 @@ def faces_of(made):
     for number, name in enumerate(json.loads(made[survey_map.MAP_KEY])):
         face = made.data.polygons[number]
         corners = np.array([list(made.matrix_world @ made.data.vertices[v].co) for v in face.vertices])
-        text = next(child for child in made.children if child[survey_map.MAP_KEY] == name)
+        text = next(child for child in made.children_recursive if child.get(survey_map.MAP_KEY) == name)
         found[name] = {
             "state": made.data.attributes["state"].data[number].value,
             "psnr": round(made.data.attributes["psnr"].data[number].value, 2),
