@@ -14,7 +14,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..swag_engine.formats.survey_folder import Block, Box, Survey, SurveyFolder
-from ..swag_engine.formats.survey_state import JobStatus
+from ..swag_engine.formats.survey_state import Progress
 from .nodes import block_material
 from .survey import corners_on_ground, objects_of, place, root_of
 
@@ -101,7 +101,7 @@ def make_map(scene: bpy.types.Scene, folder: SurveyFolder, survey: Survey, block
     return obj
 
 
-def color_map(obj: bpy.types.Object, statuses: Mapping[str, JobStatus]) -> None:
+def color_map(obj: bpy.types.Object, statuses: Mapping[str, Progress]) -> None:
     """Give the faces and texts of a map the states of their blocks; what is shown already is not written again.
 
     Args:
@@ -109,9 +109,9 @@ def color_map(obj: bpy.types.Object, statuses: Mapping[str, JobStatus]) -> None:
         statuses: the state of each block by its name.
     """
     mesh = cast(bpy.types.Mesh, obj.data)
-    known = [statuses.get(name, JobStatus("waiting")) for name in json.loads(obj[MAP_KEY])]
-    states = np.array([list(STATES).index(status.state) for status in known], np.int32)
-    psnr = np.array([status.psnr or 0.0 for status in known], np.float32)
+    known = [statuses.get(name) for name in json.loads(obj[MAP_KEY])]
+    states = np.array([list(STATES).index(status.state if status else "waiting") for status in known], np.int32)
+    psnr = np.array([(status.psnr if status else None) or 0.0 for status in known], np.float32)
     shown_states, shown_psnr = np.empty_like(states), np.empty_like(psnr)
     attributes: Any = mesh.attributes
     attributes["state"].data.foreach_get("value", shown_states)
@@ -129,7 +129,7 @@ def color_map(obj: bpy.types.Object, statuses: Mapping[str, JobStatus]) -> None:
                 text.data.body = body
 
 
-def texts_of(status: JobStatus) -> list[str]:
+def texts_of(status: Progress) -> list[str]:
     """State of a block, and its PSNR where there is one, in the language of the interface."""
     state = bpy.app.translations.pgettext_iface(STATES[status.state].title)
     return [state, f"{status.psnr:.1f} dB"] if status.psnr is not None else [state]

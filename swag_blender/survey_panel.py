@@ -130,14 +130,14 @@ class SWAG_UL_survey_jobs(bpy.types.UIList):
     ) -> None:
         """Draw one job; Blender calls this."""
         look = survey_map.STATES[item.state]
-        columns = layout.split(factor=0.45)
+        columns = layout.split(factor=0.5)
         if item.name == COARSE:
             columns.label(text="Coarse Model", icon=look.icon)
         else:
             columns.label(text=item.name, icon=look.icon, translate=False)
         columns = columns.split(factor=0.55)
-        if item.state in ("running", "begun") and item.iteration:
-            columns.label(text=f"{item.iteration:,}")
+        if item.state in ("running", "begun") and item.fraction:
+            columns.label(text=f"{item.fraction:.0%}")
         else:
             columns.label(text=look.title)
         figure = columns.row()

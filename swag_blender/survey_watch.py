@@ -3,18 +3,20 @@
 A thread reads the files, because a network folder can be slow; it never touches Blender's data.
 """
 
+import time
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, cast
 
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 from bpy.types import PropertyGroup
 
+from ..swag_engine.base.claim import WATCHED_SECONDS
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.survey_folder import COARSE, Block, Survey, SurveyFolder
-from ..swag_engine.formats.survey_state import JobStatus, status_of
+from ..swag_engine.formats.survey_state import Progress, progress_of
 from .blender_types import present, with_properties
 from .job import redraw
 from .survey import chosen_survey
@@ -36,6 +38,7 @@ class Reading:
         survey: What is in survey.json.
         blocks: Its blocks.
         statuses: State of the coarse model and of each block by its name.
+        beats: Last beat of each job that somebody works on, and the local clock (s) when it was first seen.
         merged: Whether it has been merged.
     """
 
@@ -43,16 +46,20 @@ class Reading:
     version: int
     survey: Survey
     blocks: tuple[Block, ...]
-    statuses: Mapping[str, JobStatus] = field(default_factory=dict)
+    statuses: Mapping[str, Progress] = field(default_factory=dict)
+    beats: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     merged: bool = False
 
 
-def read_survey(folder: SurveyFolder, before: Reading | None = None) -> Reading:
+def read_survey(folder: SurveyFolder, before: Reading | None = None, now: float | None = None) -> Reading:
     """Read the states of all jobs of a survey.
+
+    A job whose claim stands still for WATCHED_SECONDS is not running any more: its process was killed.
 
     Args:
         folder: the survey.
         before: the reading before this one.
+        now: local clock, seconds; time.monotonic() by default.
 
     Raises:
         InputError: the survey was removed or is damaged.
@@ -64,10 +71,20 @@ def read_survey(folder: SurveyFolder, before: Reading | None = None) -> Reading:
     if before is None or (before.folder, before.version) != (folder, version):
         survey = folder.read()
         before = Reading(folder, version, survey, tuple(folder.read_block(name) for name in survey.blocks))
-    names = (COARSE, *before.survey.blocks)
-    statuses = {name: status_of(folder, name, before.statuses.get(name)) for name in names}
+    now = time.monotonic() if now is None else now
+    iterations = {COARSE: before.survey.coarse_settings.iterations}
+    iterations |= {block.name: block.iterations for block in before.blocks}
+    statuses, beats = {}, {}
+    for name, number in iterations.items():
+        status = progress_of(folder, name, number)
+        if status.state == "running":
+            beat, seen = before.beats.get(name, (-1, now))
+            beats[name] = (beat, seen) if beat == status.beat else (status.beat, now)
+            if now - beats[name][1] > WATCHED_SECONDS:
+                status = replace(status, state="begun")
+        statuses[name] = status
     merged = (folder.merged / "tiles.json").is_file()
-    return Reading(folder, version, before.survey, before.blocks, statuses, merged)
+    return Reading(folder, version, before.survey, before.blocks, statuses, beats, merged)
 
 
 @with_properties
@@ -76,9 +93,8 @@ class SwagSurveyJob(PropertyGroup):
 
     state: Annotated[str, StringProperty(description="waiting, begun, running, failed or done")]
     psnr: Annotated[float, FloatProperty(description="PSNR in dB; 0 until it is measured")]
-    iteration: Annotated[int, IntProperty(description="Iterations so far")]
+    fraction: Annotated[float, FloatProperty(description="Fraction of its iterations that is done, 0..1")]
     gaussians: Annotated[int, IntProperty(description="Number of Gaussians")]
-    host: Annotated[str, StringProperty(description="Machine that works on it")]
     problem: Annotated[str, StringProperty(description="Why it failed")]
 
 
@@ -179,7 +195,7 @@ def _show(context: bpy.types.Context, scene: bpy.types.Scene, reading: Reading) 
     if (obj := map_of(scene, reading.folder)) is not None:
         color_map(obj, reading.statuses)
     values = [
-        (name, one.state, one.psnr or 0.0, one.iteration, one.gaussians, one.host, one.problem)
+        (name, one.state, one.psnr or 0.0, one.fraction, one.gaussians, one.problem)
         for name, one in reading.statuses.items()
     ]
     fields = ("name", *SwagSurveyJob.__annotations__)

@@ -45,34 +45,32 @@ def steps():
     report["faces"] = [face.material_index for face in made.data.polygons]
     yield 3.0
     photograph("survey-map.png")
-    space.shading.type = "MATERIAL"
-    yield 10.0
-    photograph("survey-map-material.png")
-    space.shading.type = "SOLID"
 
+    scene.swag_survey.budget = 1000
     with bpy.context.temp_override(window=window, area=area):
-        bpy.ops.swag.open_survey("INVOKE_DEFAULT", directory=SURVEY)
+        bpy.ops.swag.open_survey("INVOKE_DEFAULT", True, directory=SURVEY)
     obj = bpy.context.view_layer.objects.active
     report["opened"] = splats.count(obj)
     made.hide_viewport = True
     for text in made.children_recursive:
         text.hide_viewport = True
-    corner = obj.matrix_world @ Vector((1.0, 1.0, 0.1))
+    corner = obj.matrix_world @ Vector((1.0, -0.1, 1.0))
     yield 3.0
     photograph("survey-overview.png")
     space.region_3d.view_location, space.region_3d.view_distance = corner, 4.0
     area.tag_redraw()
     yield 2.0
     with bpy.context.temp_override(window=window, area=area, region=region):
-        report["load view"] = list(bpy.ops.swag.load_view("INVOKE_DEFAULT"))
+        report["load view"] = list(bpy.ops.swag.load_view("INVOKE_DEFAULT", True))
     report["near"] = [splats.count(obj), obj["swag_survey_levels"]]
     yield 3.0
     photograph("survey-view.png")
-    bpy.ops.ed.undo()
+    with bpy.context.temp_override(window=window, area=area):
+        bpy.ops.ed.undo()
     yield 1.0
     obj = bpy.context.view_layer.objects.active
     report["undone"] = [splats.count(obj), obj["swag_survey_levels"]]
-    scene.swag.water = 1.0
+    bpy.context.scene.swag.water = 1.0  # undo has made another scene
     area.tag_redraw()
     yield 3.0
     photograph("survey-water.png")

@@ -110,6 +110,18 @@ def test_a_scene_that_is_imported_later_takes_over_the_survey(blender, made):
     assert same and places == [[True, [1.0, 2.0, 3.0]]] * 2
 
 
+def test_water_is_that_of_the_coarse_model(blender, made, tmp_path):
+    found = blender.run("surveys.show_water", made, made.parent / "reef", tmp_path)
+    assert found["below root"] and found["film"] == str(made / "coarse") and abs(found["slider"] - 0.25) < 1e-6
+    dry, wet = found["0.0"], found["1.0"]
+    assert abs(dry[0]) < 1e-3 and all(abs(one - other) > 0.01 for one, other in zip(dry, wet, strict=True))
+
+
+def test_a_job_whose_claim_stands_still_is_not_running(blender, tmp_path):
+    folder = make_survey(tmp_path / "plot", tmp_path / "reef", merged=False)
+    assert blender.run("surveys.beats", folder.path) == ["running", "running", "begun", "running"]
+
+
 def test_the_blocks_are_a_map_that_follows_the_files(blender, tmp_path):
     (tmp_path / "reef").mkdir()
     folder = make_survey(tmp_path / "plot", tmp_path / "reef", merged=False)
@@ -121,7 +133,7 @@ def test_the_blocks_are_a_map_that_follows_the_files(blender, tmp_path):
         job["B-002"] / "run" / "metrics.jsonl": f'{line}\n{{"iteration": 4',
         job["B-002"] / "claim.json": json.dumps({"host": "elsewhere", "pid": 7, "beat": 3}),
         job["B-003"] / "failed.json": json.dumps({"problem": "The disk is full.", "attempts": 3}),
-        job["B-004"] / "run" / "checkpoint-0000100.safetensors": "",
+        job["B-004"] / "run" / "config.json": "{}",
     }
     found = blender.run("surveys.watch", folder.path, {str(path): text for path, text in changes.items()})
     before, after = found["before"], found["after"]
@@ -141,7 +153,7 @@ def test_the_blocks_are_a_map_that_follows_the_files(blender, tmp_path):
     }
     assert after["B-003"]["material"] == "SWAG Block Failed"
     assert found["jobs after"] == {
-        "coarse": ["done", 22.0, 100, ""], "B-001": ["done", 24.56, 900, ""], "B-002": ["running", 21.25, 450, ""],
+        "coarse": ["done", 22.0, 1, ""], "B-001": ["done", 24.56, 1, ""], "B-002": ["running", 21.25, 0.5, ""],
         "B-003": ["failed", 0.0, 0, "The disk is full."], "B-004": ["begun", 0.0, 0, ""],
     }  # fmt: skip
     assert found["objects"] == found["objects again"] == 6 and (found["meshes"], found["fonts"]) == (1, 4)

@@ -1,4 +1,4 @@
-"""A survey of four blocks on tilted ground, written by hand: its folder has all that Blender reads, and no run ran.
+"""A survey of four blocks, written by hand: its folder has all that Blender reads, and no run ran.
 
 The splats lie on a square of 8 units, in cubes of 2 units at level 0: 16 tiles of 64 splats, then 4 of 64, then 1.
 """
@@ -16,10 +16,12 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.splats.development import Development
 from swag_engine.splats.splats import Splats
 
-UP = (0.0, -0.6, 0.8)
-AXES = ((1.0, 0.0, 0.0), (0.0, 0.8, 0.6), UP)
-"""Rows: x, y and up of the ground. Its y axis is then up x x."""
-ORIGIN = (1.0, 2.0, 3.0)
+UP = (0.0, -1.0, 0.0)
+AXES = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), UP)
+"""Rows: x, y and up of the ground."""
+ORIGIN = (4.0, 0.0, 4.0)
+HEIGHT = 0.1
+"""Of the splats above the ground."""
 EDGE = 2.0
 PER_TILE = 64
 WATER = {
@@ -49,8 +51,8 @@ def make_survey(folder: Path, scene: Path, merged: bool = True) -> SurveyFolder:
         core = (left, bottom, right, top)
         images = tuple(f"{name}-{number}.jpg" for number in range(3))
         survey.write_block(Block(name, core, core, images, (), (), index, 900, 1000, 50, 10**8))
-    survey.coarse.write_config(scene, settings, list(UP))
     if merged:
+        survey.coarse.write_config(scene, settings, list(UP))
         for name in ("coarse", *BLOCKS):
             finish(survey, name, 20.0 + len(name))
         survey.coarse.water.write_text(json.dumps(WATER))
@@ -72,7 +74,6 @@ def write_tiles(survey: SurveyFolder) -> Tiles:
         count = 4 >> level
         for x in range(count):
             for y in range(count):
-                # Cells are of the scene's axes, so the square lies in the plane z = 0 of the scene.
                 tiles.append(_write_tile(survey, level, x, y))
     levels = tuple(Level(n, PER_TILE * (4 >> n) ** 2, 10_000, 24.0 - n) for n in range(3))
     made = Tiles(survey.merged, EDGE, UP, (0.1, 0.2, 0.3), levels, tuple(tiles))
@@ -87,8 +88,8 @@ def _write_tile(survey: SurveyFolder, level: int, x: int, y: int) -> Tile:
     grid = (np.arange(side) + 0.5) / side
     positions = np.zeros((PER_TILE, 3), np.float32)
     positions[:, 0] = edge * (x + np.repeat(grid, side))
-    positions[:, 1] = edge * (y + np.tile(grid, side))
-    positions[:, 2] = 0.1
+    positions[:, 1] = -HEIGHT
+    positions[:, 2] = edge * (y + np.tile(grid, side))
     splats = Splats(
         positions,
         np.tile(np.array([1, 0, 0, 0], np.float32), (PER_TILE, 1)),
@@ -100,4 +101,4 @@ def _write_tile(survey: SurveyFolder, level: int, x: int, y: int) -> Tile:
     file = f"tiles/{level}/{x}-{y}-0.ply"
     write_ply(survey.merged / file, splats)
     low, high = (tuple(float(v) for v in edge_of(positions, axis=0)) for edge_of in (np.min, np.max))
-    return Tile(level, (x, y, 0), low, high, PER_TILE, file)
+    return Tile(level, (x, -1, y), low, high, PER_TILE, file)

@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import (
     colors,
+    film,
     labels,
     scene_import,
     splats,
@@ -15,6 +16,7 @@ from bl_ext.user_default.swag_splatting.swag_blender import (
     survey_watch,
     water,
 )
+from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
 from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply
 from bl_ext.user_default.swag_splatting.swag_engine.formats.survey_folder import SurveyFolder
 from files import export_splats, refusal
@@ -85,25 +87,27 @@ def load_view_box_overview(folder):
     obj = opened(folder, 1000)
     found = {"opened": tiles_of(obj)}
     to_world = obj.matrix_world
-    corner = to_world @ Vector((1.0, 1.0, 0.1))
-    near = view_from(corner + to_world.to_3x3() @ Vector((0, 0, 1.0)), corner)
+    corner = to_world @ Vector((1.0, -0.1, 1.0))
+    near = view_from(corner + to_world.to_3x3() @ Vector((0, -1.0, 0)), corner)
     assert bpy.ops.swag.load_view(**near) == {"FINISHED"}
     found["near"] = tiles_of(obj)
-    far = view_from(corner + to_world.to_3x3() @ Vector((0, 0, 5000.0)), corner)
+    far = view_from(corner + to_world.to_3x3() @ Vector((0, -5000.0, 0)), corner)
     assert bpy.ops.swag.load_view(**far) == {"FINISHED"}
     found["far"] = tiles_of(obj)
-    away = view_from(corner + to_world.to_3x3() @ Vector((0, 0, 1.0)), corner + to_world.to_3x3() @ Vector((0, 0, 5.0)))
+    away = view_from(
+        corner + to_world.to_3x3() @ Vector((0, -1.0, 0)), corner + to_world.to_3x3() @ Vector((0, -5.0, 0))
+    )
     assert bpy.ops.swag.load_view(**away) == {"FINISHED"}
     found["away"] = tiles_of(obj)
     box = bpy.data.objects.new("box", None)
     bpy.context.scene.collection.objects.link(box)
     box.empty_display_type, box.empty_display_size = "CUBE", 0.5
-    box.matrix_world = to_world @ Matrix.Translation((7.0, 7.0, 0.1))
+    box.matrix_world = to_world @ Matrix.Translation((7.0, -0.1, 7.0))
     found["no box"] = refusal(bpy.ops.swag.load_box)
     bpy.context.scene.swag_survey.box = box
     assert bpy.ops.swag.load_box() == {"FINISHED"}
     found["box"] = tiles_of(obj)
-    box.matrix_world = to_world @ Matrix.Translation((70.0, 7.0, 0.1))
+    box.matrix_world = to_world @ Matrix.Translation((70.0, -0.1, 7.0))
     found["box elsewhere"] = refusal(bpy.ops.swag.load_box)
     assert bpy.ops.swag.load_overview() == {"FINISHED"}
     found["overview"] = tiles_of(obj)
@@ -133,7 +137,7 @@ def edits(folder, out):
     box = bpy.data.objects.new("box", None)
     bpy.context.scene.collection.objects.link(box)
     box.empty_display_type, box.empty_display_size = "CUBE", 0.5
-    box.matrix_world = obj.matrix_world @ Matrix.Translation((7.0, 7.0, 0.1))
+    box.matrix_world = obj.matrix_world @ Matrix.Translation((7.0, -0.1, 7.0))
     bpy.context.scene.swag_survey.box = box
     assert bpy.ops.swag.load_box() == {"FINISHED"}
     found = {"loaded": tiles_of(obj)}
@@ -149,7 +153,7 @@ def edits(folder, out):
     splats.keep_splats(obj, ~gone)
     labels.show(obj)
     bpy.ops.ed.undo_push(message="Edit")
-    box.matrix_world = obj.matrix_world @ Matrix.Translation((7.0, 1.0, 0.1))
+    box.matrix_world = obj.matrix_world @ Matrix.Translation((7.0, -0.1, 1.0))
     bpy.ops.ed.undo_push(message="Move")
     assert bpy.ops.swag.load_box() == {"FINISHED"}
     bpy.ops.ed.undo_push(message="Load Box")
@@ -231,6 +235,9 @@ def adopt(folder, scene):
     made = survey_map.map_of(bpy.context.scene, SurveyFolder(Path(folder)))
     bpy.context.view_layer.update()
     same = np.allclose(np.array(obj.matrix_world), np.array(made.matrix_world))
+    corners = np.array([list(vertex.co) for vertex in made.data.vertices])
+    above = splats.positions(obj)[:, [0, 2]]
+    same &= bool((above > corners.min(0)[[0, 2]]).all() and (above < corners.max(0)[[0, 2]]).all())
     root = bpy.data.objects.new("reef", None)
     root[scene_import.ROOT_KEY] = scene
     root.location = (1.0, 2.0, 3.0)
@@ -280,9 +287,47 @@ def watch(folder, changes):
     return found
 
 
+def beats(folder):
+    """States of a job whose claim stands still, and beats again, by the local clock."""
+    survey_folder = SurveyFolder(Path(folder))
+    claim = survey_folder.claim("B-001")
+    claim.write_text('{"host": "elsewhere", "pid": 7, "beat": 3}')
+    found, reading = [], None
+    for now in (0.0, 19.0, 21.0):
+        reading = survey_watch.read_survey(survey_folder, reading, now)
+        found.append(reading.statuses["B-001"].state)
+    claim.write_text('{"host": "elsewhere", "pid": 7, "beat": 4}')
+    found.append(survey_watch.read_survey(survey_folder, reading, 22.0).statuses["B-001"].state)
+    return found
+
+
+def show_water(folder, scene, out):
+    """Colors that are exported without and with water, the run that a film takes its water from, and the slider."""
+    root = bpy.data.objects.new("reef", None)
+    root[scene_import.ROOT_KEY] = scene
+    bpy.context.scene.collection.objects.link(root)
+    size = {"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0}
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]], (-4, 4, 9)
+    camera = {"name": "a.jpg", **size, "world_to_camera": pose.tolist(), "image": ""}
+    scene_import.camera_object(camera, root, bpy.context.scene.collection)
+    obj = opened(folder)
+    found = {"below root": obj.parent == root, "film": str(film._run_of(obj))}
+    for amount in (0.0, 1.0):
+        path = Path(out, f"{amount}.ply")
+        export_splats(path, frame="SCENE", water=amount, develop=False)
+        found[str(amount)] = read_ply(path).sh[:, 0].mean(0).tolist()
+    swag.water = 0.25
+    bpy.context.view_layer.update()
+    evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    owner, name, _ = splat_preview._input(evaluated, splat_preview.WATER)
+    found["slider"] = owner.value if name == "value" else owner[name]
+    return found
+
+
 def listed():
     jobs = survey_watch.jobs_of(bpy.context).jobs
-    return {job.name: [job.state, round(job.psnr, 2), job.iteration, job.problem] for job in jobs}
+    return {job.name: [job.state, round(job.psnr, 2), round(job.fraction, 3), job.problem] for job in jobs}
 
 
 def plan_and_merge(photos):
