@@ -7,9 +7,8 @@ from bpy.props import StringProperty
 
 from ..swag_blender import labels
 from ..swag_blender.blender_types import with_properties
+from ..swag_blender.labelling import names_folder
 from ..swag_blender.operator_base import SplatOperator
-from ..swag_blender.properties import swag_of
-from ..swag_blender.runs import RUN_KEY
 
 
 @with_properties
@@ -28,7 +27,7 @@ class SWAG_OT_read_labels(SplatOperator):
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         """List them."""
-        folder = bpy.path.abspath(self.directory or obj.get(RUN_KEY, "")) or swag_of(context.scene).run_path
+        folder = bpy.path.abspath(self.directory) or names_folder(context, obj)
         return f"{labels.read_labels(obj, folder)} labels."
 
 

@@ -17,7 +17,7 @@ from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.camera_path import PathFrame, write_camera_path
 from ..swag_engine.formats.cameras import transform_camera
 from ..swag_engine.formats.ply import write_ply
-from ..swag_engine.formats.run_folder import RunFolder, write_json
+from ..swag_engine.formats.run_folder import write_json
 from ..swag_engine.splats.splats import concatenate
 from ..swag_engine.splats.transform import transformed
 from . import colors, splats, water
@@ -26,7 +26,7 @@ from .cameras import camera_of, render_size
 from .engine_process import Engine
 from .nodes import splat_preview
 from .properties import swag_of
-from .runs import RUN_KEY
+from .runs import water_run
 from .splat_parts import part_of
 
 VIDEO = "film.mp4"
@@ -239,9 +239,9 @@ def _matrix(context: bpy.types.Context, obj: bpy.types.Object) -> np.ndarray:
 
 
 def _run_of(obj: bpy.types.Object) -> Path | None:
-    """The folder of the run of a splat object, None where it is not on this machine."""
-    run = Path(bpy.path.abspath(obj.get(RUN_KEY, "")))
-    return run if obj.get(RUN_KEY) and RunFolder(run).config.exists() else None
+    """The folder of the run that the water of a splat object is from, None where it is not on this machine."""
+    run = water_run(obj)
+    return run.path if run is not None and run.config.exists() else None
 
 
 @contextlib.contextmanager

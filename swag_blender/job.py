@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 
 from ..swag_engine.base.errors import InputError
-from . import open_run, scene_import
+from . import open_run, scene_import, survey
 from .blender_types import OperatorResult, present
 from .engine_process import Engine, EngineError, engine_problem, stop_all, wait_for_result
 from .properties import SwagScene, status_of, swag_of
@@ -263,6 +263,7 @@ class ImportJob(Job):
         with self._arrays:
             root, message = scene_import.add_to_scene(self._scene, event)
         open_run.adopt_splats(root, bpy.data.scenes[self._scene])
+        survey.adopt_surveys(root, bpy.data.scenes[self._scene])
         return message
 
 

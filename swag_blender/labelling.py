@@ -14,7 +14,13 @@ from ..swag_engine.formats.run_folder import RunFolder
 from . import labels, splats
 from .engine_process import run_request
 from .properties import swag_of
-from .runs import RUN_KEY
+from .runs import RUN_KEY, SURVEY_KEY
+
+
+def names_folder(context: bpy.types.Context, obj: bpy.types.Object) -> str:
+    """Folder of the names of the labels of a splat object: that of its run or survey, else of the scene's run."""
+    known = bpy.path.abspath(obj.get(RUN_KEY, "")) or labels.labels_of(obj).folder
+    return known if known or obj.get(SURVEY_KEY) else swag_of(context.scene).run_path
 
 
 def label_request(
@@ -33,6 +39,8 @@ def label_request(
     Raises:
         InputError: no run, no words or no masks, or a download without online access.
     """
+    if obj.get(SURVEY_KEY):
+        raise InputError(f"The splats of {obj.name} are of a survey: label the runs of its blocks, and merge it again.")
     run = bpy.path.abspath(obj.get(RUN_KEY, "")) or swag_of(context.scene).run_path
     if not run:
         raise InputError(f"The splats of {obj.name} are from no run on this machine: train, or choose the run folder.")

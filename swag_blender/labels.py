@@ -40,6 +40,8 @@ LABEL, SIMILARITY = "swag:label", "swag:similarity"
 CONFIDENCE = "swag:confidence"
 SELECTED, MASKED = "swag:selected", "swag:masked"
 MASK_PREFIX = "mask:"
+NOT_COPIED = {"swag_labels", "swag_display", "swag_survey_tiles", "swag_survey_levels"}
+"""Properties that a separated part does not take over as they are: it has no whole tiles of a survey."""
 TABLE, FEATURES = "labels.json", "semantics.safetensors"
 SELECTED_COLOR = (1.0, 0.45, 0.0, 0.6)
 """Tint of selected splats, linear light and alpha: the orange of Blender's own selection."""
@@ -426,7 +428,7 @@ def _copy_settings(source: bpy.types.Object, target: bpy.types.Object) -> None:
     for name in ("tinted", "uncertain"):
         labels_of(target)[name] = getattr(labels_of(source), name)
     for key in source.keys():  # noqa: SIM118 (an ID, not a dict)
-        if key.startswith("swag_") and key not in {"swag_labels", "swag_display"}:
+        if key.startswith("swag_") and key not in NOT_COPIED:
             target[key] = source[key]
     copy_inputs(source, target)
     display.copy_settings(source, target)

@@ -264,6 +264,7 @@ def _draw_open(layout: bpy.types.UILayout) -> None:
     row = layout.row(align=True)
     row.operator("swag.open_run", icon="FILE_FOLDER")
     row.operator("swag.import_splats", text="Open Splat File", icon="FILE")
+    layout.operator("swag.open_survey", icon="OUTLINER_OB_POINTCLOUD")
 
 
 class SWAG_PT_labels(SwagPanel):

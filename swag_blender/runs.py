@@ -6,12 +6,15 @@ from typing import Any
 import bpy
 
 from ..swag_engine.formats.run_folder import RunFolder
+from ..swag_engine.formats.survey_folder import SurveyFolder
 from ..swag_engine.splats.splats import Splats
 from . import colors, scene_import, splats, water
 from .nodes import splat_preview
 
 RUN_KEY = "swag_run"
 """Property of the object with the splats of a run: the run's folder."""
+SURVEY_KEY = "swag_survey"
+"""Property of the objects with the splats or the map of a survey: the survey's folder."""
 
 
 def free_run_folder(folder: Path) -> Path:
@@ -21,6 +24,18 @@ def free_run_folder(folder: Path) -> Path:
         number += 1
         folder = folder.with_name(f"{name}-{number}")
     return folder
+
+
+def water_run(obj: bpy.types.Object) -> RunFolder | None:
+    """The run that the water, lamp and background of splats are from: their own, or the coarse model of their survey.
+
+    None where the splats are from neither.
+    """
+    if obj.get(RUN_KEY):
+        return RunFolder(Path(bpy.path.abspath(obj[RUN_KEY])))
+    if obj.get(SURVEY_KEY):
+        return SurveyFolder(Path(bpy.path.abspath(obj[SURVEY_KEY]))).coarse
+    return None
 
 
 def remember_training(obj: bpy.types.Object, run: RunFolder, metrics: dict[str, Any]) -> None:

@@ -14,7 +14,7 @@ from ..swag_engine.formats.cameras import PosedImage, transform_camera, write_ca
 from ..swag_engine.formats.export import ExportOptions, cameras_folder, georeferenced_frame, with_water
 from ..swag_engine.formats.gltf import COLMAP_UP, Z_UP
 from ..swag_engine.formats.registry import find_format
-from ..swag_engine.formats.run_folder import RunFolder, read_json, write_json
+from ..swag_engine.formats.run_folder import read_json, write_json
 from ..swag_engine.formats.select import SplatSelection, label_ids, require_splats
 from ..swag_engine.formats.water import transform_water
 from ..swag_engine.scene.cameras import Camera
@@ -27,7 +27,8 @@ from . import colors, scene_import, splats
 from .blender_types import present
 from .cameras import cameras_of
 from .georeference import georeference_of, placement_of
-from .runs import RUN_KEY
+from .labels import labels_of
+from .runs import RUN_KEY, water_run
 from .setting_property import setting_property, texts_of
 from .splat_parts import part_of
 
@@ -190,7 +191,7 @@ def _selected_splats(
     for obj in objects:
         # The evaluated matrix has parents, constraints and animation in it.
         placement = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)
-        names = Path(bpy.path.abspath(obj.get(RUN_KEY, ""))) / "labels.json"
+        names = Path(labels_of(obj).folder or bpy.path.abspath(obj.get(RUN_KEY, ""))) / "labels.json"
         labels = label_ids(options.labels, names) if options.labels else None
         box = _bounding_box(context, settings.crop_object) @ placement if settings.crop_object else None
         selection = SplatSelection(labels, box, options.min_opacity, options.sh_degree, options.extras)
@@ -236,9 +237,9 @@ def _roots(objects: list[bpy.types.Object]) -> list[bpy.types.Object]:
 
 
 def _water_of_run(obj: bpy.types.Object) -> tuple[dict[str, Any] | None, float]:
-    """The water of the run that the object is the result of, None where there is none, and its metres per unit."""
-    run = RunFolder(Path(bpy.path.abspath(obj.get(RUN_KEY, ""))))
-    if obj.get(RUN_KEY) is None or not run.water.exists():
+    """The water of the run or survey that the object is from, None where there is none, and its metres per unit."""
+    run = water_run(obj)
+    if run is None or not run.water.exists():
         return None, 0.0
     return read_json(run.water, ""), run.read_config()[1].metres_per_unit
 

@@ -15,7 +15,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..swag_engine.base.errors import InputError
-from ..swag_engine.splats.splats import Splats
+from ..swag_engine.splats.splats import Splats, concatenate
 from . import display
 from .blender_types import present
 from .nodes import splat_preview
@@ -135,6 +135,44 @@ def keep_splats(obj: bpy.types.Object, chosen: np.ndarray) -> None:
     _replace_data(obj, made)
 
 
+def exchange_splats(obj: bpy.types.Object, kept: np.ndarray, added: Splats | None) -> None:
+    """Remove all splats of an object but those of a mask, and append others.
+
+    Further attributes of the kept splats, such as masks, stay; those of the appended ones are zero.
+
+    Args:
+        obj: a splat object.
+        kept: mask (N,) bool.
+        added: the splats to append, None for none.
+    """
+    old = pointcloud_of(obj)
+    further = [
+        (attribute.name, attribute.data_type, _values(attribute)[kept])
+        for attribute in old.attributes
+        if attribute.domain == "POINT" and attribute.data_type != "STRING" and not _is_of_splats(attribute)
+    ]
+    rest = read_splats(obj).subset(kept)
+    # Without splats that stay, the degree and the extras are those of the new ones.
+    parts = [part for part in (rest, added) if part is not None and len(part)] or [rest]
+    replace_splats(obj, concatenate(parts))
+    made = pointcloud_of(obj)
+    attributes: Any = made.attributes
+    for name, kind, _ in further:
+        attributes.new(name, kind, "POINT")
+    for name, _, values in further:
+        padded = np.zeros((len(made.points), values.shape[1]), values.dtype)
+        padded[: len(values)] = values
+        attributes[name].data.foreach_set(_value_property(attributes[name]), padded.ravel())
+    mark_changed(made)
+
+
+def _is_of_splats(attribute: Any) -> bool:
+    """Whether `_fill` writes an attribute of this name and type."""
+    name = attribute.name
+    own = name.startswith(OWN_PREFIX) and attribute.data_type in {"FLOAT", "INT"}
+    return own or name.startswith("radiance:") or name in ("position", "scale", "rotation", "radius")
+
+
 def copy_attributes(source: bpy.types.PointCloud, target: bpy.types.PointCloud, chosen: np.ndarray) -> None:
     """Copy the point attributes of some points to a point cloud that has as many; text attributes are left out.
 
@@ -150,12 +188,19 @@ def copy_attributes(source: bpy.types.PointCloud, target: bpy.types.PointCloud, 
         if attribute.name not in attributes:
             attributes.new(attribute.name, attribute.data_type, "POINT")
     for attribute in copied:
-        field = _value_property(attribute)
-        described: Any = cast(Any, attribute).bl_rna.properties["data"].fixed_type.properties[field]
-        dtype = {"BOOLEAN": bool, "INT": np.int32}.get(described.type, np.float32)
-        values = np.empty(len(source.points) * max(described.array_length, 1), dtype)
-        cast(Any, attribute).data.foreach_get(field, values)
-        attributes[attribute.name].data.foreach_set(field, values.reshape(len(chosen), -1)[chosen].ravel())
+        values = _values(attribute)[chosen]
+        attributes[attribute.name].data.foreach_set(_value_property(attribute), values.ravel())
+
+
+def _values(attribute: Any) -> np.ndarray:
+    """Values (N, components) of a point attribute of any type but text."""
+    field = _value_property(attribute)
+    described: Any = attribute.bl_rna.properties["data"].fixed_type.properties[field]
+    dtype = {"BOOLEAN": bool, "INT": np.int32}.get(described.type, np.float32)
+    width = max(described.array_length, 1)
+    values = np.empty(len(attribute.data) * width, dtype)
+    attribute.data.foreach_get(field, values)
+    return values.reshape(-1, width)
 
 
 def _replace_data(obj: bpy.types.Object, made: bpy.types.PointCloud) -> None:

@@ -1034,6 +1034,75 @@ GERMAN = {
     "Click both ends of the profile; Escape: end": "Beide Enden des Profils anklicken; Escape: Ende",
     "Height": "Höhe",
     "Length": "Länge",
+    "Survey": "Vermessung",
+    "Folder of the survey; empty: the folder swag_survey beside the COLMAP model": (
+        "Ordner der Vermessung; leer: der Ordner swag_survey neben dem COLMAP-Modell"
+    ),
+    "Folder of the survey, which has survey.json": "Ordner der Vermessung, in dem survey.json liegt",
+    "Choose the folder of a survey first": "Zuerst den Ordner einer Vermessung wählen",
+    "Choose the folder of a survey, or in Cameras the photos of a new one.": (
+        "Den Ordner einer Vermessung wählen, oder unter Kameras die Fotos einer neuen."
+    ),
+    "Photos per Block": "Fotos pro Block",
+    "A block is divided until it has at most this number of photos": (
+        "Ein Block wird geteilt, bis er höchstens so viele Fotos hat"
+    ),
+    "Plan Survey": "Vermessung planen",
+    "Divide the photos into blocks that are trained one by one, on one machine or several": (
+        "Die Fotos in Blöcke teilen, die einzeln trainiert werden, auf einem Rechner oder mehreren"
+    ),
+    "Reading the survey.": "Die Vermessung wird gelesen.",
+    "Coarse Model": "Grobes Modell",
+    "Waiting": "Wartet",
+    "Running": "Läuft",
+    "Failed": "Fehlgeschlagen",
+    "Show Blocks": "Blöcke zeigen",
+    "Show the blocks of the survey in the 3D viewport, colored by their state, which is kept up to date": (
+        "Die Blöcke der Vermessung in der 3D-Ansicht zeigen, gefärbt nach ihrem Zustand, der laufend gelesen wird"
+    ),
+    "Train in a terminal, on as many machines as see this folder:": (
+        "In einem Terminal trainieren, auf allen Rechnern, die diesen Ordner sehen:"
+    ),
+    "Copy": "Kopieren",
+    "Copy for This Blender": "Für dieses Blender",
+    "This Blender": "Dieses Blender",
+    "Run the engine of this Blender's extension": "Die Engine der Erweiterung dieses Blenders verwenden",
+    "Copy Survey Command": "Befehl der Vermessung kopieren",
+    "Copy the command that trains the survey with the Python of the engine, for a terminal of any machine": (
+        "Den Befehl kopieren, der die Vermessung mit dem Python der Engine trainiert, für Terminals aller Rechner"
+    ),
+    "Merge Survey": "Vermessung zusammenfügen",
+    "Merge the trained blocks of the survey into tiles of several levels of detail, and open it": (
+        "Die trainierten Blöcke zu Kacheln in mehreren Detailstufen zusammenfügen und das Ergebnis öffnen"
+    ),
+    "Open Survey": "Vermessung öffnen",
+    "Open a merged survey: the finest level of detail that fits the number of splats, its water and its colors": (
+        "Eine zusammengefügte Vermessung öffnen: die feinste Detailstufe, die in die Zahl der Splats passt, mit Wasser "
+        "und Farben"
+    ),
+    "SWAG Survey (folder)": "SWAG-Vermessung (Ordner)",
+    "Detail": "Detail",
+    "Most splats of the survey to load; half a million take about 250 MB": (
+        "Größte Zahl geladener Splats der Vermessung; eine halbe Million braucht etwa 250 MB"
+    ),
+    "Object in whose bounds Load Box loads the finest tiles; empty: the crop box of the splats": (
+        "Objekt, in dessen Grenzen Kasten laden die feinsten Kacheln lädt; leer: der Ausschnitt der Splats"
+    ),
+    "Select the splats of a survey first": "Zuerst die Splats einer Vermessung auswählen",
+    "View": "Ansicht",
+    "Overview": "Überblick",
+    "Load View": "Ansicht laden",
+    "Load finer tiles for what the 3D viewport shows, and the coarsest elsewhere": (
+        "Feinere Kacheln für das laden, was die 3D-Ansicht zeigt, und anderswo die gröbsten"
+    ),
+    "Load Box": "Kasten laden",
+    "Load the finest tiles in the bounds of the chosen box, and the coarsest elsewhere": (
+        "Die feinsten Kacheln in den Grenzen des gewählten Kastens laden, und anderswo die gröbsten"
+    ),
+    "Load Overview": "Überblick laden",
+    "Load the finest level of detail that fits the number of splats for the whole survey, as when it was opened": (
+        "Für die ganze Vermessung die feinste Detailstufe laden, die in die Zahl der Splats passt, wie beim Öffnen"
+    ),
 }
 
 

@@ -310,6 +310,34 @@ class ChangeRequest(MapRequest):
 
 
 @dataclass(frozen=True)
+class PlanSurveyRequest:
+    """Cut a scene into the blocks of a survey, as the command `survey plan` does.
+
+    Attributes:
+        scene: Folder of the scene.
+        out: Folder of the survey; it must not hold one.
+        settings: Settings of the blocks.
+        block_images: Largest number of images in the core of a block.
+    """
+
+    scene: Path
+    out: Path
+    settings: TrainSettings = field(default_factory=TrainSettings)
+    block_images: int = 300
+
+
+@dataclass(frozen=True)
+class MergeSurveyRequest:
+    """Merge the blocks of a survey into tiles, as the command `survey merge` does.
+
+    Attributes:
+        survey: Folder of the survey.
+    """
+
+    survey: Path
+
+
+@dataclass(frozen=True)
 class CancelRequest:
     """Stop the request at hand; what exists is kept."""
 
@@ -343,6 +371,8 @@ Request = (
     | AreasRequest
     | ProfileRequest
     | ChangeRequest
+    | PlanSurveyRequest
+    | MergeSurveyRequest
     | CancelRequest
     | PauseRequest
     | GoOnRequest
@@ -366,6 +396,8 @@ REQUESTS: dict[str, type[Request]] = {
     "areas": AreasRequest,
     "profile": ProfileRequest,
     "change": ChangeRequest,
+    "plan_survey": PlanSurveyRequest,
+    "merge_survey": MergeSurveyRequest,
     "cancel": CancelRequest,
     "pause": PauseRequest,
     "go_on": GoOnRequest,
@@ -431,6 +463,8 @@ def parse_value(request: str, key: str, kind: Any, value: Any) -> Any:
         return TrainSettings.from_json(value)
     if kind is ColorView and isinstance(value, dict):
         return ColorView.from_json(value)
+    if kind is int and isinstance(value, int) and not isinstance(value, bool):
+        return value
     if kind is float and is_number(value):
         return float(value)
     if kind in NUMBERS and isinstance(value, list) and len(value) == len(get_args(kind)) and all(map(is_number, value)):
@@ -453,6 +487,7 @@ def describe(kind: Any) -> str:
         bool: "true or false",
         TrainSettings: "an object of settings",
         ColorView: "an object of developments",
+        int: "a whole number",
         float: "a number",
         **{kind: f"{len(get_args(kind))} numbers" for kind in NUMBERS},
     }

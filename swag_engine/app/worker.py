@@ -30,8 +30,10 @@ from .protocol import (
     InspectRequest,
     LabelRequest,
     MapRequest,
+    MergeSurveyRequest,
     PauseRequest,
     PlanRequest,
+    PlanSurveyRequest,
     Request,
     ScaleRequest,
     ScoreEditRequest,
@@ -226,6 +228,19 @@ class Worker:
             with interrupts.deferred():
                 progress = self.stoppable("The map was stopped before it was done.")
                 return {"event": "result"} | make_map(request, progress)
+        if isinstance(request, PlanSurveyRequest):
+            from ..survey.plan import plan_survey
+
+            with interrupts.deferred():
+                progress = self.stoppable("The planning of the survey was stopped; nothing was written.")
+                planned = plan_survey(request.scene, request.out, request.settings, request.block_images, progress)
+            return {"event": "result", "request": "plan_survey", "survey": str(request.out)} | planned
+        if isinstance(request, MergeSurveyRequest):
+            from ..survey.merge import merge_survey
+
+            with interrupts.deferred():
+                merged = merge_survey(request.survey, self.stoppable("The merge was stopped before it was done."))
+            return {"event": "result", "request": "merge_survey", "survey": str(request.survey)} | merged
         assert isinstance(request, ExportRequest)
         from ..formats.export import export_run
 

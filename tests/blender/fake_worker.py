@@ -19,6 +19,7 @@ from swag_engine.splats.splats import Splats
 ITERATIONS = 10
 LENS = {"field_of_view": 64.2, "focal_length": 812.4}
 cancelled = threading.Event()
+sys.path.append(str(Path(__file__).resolve().parents[2]))  # for tests.scenes
 
 
 def send(**event):
@@ -171,6 +172,24 @@ def chart(request):
     send(event="result", request="chart", run=str(run), **document)
 
 
+def plan_survey(request):
+    from tests.scenes.hand_made_survey import make_survey
+
+    survey = make_survey(Path(request["out"]), Path(request["scene"]), merged=False)
+    (survey.path / "request.json").write_text(json.dumps(request))
+    send(event="progress", stage="Cutting", text="Cutting", iteration=40, iterations=100)
+    send(event="result", request="plan_survey", survey=request["out"], blocks=4)
+
+
+def merge_survey(request):
+    from swag_engine.formats.survey_folder import SurveyFolder
+    from tests.scenes.hand_made_survey import write_tiles
+
+    write_tiles(SurveyFolder(Path(request["survey"])))
+    send(event="progress", stage="Tiles", text="Tiles", iteration=90, iterations=100)
+    send(event="result", request="merge_survey", survey=request["survey"], levels=3)
+
+
 def main():
     if sys.argv[2] == "swag_engine":
         print("arguments", json.dumps(sys.argv[3:]))
@@ -191,6 +210,8 @@ def main():
                 "sfm": sfm,
                 "import_cameras": import_cameras,
                 "chart": chart,
+                "plan_survey": plan_survey,
+                "merge_survey": merge_survey,
             }[request["request"]]
             threading.Thread(target=run_or_die, args=(answer, request), daemon=True).start()
     cancelled.set()

@@ -78,7 +78,7 @@ def test_no_thread_and_no_timer_is_active_after_a_training(blender, fake_engine,
 
 def test_the_panels_follow_the_work(blender, fake_engine, tmp_path):
     found = blender.run("panels.panels_by_stage", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
-    order = ["Cameras", "Train", "Result", "Edit", "Film", "Water", "Labels", "Maps", "Export"]
+    order = ["Cameras", "Train", "Survey", "Result", "Edit", "Film", "Water", "Labels", "Maps", "Export"]
     assert list(dict.fromkeys(found["order"])) == order
     # Train and Result appear open when their stage is reached; until then a closed panel has their place.
     assert found["open"] == ["SWAG_PT_scene", "SWAG_PT_train", "SWAG_PT_result"]

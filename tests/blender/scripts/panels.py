@@ -17,6 +17,7 @@ from bl_ext.user_default.swag_splatting.swag_blender import (
     maps_panel,
     panels,
     properties,
+    survey_panel,
     water,
 )
 from bl_ext.user_default.swag_splatting.swag_blender.sidebar import SwagPanel
@@ -201,7 +202,7 @@ class RecordingPanel:
 
 def panel_classes():
     """The panels of the sidebar's tab."""
-    modules = (panels, water, color_chart, edit_panel, film_panel, maps_panel)
+    modules = (panels, water, color_chart, edit_panel, film_panel, maps_panel, survey_panel)
     classes = [cls for module in modules for cls in vars(module).values() if isinstance(cls, type)]
     return [cls for cls in dict.fromkeys(classes) if issubclass(cls, SwagPanel) and cls is not SwagPanel]
 

@@ -3,7 +3,14 @@
 import re
 
 import bpy
-from bl_ext.user_default.swag_splatting.swag_blender import color_chart, effect_pictures, effects, job, run_list
+from bl_ext.user_default.swag_splatting.swag_blender import (
+    color_chart,
+    effect_pictures,
+    effects,
+    job,
+    run_list,
+    survey_map,
+)
 from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_figures import FIGURES
 from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_names import EFFECTS
 
@@ -15,6 +22,8 @@ KINDS = (
     bpy.types.AddonPreferences,
     bpy.types.FileHandler,
 )
+OF_SCRIPTS = ("SwagStatus", "SwagSurveyJob", "SwagSurveyJobs")
+"""Groups of properties whose values alone panels show."""
 
 
 def subclasses(kind):
@@ -29,8 +38,7 @@ def shown_words():
     classes = {cls for kind in KINDS for cls in subclasses(kind)}
     found = set()
     for cls in classes:
-        # SwagStatus is for scripts: panels show its values alone.
-        if "swag_splatting" not in cls.__module__ or not cls.is_registered or cls.__name__ == "SwagStatus":
+        if "swag_splatting" not in cls.__module__ or not cls.is_registered or cls.__name__ in OF_SCRIPTS:
             continue
         rna = cls.bl_rna
         if issubclass(cls, bpy.types.Operator):
@@ -55,6 +63,7 @@ def shown_words():
         *effect_pictures.COLUMNS,
         *run_list.LABELS.values(),
         *color_chart.ROWS,
+        *(state.title for state in survey_map.STATES.values()),
         "Stopped",
         "Finished",
         job.NO_PHOTOS,
