@@ -55,19 +55,19 @@ def progress_of(folder: SurveyFolder, name: str, iterations: int) -> Progress:
         iterations: Iterations that it will have.
     """
     if done := _read(folder.done(name)):
-        figures = iterations, iterations, float(done.get("seconds") or 0.0), _number(done.get("test_psnr"))
-        return Progress(name, "done", *figures, int(done.get("gaussians") or 0), -1, "")
+        seconds, gaussians = _number(done.get("seconds")) or 0.0, int(done.get("gaussians") or 0)
+        psnr = _number(done.get("test_psnr"))
+        return Progress(name, "done", iterations, iterations, seconds, psnr, gaussians, -1, "")
+    state: State = "begun" if folder.run(name).config.exists() else "waiting"
+    beat, problem = -1, ""
+    if (claim := read_claim(folder.claim(name))) is not None:
+        state, beat = "running", claim["beat"] if isinstance(claim.get("beat"), int) else 0
+    elif failed := _read(folder.failed(name)):
+        state, problem = "failed", str(failed.get("problem", ""))
     entry = _last_entry(folder, name)
-    times = int(entry.get("iteration") or 0), iterations, float(entry.get("seconds") or 0.0)
-    figures = *times, _number(entry.get("psnr")), int(entry.get("gaussians") or 0)
-    claim = read_claim(folder.claim(name))
-    if claim is not None:
-        beat = claim.get("beat")
-        return Progress(name, "running", *figures, beat if isinstance(beat, int) else 0, "")
-    if failed := _read(folder.failed(name)):
-        return Progress(name, "failed", *figures, -1, str(failed.get("problem", "")))
-    begun = folder.run(name).config.exists()
-    return Progress(name, "begun" if begun else "waiting", *figures, -1, "")
+    iteration, seconds = int(entry.get("iteration") or 0), _number(entry.get("seconds")) or 0.0
+    psnr, gaussians = _number(entry.get("psnr")), int(entry.get("gaussians") or 0)
+    return Progress(name, state, iteration, iterations, seconds, psnr, gaussians, beat, problem)
 
 
 def progress_of_all(folder: SurveyFolder) -> list[Progress]:

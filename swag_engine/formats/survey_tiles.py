@@ -92,7 +92,7 @@ class Tiles:
             raise InputError(f"{self.folder} has the levels 0 to {len(self.levels) - 1}, not {level}.")
         return [tile for tile in self.tiles if tile.level == level]
 
-    def in_box(self, level: int, low: Sequence[float], high: Sequence[float]) -> list[Tile]:
+    def in_box(self, level: int, low: Sequence[float] | np.ndarray, high: Sequence[float] | np.ndarray) -> list[Tile]:
         """Return the tiles of a level that have splats near a box: their own box meets it.
 
         Args:
