@@ -1210,6 +1210,66 @@ def change_truth() -> str:
     return markdown(heads, rows)
 
 
+# Surveys
+
+
+@table
+def survey_quality() -> str:
+    """Surveys against one run of the same scene, means over seeds."""
+    rows = results("survey")["quality"]
+    lines = []
+    for scene, cut in dict.fromkeys((row["scene"], row["cut"]) for row in rows):
+        same = [row for row in rows if (row["scene"], row["cut"]) == (scene, cut)]
+
+        def average(model: str, name: str, same: Sequence[Mapping[str, Any]] = same) -> float:
+            return sum(row[model][name] for row in same) / len(same)
+
+        seam = average("survey", "seam_psnr") - average("single", "seam_psnr")
+        interior = average("survey", "interior_psnr") - average("single", "interior_psnr")
+        lines.append(
+            [
+                scene, same[0]["blocks"], len(same), f"{average('single', 'test_psnr'):.2f} dB",
+                f"{average('survey', 'test_psnr'):.2f} dB", f"{seam:+.2f} dB", f"{interior:+.2f} dB",
+                f"{100 * (average('survey', 'density') / average('single', 'density') - 1):+.1f} %",
+            ]
+        )  # fmt: skip
+    heads = ["scene", "blocks", "seeds", "test PSNR, one run", "test PSNR, survey", "at seams", "elsewhere"]
+    return markdown([*heads, "splats at borders"], lines)
+
+
+@table
+def survey_scale() -> str:
+    """Processor time and memory of surveys of several sizes."""
+    rows = sorted(results("survey")["scale"], key=lambda row: row["images"])
+    return markdown(
+        ["photos", "blocks", "processor time, coarse model", "processor time, all", "most memory of a block"],
+        [
+            [
+                row["images"], row["blocks"], f"{row['jobs'][0]['processor_seconds'] / 60:.1f} min",
+                f"{row['processor_seconds'] / 60:.1f} min",
+                f"{max(job['peak_memory'] for job in row['jobs'][1:]) / 1e9:.2f} GB",
+            ]
+            for row in rows
+        ],
+    )  # fmt: skip
+
+
+@table
+def survey_plan() -> str:
+    """Planning of a large survey."""
+    return markdown(
+        ["images", "sparse points", "blocks", "images of a block", "time", "memory"],
+        [
+            [
+                row["images"], f"{row['points'] / 1e6:g} million", row["blocks"],
+                f"{row['block_images_least']} to {row['block_images_most']}", f"{row['seconds']:.0f} s",
+                f"{row['peak_memory'] / 1e9:.1f} GB",
+            ]
+            for row in results("survey")["plan"]
+        ],
+    )  # fmt: skip
+
+
 def main(arguments: Sequence[str]) -> int:
     """Write or check the tables of all pages and return the exit code."""
     texts = {path: path.read_text("utf-8") for path in pages()}
