@@ -70,7 +70,7 @@ class SwagSurvey(PropertyGroup):
         int,
         IntProperty(
             name="Splats",
-            description="Most splats of the survey to load; half a million take about 250 MB",
+            description="Largest number of splats of the survey that are loaded at a time",
             default=500_000,
             min=1000,
             soft_max=3_000_000,
