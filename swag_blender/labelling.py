@@ -40,7 +40,10 @@ def label_request(
         InputError: no run, no words or no masks, or a download without online access.
     """
     if obj.get(SURVEY_KEY):
-        raise InputError(f"The splats of {obj.name} are of a survey: label the runs of its blocks, and merge it again.")
+        raise InputError(
+            f"Labels are made for single runs, and the splats of {obj.name} are of a survey: select splats, and use "
+            "Separate or Mask."
+        )
     run = bpy.path.abspath(obj.get(RUN_KEY, "")) or swag_of(context.scene).run_path
     if not run:
         raise InputError(f"The splats of {obj.name} are from no run on this machine: train, or choose the run folder.")

@@ -70,7 +70,7 @@ class SwagSurvey(PropertyGroup):
         int,
         IntProperty(
             name="Splats",
-            description="Most splats of the survey to load; half a million take about 250 MB",
+            description="Largest number of splats of the survey that are loaded at a time",
             default=500_000,
             min=1000,
             soft_max=3_000_000,
@@ -217,6 +217,14 @@ def adopt_surveys(root: bpy.types.Object, scene: bpy.types.Scene) -> None:
             continue
 
 
+def _hide_map(scene: bpy.types.Scene, folder: SurveyFolder) -> None:
+    """Hide the map of a survey in viewports, for splats that are shown in its place; Show Blocks makes a new one."""
+    for obj in objects_of(scene, folder):
+        if not splats.is_splats(obj):
+            for one in (obj, *obj.children_recursive):
+                one.hide_viewport = True
+
+
 # -- tiles ------------------------------------------------------------------------------------------------------------
 
 
@@ -245,6 +253,7 @@ def open_survey(context: bpy.types.Context, path: Path) -> tuple[bpy.types.Objec
         place(obj, scene, folder, survey)
         _write_numbers(obj, folder, np.concatenate(_numbers(tiles, wanted)), wanted)
         scene_import.hide_sparse_points(root)
+        _hide_map(scene, folder)
     else:
         exchange_tiles(obj, folder, tiles, wanted)
     _know_survey(obj, folder, survey, tiles)

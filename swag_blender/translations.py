@@ -1082,8 +1082,8 @@ GERMAN = {
     ),
     "SWAG Survey (folder)": "SWAG-Vermessung (Ordner)",
     "Detail": "Detail",
-    "Most splats of the survey to load; half a million take about 250 MB": (
-        "Größte Zahl geladener Splats der Vermessung; eine halbe Million braucht etwa 250 MB"
+    "Largest number of splats of the survey that are loaded at a time": (
+        "Größte Zahl der Splats der Vermessung, die gleichzeitig geladen sind"
     ),
     "Object in whose bounds Load Box loads the finest tiles; empty: the crop box of the splats": (
         "Objekt, in dessen Grenzen Kasten laden die feinsten Kacheln lädt; leer: der Ausschnitt der Splats"

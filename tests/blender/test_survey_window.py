@@ -29,7 +29,7 @@ def test_a_survey_is_watched_and_refined_in_the_window(real_blender, extension_z
         "coarse": "done", "B-001": "done", "B-002": "done", "B-003": "failed", "B-004": "running"
     }  # fmt: skip
     assert report["faces"] == [4, 4, 3, 2]
-    assert report["opened"] == 256 and report["load view"] == ["FINISHED"]
+    assert report["map is hidden"] and report["opened"] == 256 and report["load view"] == ["FINISHED"]
     count, levels = report["near"]
     assert 256 < count <= 1000 and json.loads(levels)["0"] >= 4
     assert report["undone"] == [256, json.dumps({"1": 4})]

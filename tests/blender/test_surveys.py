@@ -89,7 +89,9 @@ def test_edits_stay_where_tiles_stay_and_labels_undo_and_export_work(blender, ma
     assert found["redone"] == found["other box"]
     assert found["selected"] == 320 and found["exported"] == [320, ["label"], [2]]
     assert found["parts"] == [["plot Survey", True, 127, True], ["plot Survey coral", False, 320, True]]
-    assert found["label run"].startswith("The splats of plot Survey are of a survey: label the runs of its blocks")
+    assert found["label run"].startswith(
+        "Labels are made for single runs, and the splats of plot Survey are of a survey"
+    )
     assert "are from no run on this machine" in found["orthomosaic"]
 
 
