@@ -168,14 +168,14 @@ class _Merge:
     def _check(self, name: str) -> None:
         """Raise InputError where the result of a block is not what done.json says."""
         file, result = self.folder.done(name), self.folder.run(name).ply
-        again = f"remove {file} and run the block {name} again (survey block {self.folder.path} --block {name})"
+        again = f"run the block {name} again (survey block {self.folder.path} --block {name})"
         document = read_json(file, f"The block {name} is not done any more; run it again.")
         if document.get("version") != VERSION or not isinstance(document.get("result_sha256"), str):
             raise InputError(f"{file} is damaged or of another version: {again}.")
         try:
             digest = hash_of(result)
-        except OSError as error:
-            raise InputError(f"Cannot read {result}: {error.strerror or error}; {again}.") from error
+        except InputError as error:
+            raise InputError(f"{str(error).rstrip('.')}; {again}.") from error
         if digest != document["result_sha256"]:
             raise InputError(f"{result} was changed or damaged after the block was done: {again}.")
 

@@ -180,7 +180,7 @@ def test_bad_settings_and_folders(scene, planned, tmp_path):
     fails(tmp_path / "nothing", tmp_path / "out", "no folder")
     (tmp_path / "empty").mkdir()
     plan_survey(scene, tmp_path / "empty", TrainSettings(iterations=40), BLOCK_IMAGES)
-    assert sorted(path.name for path in (tmp_path / "empty").iterdir()) == ["blocks", "survey.json"]
+    assert sorted(path.name for path in (tmp_path / "empty").iterdir()) == ["blocks", "coarse", "survey.json"]
 
 
 def test_a_survey_with_too_few_photos(tiny_scene, tmp_path):
