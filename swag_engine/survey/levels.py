@@ -1,8 +1,8 @@
 """Levels of detail: a group of splats becomes one that has the mass, the mean and the covariance of the group.
 
-Splats near each other in position and color form groups of four. The one that stands for a group has the weighted
-moments of the group's mixture of Gaussians, as in Hierarchical 3D Gaussian Splatting (Kerbl et al. 2024, section 4.1);
-weights are opacity times area.
+Splats nearest to each other in position and color form groups of four on average. The one that stands for a group has
+the weighted moments of the group's mixture of Gaussians, as in Hierarchical 3D Gaussian Splatting (Kerbl et al. 2024,
+section 4.1); weights are opacity times area.
 """
 
 import numpy as np
@@ -13,9 +13,26 @@ from ..splats.transform import C0, covariances, quaternions
 GROUP = 4
 """Splats of a level that become one of the next: a surface has a quarter of the detail at twice the size."""
 MOST_OPACITY = 0.999
-"""Largest opacity of a merged splat."""
-COLOR_WEIGHT = 0.5
-"""Distance in position, in units of the typical spacing of splats, that counts as much as a change of color by 1."""
+"""Largest opacity of a merged splat; mass is lost where a group would need more. Larger splats in its place are worse."""
+COLOR_WEIGHT = 8.0
+"""Distance in units of the typical size of splats that counts as much as a change of the display color by 1."""
+WINDOW = 8
+"""Splats after each one on a space-filling curve among which its nearest is looked for."""
+SHIFTS = (0.0, 1 / 3, 2 / 3)
+"""Offsets of the curves that are looked along, as fractions of the extent: neighbors that one separates are near each
+other on another."""
+CHEAPEST = 2 / 3
+"""Fraction of the pairs found at once that are joined: the others may find nearer ones in the next round."""
+CURVE_BITS = 21
+"""Bits of a position along each axis of a space-filling curve: three axes fit into 64 bits."""
+SPREAD = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+"""Shifts and masks that put two zeros after each of CURVE_BITS bits."""
 LEAST_WEIGHT = 1e-200
 """Weight of splats without opacity or area, so that a group of them has a mean."""
 
@@ -48,37 +65,62 @@ def coarser(splats: Splats) -> Splats:
 
 
 def group(splats: Splats, count: int) -> np.ndarray:
-    """Divide splats into groups of like size, near each other in position and color.
+    """Divide splats into groups near each other in position and color.
 
-    Splats are halved at the median of the axis along which they extend most, again and again: x, y, z, and the three
-    channels of the constant color.
+    Pairs of which each is the nearest of the other are joined, the nearest ones first, until there are few enough. It
+    is the agglomerative clustering of centroids with approximate neighbors.
 
     Args:
         splats: N splats.
-        count: Number of groups, at most N.
+        count: Number of groups, 1 to N.
 
     Returns:
         Group of each splat (N,) int64, 0 to count - 1.
     """
-    positions = splats.positions.astype(np.float64)
-    spacing = float(np.median(np.sqrt(areas(splats.scales))))
-    features = np.hstack([positions, splats.sh[:, 0].astype(np.float64) * (C0 * spacing / COLOR_WEIGHT)])
-    order = np.arange(len(splats))
-    starts, groups = np.array([0]), np.array([count])  # of nodes: first place in `order`, groups to be made of it
-    while (groups > 1).any():
-        sizes = np.diff(np.append(starts, len(order)))
-        ordered = features[order]
-        extents = np.maximum.reduceat(ordered, starts) - np.minimum.reduceat(ordered, starts)
-        node = np.repeat(np.arange(len(starts)), sizes)
-        keys = ordered[np.arange(len(order)), extents.argmax(axis=1)[node]]
-        order = order[np.lexsort([order, keys, node])]
-        lower = groups // 2
-        parts = np.stack([np.full(len(starts), True), groups > 1], axis=1)
-        starts = np.stack([starts, starts + sizes * lower // groups], axis=1)[parts]
-        groups = np.stack([np.maximum(lower, 1), groups - lower], axis=1)[parts]
-    result = np.empty(len(order), np.int64)
-    result[order] = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(order))))
-    return result
+    extents = areas(splats.scales)
+    size = max(float(np.median(np.sqrt(extents))), 1e-12)
+    features = np.hstack([splats.positions / size, splats.sh[:, 0] * (C0 * COLOR_WEIGHT)])
+    # Of splats at the same place each must have one that is nearest.
+    features += np.random.default_rng(0).uniform(-1e-4, 1e-4, features.shape)
+    weights = np.maximum(splats.opacities * extents, LEAST_WEIGHT)
+    groups = np.arange(len(splats))
+    while len(features) > count:
+        first, second = _nearest_pairs(features, len(features) - count)
+        target = np.arange(len(features))
+        target[second] = first
+        target = np.unique(target, return_inverse=True)[1]
+        together = np.bincount(target, weights)
+        columns = [np.bincount(target, weights * column) / together for column in features.T]
+        features, weights, groups = np.stack(columns, axis=1), together, target[groups]
+    return groups
+
+
+def _nearest_pairs(features: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return indices (M,) and (M,) of points (N, 6) that are nearest to each other, at least one and at most `most`."""
+    count = len(features)
+    distances, nearest = np.full(count, np.inf), np.zeros(count, np.int64)
+    for shift in SHIFTS:
+        order = np.argsort(_along_curve(features[:, :3], shift), kind="stable")
+        for step in range(1, min(WINDOW, count - 1) + 1):
+            one, other = order[:-step], order[step:]
+            between = np.square(features[one] - features[other]).sum(axis=1)
+            for here, there in ((one, other), (other, one)):
+                nearer = between < distances[here]
+                distances[here[nearer]], nearest[here[nearer]] = between[nearer], there[nearer]
+    first = np.flatnonzero((nearest[nearest] == np.arange(count)) & (np.arange(count) < nearest))
+    by_distance = first[np.argsort(distances[first], kind="stable")]
+    first = by_distance[: min(most, max(1, int(CHEAPEST * len(by_distance))))]
+    return first, nearest[first]
+
+
+def _along_curve(positions: np.ndarray, shift: float) -> np.ndarray:
+    """Return the places (N,) of positions (N, 3) on a Morton curve, which is offset by a fraction of their extent."""
+    low = positions.min(axis=0)
+    extent = max(float(np.ptp(positions, axis=0).max()), 1e-12)
+    cells = (((positions - low) / extent + shift) / 2 * (2**CURVE_BITS - 1)).astype(np.uint64)
+    for bits, mask in SPREAD:
+        cells = (cells | (cells << np.uint64(bits))) & np.uint64(mask)
+    return cells[:, 0] | (cells[:, 1] << np.uint64(1)) | (cells[:, 2] << np.uint64(2))
 
 
 def merged(splats: Splats, groups: np.ndarray) -> Splats:

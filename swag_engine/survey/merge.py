@@ -292,8 +292,8 @@ def _rows(splats: Splats) -> np.ndarray:
 def _splats(rows: np.ndarray, pattern: Splats) -> Splats:
     """Return the splats of `_rows`, with the placement and the development of `pattern`."""
     extras = {name: np.ascontiguousarray(rows[f"extra {name}"]) for name in pattern.extras}
-    arrays = [np.ascontiguousarray(rows[name]) for name in ARRAYS]
-    return Splats(*arrays, extras, pattern.placement, pattern.development)
+    positions, rotations, scales, opacities, sh = (np.ascontiguousarray(rows[name]) for name in ARRAYS)
+    return Splats(positions, rotations, scales, opacities, sh, extras, pattern.placement, pattern.development)
 
 
 def _cell_name(cell: Cell) -> str:
