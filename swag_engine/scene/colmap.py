@@ -2,22 +2,26 @@
 
 import os
 import re
-import struct
+import tempfile
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from ..base.errors import InputError
 from ..base.text import first_names
 from .cameras import Camera
+from .colmap_binary import PARTS, Features, check_file, copy_without_points, point_records
 from .colmap_library import pycolmap
 from .georeference import Georeference, read_georeference
 from .lenses import Lens
 from .model_quality import FEW_REGISTERED
 from .split import Split, split_views
+
+T = TypeVar("T")
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
 
@@ -127,9 +131,10 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder.")
     warnings: list[str] = []
-    model_folder, model = _largest_model(folder, warnings)
-    points, index_of = _read_points(model, model_folder, warnings)
+    model_folder, tables = _largest_model(folder, warnings)
+    points, index_of = _usable_points(tables, model_folder, warnings)
 
+    model = tables.cameras
     images = [model.image(image_id) for image_id in model.reg_image_ids()]
     names = _image_names(model_folder, images)
     scene_folder = _scene_folder(folder)
@@ -140,7 +145,13 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
         for camera_id, camera in model.cameras.items()
     }
     views = [
-        _view(image, names[image.image_id], paths[names[image.image_id]], lenses[image.camera_id], index_of)
+        _view(
+            image,
+            names[image.image_id],
+            paths[names[image.image_id]],
+            lenses[image.camera_id],
+            index_of(tables.observed[image.image_id]),
+        )
         for image in images
         if names[image.image_id] in paths
     ]
@@ -189,7 +200,7 @@ def read_model(scene: Scene) -> pycolmap.Reconstruction:
     Raises:
         InputError: When it has changed since and cannot be read.
     """
-    model = _read_model(scene.model_folder)
+    model = _read_with_points(scene.model_folder)
     names = _image_names(scene.model_folder, [model.image(image_id) for image_id in model.reg_image_ids()])
     for image_id, name in names.items():
         model.image(image_id).name = name
@@ -239,7 +250,25 @@ def up_direction(world_to_camera: np.ndarray, positions: np.ndarray) -> np.ndarr
 # Models ---------------------------------------------------------------------------------------------------------------
 
 
-def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, pycolmap.Reconstruction]:
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """What is read of a COLMAP model.
+
+    Attributes:
+        cameras: Its cameras and images.
+        ids: Ids (P,) uint64 of the points, ascending.
+        points: The points, in this order.
+        observed: Ids (M,) uint64 of the points that each image observes, by the image's id; those of other features
+            are NO_POINT.
+    """
+
+    cameras: pycolmap.Reconstruction
+    ids: np.ndarray
+    points: Points
+    observed: Mapping[int, np.ndarray]
+
+
+def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, _Model]:
     """Find and read the model with the most registered images; return its folder, too."""
     folders = []
     for base in (folder, folder / "sparse", folder / "colmap" / "sparse", folder / "colmap"):
@@ -261,7 +290,7 @@ def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, pycolmap.Re
             "with Find Cameras, on the command line `python -m swag_engine sfm PHOTOS --out SCENE`."
         )
     read = [_read_model(model) for model in models]
-    counts = [model.num_reg_images() for model in read]
+    counts = [model.cameras.num_reg_images() for model in read]
     best = int(np.argmax(counts))
     if len(models) > 1:
         warnings.append(
@@ -279,19 +308,84 @@ def _model_suffix(folder: Path) -> str | None:
     return None
 
 
-def _read_model(folder: Path) -> pycolmap.Reconstruction:
-    suffix = _model_suffix(folder)
-    try:
-        if suffix == ".bin":
-            for part in _BINARY_RECORDS:
-                if (folder / f"{part}.bin").is_file():
-                    _check_binary(folder / f"{part}.bin")
+def _read_model(folder: Path) -> _Model:
+    if _model_suffix(folder) == ".bin":
+        return _readable(folder, _read_binary)
+    model = _read_with_points(folder)
+    items = sorted(model.points3D.items())
+    return _Model(
+        cameras=model,
+        ids=np.array([point_id for point_id, _ in items], np.uint64),
+        points=Points(
+            positions=np.array([point.xyz for _, point in items]).reshape(-1, 3),
+            colors=np.array([point.color for _, point in items], np.uint8).reshape(-1, 3),
+            errors=np.array([point.error for _, point in items], np.float32),
+            track_lengths=np.array([point.track.length() for _, point in items], np.int32),
+        ),
+        observed={
+            image_id: np.array([point.point3D_id for point in image.get_observation_points2D()], np.uint64)
+            for image_id, image in model.images.items()
+        },
+    )
+
+
+def _read_binary(folder: Path) -> _Model:
+    """Read a binary model. pycolmap reads cameras and poses: a survey's points would take it minutes and gigabytes."""
+    model = pycolmap.Reconstruction()
+    with tempfile.TemporaryDirectory() as temporary:
+        observed = dict(copy_without_points(folder, Path(temporary)))
+        model.read_binary(temporary)
+    for image_id in model.reg_image_ids():  # raises where frames name images that are not there
+        model.image(image_id).cam_from_world()
+    features = Features.of(observed)
+    del observed
+    chunks = []
+    for heads, tracks in point_records(folder / "points3D.bin"):
+        features.check(heads, tracks)
+        chunks.append(heads)
+    ids = np.concatenate([np.zeros(0, np.uint64), *(chunk["id"] for chunk in chunks)])
+    order = np.argsort(ids, kind="stable")
+    ids = ids[order]
+    if (ids[1:] == ids[:-1]).any():
+        raise ValueError("Two points have the same id.")
+
+    def column(name: str, kind: type, *shape: int) -> np.ndarray:
+        empty = np.zeros((0, *shape), kind)
+        return np.concatenate([empty, *(chunk[name].astype(kind) for chunk in chunks)])[order]
+
+    points = Points(
+        positions=column("xyz", np.float64, 3),
+        colors=column("color", np.uint8, 3),
+        errors=column("error", np.float32),
+        track_lengths=column("track_length", np.int32),
+    )
+    return _Model(model, ids, points, features.by_image())
+
+
+def _read_with_points(folder: Path) -> pycolmap.Reconstruction:
+    """Read a model as pycolmap has it."""
+
+    def read(folder: Path) -> pycolmap.Reconstruction:
         model = pycolmap.Reconstruction()
-        (model.read_binary if suffix == ".bin" else model.read_text)(str(folder))
-        if suffix == ".txt":
-            counts = {"cameras": model.num_cameras(), "images": model.num_images(), "points3D": model.num_points3D()}
-            for part, count in counts.items():
-                _check_text(folder / f"{part}.txt", count)
+        if _model_suffix(folder) == ".bin":
+            for part in PARTS:
+                if (folder / f"{part}.bin").is_file():
+                    check_file(folder / f"{part}.bin")
+            model.read_binary(str(folder))
+            return model
+        model.read_text(str(folder))
+        counts = {"cameras": model.num_cameras(), "images": model.num_images(), "points3D": model.num_points3D()}
+        for part, count in counts.items():
+            _check_text(folder / f"{part}.txt", count)
+        return model
+
+    return _readable(folder, read)
+
+
+def _readable(folder: Path, read: Callable[[Path], T]) -> T:
+    """Return what `read` returns; raise InputError where the files of the model cannot be read or disagree."""
+    try:
+        return read(folder)
     except OSError as error:
         raise InputError(f"Cannot read {error.filename or folder}: {error.strerror or error}.") from error
     except (ValueError, IndexError, RuntimeError, MemoryError) as error:
@@ -303,68 +397,6 @@ def _read_model(folder: Path) -> pycolmap.Reconstruction:
         raise InputError(
             f"The COLMAP model in {folder} is damaged, as its files do not fit together: export it from COLMAP again."
         ) from error
-    return model
-
-
-# pycolmap fills the rest of a truncated binary file with arbitrary values, so the records of each file are followed
-# first: each function returns where the record that starts at `at` ends. Layouts are those of
-# colmap/scene/reconstruction_io_binary.cc.
-
-
-def _after_camera(data: bytes, at: int) -> int:
-    (model,) = struct.unpack_from("<i", data, at + 4)
-    camera = pycolmap.Camera.create_from_model_id(0, pycolmap.CameraModelId(model), 1.0, 1, 1)
-    return at + 24 + 8 * len(camera.params)
-
-
-def _after_image(data: bytes, at: int) -> int:
-    end_of_name = data.index(b"\0", at + 64) + 1
-    (count,) = struct.unpack_from("<Q", data, end_of_name)
-    return end_of_name + 8 + 24 * count
-
-
-def _after_point(data: bytes, at: int) -> int:
-    (count,) = struct.unpack_from("<Q", data, at + 43)
-    return at + 51 + 8 * count
-
-
-def _after_rig(data: bytes, at: int) -> int:
-    (sensors,) = struct.unpack_from("<I", data, at + 4)
-    at += 8 + (8 if sensors else 0)
-    for _ in range(1, sensors):
-        (has_pose,) = struct.unpack_from("<B", data, at + 8)
-        at += 9 + (56 if has_pose else 0)
-    return at
-
-
-def _after_frame(data: bytes, at: int) -> int:
-    (count,) = struct.unpack_from("<I", data, at + 64)
-    return at + 68 + 16 * count
-
-
-_BINARY_RECORDS: dict[str, Callable[[bytes, int], int]] = {
-    "cameras": _after_camera,
-    "images": _after_image,
-    "points3D": _after_point,
-    "rigs": _after_rig,
-    "frames": _after_frame,
-}
-
-
-def _check_binary(path: Path) -> None:
-    """Raise InputError unless the file holds all records that it announces."""
-    data = path.read_bytes()
-    after = _BINARY_RECORDS[path.stem]
-    try:
-        (count,) = struct.unpack_from("<Q", data)
-        at = 8
-        for _ in range(count):
-            at = after(data, at)
-        whole = at <= len(data)
-    except (struct.error, ValueError, OverflowError):
-        whole = False
-    if not whole:
-        raise InputError(f"{path} is damaged or was cut short: copy it or export it from COLMAP again.")
 
 
 def _check_text(path: Path, count: int) -> None:
@@ -412,55 +444,45 @@ def _inside(name: str) -> str:
     return "/".join(part for part in parts if part not in ("", ".", "..") and not part.endswith(":")) or "_"
 
 
-def _read_points(
-    model: pycolmap.Reconstruction, model_folder: Path, warnings: list[str]
+def _usable_points(
+    model: _Model, model_folder: Path, warnings: list[str]
 ) -> tuple[Points, Callable[[np.ndarray], np.ndarray]]:
-    """Return the sparse points in the order of their ids, and a function from COLMAP's ids to rows (-1 for none)."""
-    items = sorted(model.points3D.items())
-    if not items:
+    """Return the points with finite positions, and a function from COLMAP's ids to their rows, each once, ascending."""
+    ids, points = model.ids, model.points
+    if not len(ids):
         raise InputError(f"The COLMAP model in {model_folder} has no points: reconstruct the scene again.")
-    ids = np.array([point_id for point_id, _ in items], np.uint64)
-    positions = np.array([point.xyz for _, point in items])
     with np.errstate(over="ignore"):  # Gaussians and Blender take float32
-        finite = np.isfinite(positions.astype(np.float32)).all(1)
+        finite = np.isfinite(points.positions.astype(np.float32)).all(1)
     if not finite.all():
         warnings.append(
             f"{np.count_nonzero(~finite)} points of {model_folder} have no finite position and are not used."
         )
-        items = [item for item, keep in zip(items, finite, strict=True) if keep]
-        ids, positions = ids[finite], positions[finite]
-        if not items:
+        ids = ids[finite]
+        points = Points(**{name: values[finite] for name, values in vars(points).items()})
+        if not len(ids):
             raise InputError(f"No point of the COLMAP model in {model_folder} has a finite position.")
-    points = Points(
-        positions=positions,
-        colors=np.array([point.color for _, point in items], np.uint8),
-        errors=np.array([point.error for _, point in items], np.float32),
-        track_lengths=np.array([point.track.length() for _, point in items], np.int32),
-    )
 
     def rows(wanted: np.ndarray) -> np.ndarray:
+        wanted = np.unique(wanted)
         at = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
-        return np.where(ids[at] == wanted, at, -1)
+        return at[ids[at] == wanted]
 
     return points, rows
 
 
-def _view(
-    image: pycolmap.Image, name: str, path: Path, lens: Lens, index_of: Callable[[np.ndarray], np.ndarray]
-) -> View:
+def _view(image: pycolmap.Image, name: str, path: Path, lens: Lens, point_indices: np.ndarray) -> View:
     world_to_camera = np.eye(4)
     world_to_camera[:3] = image.cam_from_world().matrix()
     if not np.isfinite(world_to_camera).all():
         raise InputError(f"The COLMAP model's pose of {name} is not finite: reconstruct the scene again.")
     pinhole = lens.pinhole
-    seen = index_of(np.array([point.point3D_id for point in image.get_observation_points2D()], np.uint64))
     return View(
         camera=Camera(
             name, pinhole.width, pinhole.height, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy, world_to_camera
         ),
         lens=lens,
         path=path,
-        point_indices=np.unique(seen[seen >= 0]),
+        point_indices=point_indices,
     )
 
 

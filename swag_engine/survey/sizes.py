@@ -18,6 +18,8 @@ COARSE_GAUSSIANS = 200_000
 """Largest number of Gaussians of the coarse model."""
 COARSE_WIDTHS = (320, 240)
 """Widths of the images of the coarse model, pixels: the second where memory does not suffice for the first."""
+PROCESS_MEMORY = 400_000_000
+"""Memory of a process before it reads images, bytes: Python with torch and the engine, measured on Linux."""
 FEWEST_ITERATIONS = 30
 """Iterations of a run, at least, unless fewer are asked for."""
 
@@ -82,9 +84,9 @@ class Sizes:
         return min(COARSE_GAUSSIANS, suitable, self.asked.max_gaussians or suitable)
 
     def block_memory(self, part: Part) -> int:
-        """Estimate the memory of a block's run, bytes: its images, its Gaussians and all of the coarse model."""
+        """Estimate the memory of a block's process, bytes: its images, its Gaussians and all of the coarse model."""
         extent = replace(self.extent, training=len(part.images), held_out=0)
-        return needed(extent, self.width, self.block_gaussians(part) + self.coarse_gaussians)
+        return PROCESS_MEMORY + needed(extent, self.width, self.block_gaussians(part) + self.coarse_gaussians)
 
     def coarse(self, training: int, held_out: int, iterations: int) -> tuple[TrainSettings, int]:
         """Return the settings of the coarse run, and an estimate of the memory that it needs.
@@ -100,7 +102,7 @@ class Sizes:
         extent = replace(self.extent, training=training, held_out=held_out)
         for coarse_width in COARSE_WIDTHS:
             width = min(coarse_width, self.width)
-            memory = needed(extent, width, self.coarse_gaussians)
+            memory = PROCESS_MEMORY + needed(extent, width, self.coarse_gaussians)
             if self.memory is None or memory <= self.memory:
                 break
         else:

@@ -10,6 +10,7 @@ import pycolmap
 import pytest
 
 from swag_engine.base.errors import InputError
+from swag_engine.scene import colmap_binary
 from swag_engine.scene.colmap import Scene, load_scene, up_direction
 from swag_engine.scene.inspect import describe, inspect_scene
 from tests.scenes.dots import dot_positions, make_dot_scene
@@ -261,6 +262,41 @@ def test_reading_makes_no_call_per_observation(tmp_path: Path) -> None:
         sys.setprofile(None)
     assert summary["points"] == 20_000 and summary["views"] == views and summary["points_per_view"] == per_view
     assert 1000 < calls < 0.7 * views * per_view
+
+
+def test_binary_models_are_read_as_pycolmap_reads_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Records that lie across the ends of chunks, names longer than what is read at once, features without a point."""
+    folder = make_dot_scene(tmp_path, views=3, name=f"{'deep/' * 20}view_{{:02d}}.png")
+    model = pycolmap.Reconstruction(str(folder / "sparse" / "0"))
+    model.delete_point3D(7)
+    for point_id, point in model.points3D.items():
+        point.error = 0.1 * point_id
+    model.write_binary(str(folder / "sparse" / "0"))
+    monkeypatch.setattr(colmap_binary, "CHUNK", 200)
+    monkeypatch.setattr(colmap_binary, "HEADER", 70)
+    scene = load_scene(folder)
+    ids = sorted(model.point3D_ids())
+    points = [model.point3D(point_id) for point_id in ids]
+    assert len(ids) == 59 and 7 not in ids
+    assert scene.points.positions.tolist() == [point.xyz.tolist() for point in points]
+    assert scene.points.colors.tolist() == [point.color.tolist() for point in points]
+    assert scene.points.errors.tolist() == [np.float32(point.error) for point in points]
+    assert scene.points.track_lengths.tolist() == [point.track.length() for point in points]
+    for view in scene.views:
+        image = model.find_image_with_name(view.name)
+        seen = {feature.point3D_id for feature in image.points2D if feature.has_point3D()}
+        assert [ids[row] for row in view.point_indices] == sorted(seen) and len(seen) < image.num_points2D()
+
+
+def test_points_with_the_same_id_are_damage(tmp_path: Path) -> None:
+    file = make_dot_scene(tmp_path) / "sparse" / "0" / "points3D.bin"
+    data = bytearray(file.read_bytes())
+    (track,) = struct.unpack_from("<Q", data, 8 + 43)
+    second = 8 + 51 + 8 * track
+    data[second : second + 8] = data[8:16]
+    file.write_bytes(data)
+    with pytest.raises(InputError, match="do not fit together"):
+        load_scene(tmp_path)
 
 
 def test_reading_a_scene_needs_no_torch() -> None:

@@ -1,11 +1,12 @@
 """Cutting of surveys on arrays: ground, boxes that tile the plane, and which images join them."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from swag_engine.formats.survey_folder import inside
+from swag_engine.formats.survey_folder import Box, inside
 from swag_engine.survey.cut import (
     EVERYWHERE,
     JOIN_POINTS,
@@ -34,7 +35,7 @@ def lawn(columns: int = 30, rows: int = 16, points: int = 30_000) -> Places:
     return Places(cameras, floor, seen)
 
 
-def cutter(places: Places, block_images: int = 120, **changes: object) -> Cutter:
+def cutter(places: Places, block_images: int = 120, **changes: Any) -> Cutter:
     distance = 2 * median_reach(places)
     fresh = Cutter(
         places, survey_bounds(places, distance), distance, block_images, lambda part: True, lambda part: True, 0
@@ -88,7 +89,7 @@ def test_extended_boxes_have_the_larger_margin_and_infinite_edges(places):
         assert part.points == np.count_nonzero(inside(part.extended, places.points)) > part.core_points
 
 
-def joined(places: Places, core: tuple[float, ...], **changes: object) -> list[int]:
+def joined(places: Places, core: Box, **changes: Any) -> list[int]:
     found = cutter(places, **changes)._joined(core, np.arange(len(places.seen)), 1)
     return found.part.images.tolist()
 
