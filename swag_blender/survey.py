@@ -82,7 +82,7 @@ class SwagSurvey(PropertyGroup):
         bpy.types.Object | None,
         PointerProperty(
             type=bpy.types.Object,
-            name="Box",
+            name="Box Object",
             description="Object in whose bounds Load Box loads the finest tiles; empty: the crop box of the splats",
             poll=lambda self, obj: obj.type in {"EMPTY", "MESH"} and not obj.get(SURVEY_KEY),
         ),
@@ -305,7 +305,7 @@ def load_box(context: bpy.types.Context, obj: bpy.types.Object) -> str:
     """
     box = survey_of(context.scene).box or crop_box.crop_of(obj)
     if box is None:
-        raise InputError("There is no box: choose an object in Box, or add a crop box to the splats.")
+        raise InputError("There is no box: choose a Box Object, or add a crop box to the splats.")
     present(context.view_layer).update()
     folder, tiles = _survey_of(obj)
     low, high = _bounds(box, obj)
@@ -432,14 +432,14 @@ def _spacing_in(view: View, obj: bpy.types.Object) -> Callable[[Tile], float]:
     return spacing
 
 
-def _bounds(box: bpy.types.Object, obj: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(box: bpy.types.Object, obj: bpy.types.Object) -> tuple[list[float], list[float]]:
     """Least and largest corner (3,) of the bounds of an object in the own space of splats."""
     corners = np.array(box.bound_box, np.float64)
     if box.type == "EMPTY":
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * box.empty_display_size
     to_own = np.array(obj.matrix_world.inverted() @ box.matrix_world, np.float64)
     corners = corners @ to_own[:3, :3].T + to_own[:3, 3]
-    return corners.min(axis=0), corners.max(axis=0)
+    return corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
 
 
 def register() -> None:

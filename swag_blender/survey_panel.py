@@ -83,7 +83,11 @@ def _draw_jobs(layout: bpy.types.UILayout, context: bpy.types.Context, path: str
         set_button(button, blender=False)
         button = column.operator("swag.copy_survey_command", text="Copy for This Blender", icon="BLENDER")
         set_button(button, blender=True)
-    layout.operator("swag.merge_survey", icon="AUTOMERGE_ON")
+    partial = 0 < shown.count("done") < len(shown.jobs) - 1
+    button = layout.operator(
+        "swag.merge_survey", text="Merge Finished Blocks" if partial else "Merge Survey", icon="AUTOMERGE_ON"
+    )
+    set_button(button, partial=partial)
 
 
 class SWAG_PT_survey_tiles(SwagPanel):
@@ -107,10 +111,10 @@ class SWAG_PT_survey_tiles(SwagPanel):
         column.use_property_decorate = False
         column.prop(settings, "budget")
         column.prop(settings, "box")
-        row = layout.row(align=True)
-        row.operator("swag.load_view", text="View", icon="HIDE_OFF")
-        row.operator("swag.load_box", text="Box", icon="CUBE")
-        row.operator("swag.load_overview", text="Overview", icon="WORLD")
+        column = layout.column(align=True)
+        column.operator("swag.load_view", icon="HIDE_OFF")
+        column.operator("swag.load_box", icon="CUBE")
+        column.operator("swag.load_overview", icon="WORLD")
 
 
 class SWAG_UL_survey_jobs(bpy.types.UIList):

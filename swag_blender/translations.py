@@ -1052,10 +1052,10 @@ GERMAN = {
         "Die Fotos in Blöcke teilen, die einzeln trainiert werden, auf einem Rechner oder mehreren"
     ),
     "Reading the survey.": "Die Vermessung wird gelesen.",
-    "Coarse Model": "Grobes Modell",
+    "Coarse Model": "Grobmodell",
     "Waiting": "Wartet",
     "Running": "Läuft",
-    "Failed": "Fehlgeschlagen",
+    "Failed": "Fehler",
     "Show Blocks": "Blöcke zeigen",
     "Show the blocks of the survey in the 3D viewport, colored by their state, which is kept up to date": (
         "Die Blöcke der Vermessung in der 3D-Ansicht zeigen, gefärbt nach ihrem Zustand, der laufend gelesen wird"
@@ -1072,6 +1072,11 @@ GERMAN = {
         "Den Befehl kopieren, der die Vermessung mit dem Python der Engine trainiert, für Terminals aller Rechner"
     ),
     "Merge Survey": "Vermessung zusammenfügen",
+    "Merge Finished Blocks": "Fertige Blöcke zusammenfügen",
+    "Finished Blocks Only": "Nur fertige Blöcke",
+    "Leave out the blocks that are not finished; their places stay empty": (
+        "Die Blöcke auslassen, die nicht fertig sind; ihre Plätze bleiben leer"
+    ),
     "Merge the trained blocks of the survey into tiles of several levels of detail, and open it": (
         "Die trainierten Blöcke zu Kacheln in mehreren Detailstufen zusammenfügen und das Ergebnis öffnen"
     ),
@@ -1089,8 +1094,7 @@ GERMAN = {
         "Objekt, in dessen Grenzen Kasten laden die feinsten Kacheln lädt; leer: der Ausschnitt der Splats"
     ),
     "Select the splats of a survey first": "Zuerst die Splats einer Vermessung auswählen",
-    "View": "Ansicht",
-    "Overview": "Überblick",
+    "Box Object": "Kasten-Objekt",
     "Load View": "Ansicht laden",
     "Load finer tiles for what the 3D viewport shows, and the coarsest elsewhere": (
         "Feinere Kacheln für das laden, was die 3D-Ansicht zeigt, und anderswo die gröbsten"

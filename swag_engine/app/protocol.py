@@ -332,9 +332,11 @@ class MergeSurveyRequest:
 
     Attributes:
         survey: Folder of the survey.
+        partial: Whether blocks that are not done are left out.
     """
 
     survey: Path
+    partial: bool = False
 
 
 @dataclass(frozen=True)

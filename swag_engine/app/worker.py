@@ -239,7 +239,8 @@ class Worker:
             from ..survey.merge import merge_survey
 
             with interrupts.deferred():
-                merged = merge_survey(request.survey, self.stoppable("The merge was stopped before it was done."))
+                progress = self.stoppable("The merge was stopped before it was done.")
+                merged = merge_survey(request.survey, progress, request.partial)
             return {"event": "result", "request": "merge_survey", "survey": str(request.survey)} | merged
         assert isinstance(request, ExportRequest)
         from ..formats.export import export_run

@@ -187,7 +187,7 @@ def merge_survey(request):
 
     write_tiles(SurveyFolder(Path(request["survey"])))
     send(event="progress", stage="Tiles", text="Tiles", iteration=90, iterations=100)
-    send(event="result", request="merge_survey", survey=request["survey"], levels=3)
+    send(event="result", request="merge_survey", survey=request["survey"], notes=["A note of the merge."])
 
 
 def main():

@@ -2,10 +2,15 @@
 
 import json
 import shutil
+import sys
 
 import pytest
 
+from swag_engine.formats.run_folder import read_json
+from swag_engine.formats.survey_folder import SurveyFolder
+from swag_engine.survey.job import run_job
 from tests.scenes.hand_made_survey import BLOCKS, make_survey
+from tests.scenes.survey_scenes import tiny_survey
 
 ALL = {level: [f"{level}/{x}-{y}-0" for x in range(4 >> level) for y in range(4 >> level)] for level in range(3)}
 """Tiles of each level."""
@@ -60,7 +65,7 @@ def test_finer_tiles_replace_the_coarse_ones_of_a_view_or_a_box(blender, made):
     assert found["far"] == found["away"] == [ALL[2], 64]
     # The box is about the corner (7, 7) of the square: cube 3-3 of level 0 alone, and its neighbours in its parent.
     assert found["box"][0] == [*("0/2-2-0", "0/2-3-0", "0/3-2-0", "0/3-3-0"), "1/0-0-0", "1/0-1-0", "1/1-0-0"]
-    assert found["no box"].startswith("There is no box: choose an object in Box")
+    assert found["no box"].startswith("There is no box: choose a Box Object")
     assert found["box elsewhere"] == "No tiles of the survey are in the bounds of box: move it over the splats."
 
 
@@ -77,8 +82,8 @@ def test_no_more_splats_are_loaded_than_the_budget(blender, made):
         assert message.startswith("The coarsest level of") and "has 64 splats, more than the 10 that" in message
 
 
-def test_edits_stay_where_tiles_stay_and_labels_undo_and_export_work(blender, made, tmp_path):
-    found = blender.run("surveys.edits", made, tmp_path / "out.ply")
+def test_edits_stay_where_tiles_stay_and_labels_undo_and_export_work(blender, fake_engine, made, tmp_path):
+    found = blender.run("surveys.edits", made, tmp_path / "out.ply", SWAG_ENGINE_PYTHON=fake_engine)
     assert found["loaded"][1] == 7 * 64
     first, count = found["other box"]
     assert "0/3-0-0" in first and covers_once(first) and count == 7 * 64 - 1
@@ -180,7 +185,29 @@ def test_a_survey_is_planned_and_merged_from_the_panel(blender, fake_engine, tmp
     assert found["again"].endswith("holds a survey already: choose another folder in Survey.")
     message, failed, tiles = found["merged"]
     assert message.startswith("1,024 splats of the survey swag_survey") and not failed and tiles == [ALL[0], 1024]
+    assert message.endswith("tiles: 16 of level 0. A note of the merge.")
     assert {"swag.load_view", "swag.load_box", "swag.load_overview", "budget", "box"} <= set(
         found["drawn"]["SWAG_PT_survey_tiles"]
     )
     assert "Survey Plan: Cutting" in blender.printed or "Survey Merge: Tiles" in blender.printed
+
+
+@pytest.mark.main_version
+def test_the_engine_plans_trains_and_merges_a_survey(blender, tmp_path):
+    """Some ten seconds: the coarse model and two blocks, each a process that imports torch."""
+    tiny_survey(tmp_path / "reef")
+    environment = {"SWAG_ENGINE_PYTHON": sys.executable}
+    planned = blender.run("surveys.plan_with_the_engine", tmp_path / "reef", **environment)
+    assert not planned["failed"] and planned["message"].startswith("2 blocks of ") and planned["faces"] == [0, 0]
+    folder = SurveyFolder(tmp_path / "reef" / "swag_survey")
+    merge = "surveys.merge_with_the_engine"
+    assert "2 of 2 blocks of" in blender.run(merge, folder.path, False, **environment)["message"]
+    for name in ("coarse", "B-001"):
+        assert run_job(folder.path, name)["state"] == "done"
+    part = blender.run(merge, folder.path, True, **environment)
+    assert part["faces"] == [4, 0] and part["message"].endswith("1 of 2 blocks are missing here: B-002.")
+    assert run_job(folder.path, "B-002")["state"] == "done"
+    whole = blender.run(merge, folder.path, False, **environment)
+    assert whole["faces"] == [4, 4] and not whole["failed"] and "Traceback" not in blender.printed
+    in_cores = sum(read_json(folder.done(name), "")["gaussians_in_core"] for name in ("B-001", "B-002"))
+    assert 0 < part["splats"] < whole["splats"] <= in_cores and all(whole["psnr"])

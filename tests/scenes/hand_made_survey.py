@@ -100,5 +100,9 @@ def _write_tile(survey: SurveyFolder, level: int, x: int, y: int) -> Tile:
     )
     file = f"tiles/{level}/{x}-{y}-0.ply"
     write_ply(survey.merged / file, splats)
-    low, high = (tuple(float(v) for v in edge_of(positions, axis=0)) for edge_of in (np.min, np.max))
-    return Tile(level, (x, -1, y), low, high, PER_TILE, file)
+    return Tile(level, (x, -1, y), _corner(positions.min(axis=0)), _corner(positions.max(axis=0)), PER_TILE, file)
+
+
+def _corner(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z

@@ -350,3 +350,26 @@ def plan_and_merge(photos):
     survey_watch.refresh(bpy.context, SurveyFolder(Path(folder)))
     found["drawn"] = draw_all(context_of_a_sidebar())
     return found
+
+
+def plan_with_the_engine(photos):
+    swag.scene_folder, swag.iterations, swag.width, swag.max_gaussians = photos, 40, 64, 20_000
+    bpy.context.scene.swag_survey.block_images = 12
+    assert bpy.ops.swag.plan_survey() == {"FINISHED"}, status.message
+    made = survey_map.map_of(bpy.context.scene, survey.chosen_survey(bpy.context.scene))
+    states = [each["state"] for each in faces_of(made).values()]
+    return {"message": status.message, "failed": status.failed, "faces": states}
+
+
+def merge_with_the_engine(folder, partial):
+    """The message, and what is shown of the blocks and of the result, where there is one."""
+    bpy.context.scene.swag_survey.folder = folder
+    assert bpy.ops.swag.show_blocks() == {"FINISHED"}
+    faces = faces_of(survey_map.map_of(bpy.context.scene, SurveyFolder(Path(folder)))).values()
+    found = {"faces": [each["state"] for each in faces], "psnr": [each["psnr"] for each in faces]}
+    try:
+        bpy.ops.swag.merge_survey(partial=partial)
+        found["splats"] = splats.count(bpy.context.active_object)
+    except RuntimeError:
+        pass
+    return found | {"message": status.message, "failed": status.failed}
