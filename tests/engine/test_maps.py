@@ -325,8 +325,8 @@ def test_noise_of_heights_is_little_surface():
     "case, sentence",
     [
         ("no scale", "The scale of scene was not measured: lengths are in units of the scene. Measure it with"),
-        ("holes", "50.0% covered"),
-        ("nothing", "Nothing was seen in the map: all heights are nodata"),
+        ("holes", "50.0% of the map shows nothing: holes have no data and are not filled."),
+        ("nothing", "Nothing was seen in the map: it has no data."),
         ("label without splats", "No pixel shows the label seagrass."),
     ],
 )
