@@ -3,11 +3,12 @@
 Run: `python benchmarks/products.py FOLDER [--iterations 1500] [--seeds 0 1 2]`
 Results: benchmarks/results/products.json
 
-For each seed, photos of a seabed of known heights, labels and scale (tests/scenes/seabed.py) are written to FOLDER in four kinds of
-water and trained there, unless they are there already. The scale is measured from the coded targets, the axes from the
-places of their middles. Labels are learned from masks of the training photos. Later surveys, in which three corals are
-gone, one has grown by 10 % and a bank of sand has moved, are compared with the survey in ocean water. Seed 0 is the seabed of the documentation; others
-move what lies on it and have another texture, other noise and other initial values.
+For each seed, photos of a seabed of known heights, labels and scale (tests/scenes/seabed.py) are written to FOLDER in
+four kinds of water and trained there, unless they are there already. The scale is measured from the coded targets, the
+axes from the places of their middles. Labels are learned from masks of the training photos. Later surveys, in which
+three corals are gone, one has grown by 10 % and a bank of sand has moved, are compared with the survey in ocean water.
+Seed 0 is the seabed of the documentation; others move what lies on it and have another texture, other noise and other
+initial values.
 """
 
 import json

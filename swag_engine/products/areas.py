@@ -98,9 +98,7 @@ def make_areas(
     write_heights(files["heights"], scene, grid, backend, progress)
     present = sorted({*scene.labels, *np.flatnonzero(pixels[:NO_LABEL]).tolist()})
     names = {label: label_name(scene, label) for label in present}
-    confusion = np.zeros((0, 1, 1))
-    if source.is_dir():
-        confusion = held_out_confusion(source, masks, {label: name for label, name in names.items() if label})
+    confusion = held_out_confusion(scene, masks, files["labels"], files["heights"], grid)
     patches = find_patches(files["labels"], least_patch)
     surfaces = _surfaces(files["labels"], files["heights"], grid)
     rows = _table(scene, grid, pixels[:NO_LABEL], surfaces, names, confusion, patches)
