@@ -17,6 +17,8 @@ from .tiles import Tile
 BLOCK = 8
 """Edge of the blocks of pixels that the error is found for, pixels: it changes little from pixel to pixel."""
 
+SINGULAR = 1e-9
+"""Determinant of an information matrix, relative to its trace^3, below which rays are taken as one line."""
 STEPS = 64
 """Places along a line at which the surface may hide it."""
 
@@ -113,9 +115,11 @@ def height_errors(
         across = np.eye(3) - rays[:, :, None] * rays[:, None, :] / squares[:, None, None]
         information[inside] += across * (camera.fx**2 / squares)[:, None, None]
         counts += inside
-    errors = np.full(len(places), np.inf)
-    enough = counts >= 2
-    errors[enough] = np.sqrt(np.linalg.inv(information[enough])[:, 2, 2])
+    # The element zz of the inverse; rays along one line leave the place on it undetermined.
+    minor = information[:, 0, 0] * information[:, 1, 1] - information[:, 0, 1] ** 2
+    determinant = np.linalg.det(information)
+    enough = (counts >= 2) & (determinant > SINGULAR * np.trace(information, axis1=1, axis2=2) ** 3)
+    errors = np.sqrt(np.divide(minor, determinant, out=np.full(len(places), np.inf), where=enough))
     blocks = errors.reshape(len(rows), len(columns)).astype(np.float32)
     return blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)[: tile.height, : tile.width]
 

@@ -275,6 +275,8 @@ def test_errors_of_heights_follow_from_the_rays(tmp_path):
         cameras_above(scene, [(1.5, 1.8), (2.5, 1.8)] * 4), scene, grid, tile, np.zeros((30, 40))
     )  # fmt: skip
     assert more[15, 20] == pytest.approx(found[15, 20] / 2, rel=1e-3)
+    same = height_errors(cameras_above(scene, [(2.0, 1.8)] * 2), scene, grid, tile, np.zeros((30, 40)))
+    assert np.isinf(same).all()  # two photos from one place
 
 
 def test_places_whose_heights_photos_do_not_determine_are_not_compared(tmp_path, monkeypatch):
