@@ -28,7 +28,7 @@ from .label_map import (
     write_label_map,
 )
 from .map_frame import MapScene, load_map_scene
-from .ortho import map_answer
+from .ortho import hole_notes, map_answer
 from .packages import require_packages
 from .patches import Patch, find_patches, to_coco, to_geojson
 from .preview import write_preview
@@ -98,9 +98,7 @@ def make_areas(
     write_heights(files["heights"], scene, grid, backend, progress)
     present = sorted({*scene.labels, *np.flatnonzero(pixels[:NO_LABEL]).tolist()})
     names = {label: label_name(scene, label) for label in present}
-    confusion = np.zeros((0, 1, 1))
-    if source.is_dir():
-        confusion = held_out_confusion(source, masks, {label: name for label, name in names.items() if label})
+    confusion = held_out_confusion(scene, masks, files["labels"], files["heights"], grid)
     patches = find_patches(files["labels"], least_patch)
     surfaces = _surfaces(files["labels"], files["heights"], grid)
     rows = _table(scene, grid, pixels[:NO_LABEL], surfaces, names, confusion, patches)
@@ -108,11 +106,12 @@ def make_areas(
     transform = map_transform(scene, grid)
     write_json(files["polygons"], to_geojson(patches, transform, crs, grid.pixel, names))
     write_json(files["coco"], to_coco(patches, FILES["labels"], grid.width, grid.height, names))
-    notes = [*scene.notes, *_error_notes(len(confusion), scene)]
+    covered = int(pixels[:NO_LABEL].sum()) / int(pixels.sum())
+    notes = [*scene.notes, *hole_notes(covered), *_error_notes(len(confusion), scene)]
     notes += [f"No pixel shows the label {row['name']}." for row in rows if not row["pixels"]]
     preview = write_preview(files["labels"], scene, grid)
     answer = map_answer(out, [*files.values(), preview], preview, grid, scene, crs) | {
-        "covered": int(pixels[:NO_LABEL].sum()) / int(pixels.sum()),
+        "covered": covered,
         "plane": plane,
         "grid": vars(grid),
         "held_out": len(confusion),

@@ -31,7 +31,7 @@ from .ortho import map_answer
 from .packages import require_packages
 from .preview import write_preview
 from .tiles import Progress, TileRenderer, tiles_of
-from .views import LEAST_VIEWS, count_views, training_cameras
+from .views import height_errors, training_cameras
 
 ScaleChoice = Literal["fixed", "free"]
 PREVIEW = 1600
@@ -193,10 +193,7 @@ def _scratch_array(path: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.n
 
 
 def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str, progress: Progress | None) -> Survey:
-    """Render colors, heights and labels of a survey to files whose names begin with `path`.
-
-    Places that fewer than LEAST_VIEWS training photos see have no height.
-    """
+    """Render colors, heights, their predicted errors and labels of a survey to files whose names begin with `path`."""
     renderer = TileRenderer(scene.splats, grid, backend, scene.seen)
     colors, cameras = renderer.colors(), training_cameras(scene)
     labels = scene.splats.extras.get(LABEL)
@@ -205,18 +202,19 @@ def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str
     image = _scratch_array(path.with_suffix(".colors"), (*shape, 3), np.uint8)
     heights = _scratch_array(path.with_suffix(".heights"), shape, np.float32)
     found = None if labels is None else _scratch_array(path.with_suffix(".labels"), shape, np.uint8)
+    errors = _scratch_array(path.with_suffix(".errors"), shape, np.float32) if cameras else None
     for tile in tiles_of(grid, EDGE, stage, progress):
         chosen = renderer.inside(tile)
         values, alpha = renderer.render(tile, chosen, colors[chosen])
         shown = scene.development.apply(values / np.maximum(alpha, 1e-6)[..., None])
         image[tile.place] = np.round(255 * np.clip(shown, 0, 1))
         surface = tile_heights(renderer, tile).first
-        if cameras:
-            surface[count_views(cameras, scene, grid, tile, surface) < LEAST_VIEWS] = np.nan
         heights[tile.place] = surface
+        if errors is not None:
+            errors[tile.place] = height_errors(cameras, scene, grid, tile, surface)
         if found is not None and labels is not None:
             found[tile.place] = tile_labels(renderer, tile, labels)
-    return Survey(image, heights, found)
+    return Survey(image, heights, found, errors)
 
 
 def _same_labels(first: MapScene, second: MapScene, after: Survey) -> None:

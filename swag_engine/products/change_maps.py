@@ -25,6 +25,12 @@ SMOOTHING = 3
 """Edge of the median filter over differences, pixels."""
 SCATTER = 0.5
 """Error of horizontal places in pixels: each survey samples a step of the surface differently."""
+TAIL = 0.9
+"""Quantile of the differences that their noise is found from."""
+TAIL_SIGMA = 1.645
+"""Standard deviations at that quantile in a normal distribution."""
+MOST_ERROR = 2.5
+"""Predicted error of a height, relative to the survey's median, above which a place is not compared."""
 LEAST_COLOR = 0.05
 """Smallest difference of color, display values, that counts as a change."""
 MARGIN = 4
@@ -45,16 +51,19 @@ class Survey:
         colors: (H, W, 3) uint8 display values.
         heights: (H, W) heights of the first surface, NaN where nothing was seen.
         labels: (H, W) uint8, NO_LABEL where nothing was seen; None where the survey has no labels.
+        errors: (H, W) predicted errors of heights (`height_errors`), of which only their ratios count; None where the
+            cameras are not known.
     """
 
     colors: np.ndarray
     heights: np.ndarray
     labels: np.ndarray | None
+    errors: np.ndarray | None = None
 
     def part(self, place: tuple[slice, slice]) -> "Survey":
         """Return the part of the survey at rows and columns, in memory."""
-        labels = None if self.labels is None else np.array(self.labels[place])
-        return Survey(np.array(self.colors[place]), np.array(self.heights[place]), labels)
+        labels, errors = (None if one is None else np.array(one[place]) for one in (self.labels, self.errors))
+        return Survey(np.array(self.colors[place]), np.array(self.heights[place]), labels, errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +86,10 @@ class Differences:
 class Comparison:
     """Comparison of two surveys.
 
-    The noise of heights is estimated from the differences themselves, robustly: most of a place is static. To it comes
-    what an error of place makes of steps and slopes: the range of heights within a pixel and its neighbours. The colors
-    of the later survey are matched to those of the earlier by a robust affine map.
+    The noise of heights is estimated from the differences themselves, robustly: most of a place is static. It is
+    proportional to the error that the positions of the photos let expect; places where that is much larger than usual
+    are not compared. To it comes what an error of place makes of steps and slopes: the range of heights within a pixel
+    and its neighbours. The colors of the later survey are matched to those of the earlier by a robust affine map.
 
     Args:
         before: The earlier survey.
@@ -93,9 +103,10 @@ class Comparison:
         step = max(1, int(np.ceil(np.sqrt(grid.width * grid.height / SAMPLE))))
         every = slice(None, None, step), slice(None, None, step)
         first, second = before.part(every), after.part(every)
-        known = np.isfinite(first.heights) & np.isfinite(second.heights)
+        self._usual = [_usual_error(survey) for survey in (first, second)]
+        known, errors = self._comparable(first, second)
         self.overlap = bool(known.any())
-        self.noise = _spread((second.heights - first.heights)[known])
+        self.noise = _noise((second.heights - first.heights)[known] / errors[known])
         self.light, self.color_limit = _match_light(first.colors[known] / 255, second.colors[known] / 255)
 
     def differences(self, tile: Tile) -> Differences:
@@ -103,11 +114,11 @@ class Comparison:
         (rows, columns), inner = padded(tile, self.grid, MARGIN)
         before, after = self.before.part((rows, columns)), self.after.part((rows, columns))
         pixel = self.grid.pixel
-        known = np.isfinite(before.heights) & np.isfinite(after.heights)
+        known, errors = self._comparable(before, after)
         height = np.where(known, after.heights - before.heights, np.nan)
-        place = np.hypot(SCATTER * pixel, self.residual)
+        place = np.hypot(SCATTER * pixel, errors * self.residual)
         slope = np.maximum(_steepness(before.heights, pixel), _steepness(after.heights, pixel))
-        limit = TOLD * np.sqrt(self.noise**2 + self.residual**2 + (slope * place) ** 2)
+        limit = TOLD * np.sqrt(errors**2 * (self.noise**2 + self.residual**2) + (slope * place) ** 2)
         smooth = _median(height)
         color = np.linalg.norm(_lit(after.colors / 255, self.light) - before.colors / 255, axis=2)
         color = np.where(known, color, np.nan)
@@ -119,6 +130,20 @@ class Comparison:
         for flag, mask in told.items():
             bits |= (known & mask).astype(np.uint8) << flag
         return Differences(height[inner], limit[inner], color[inner], bits[inner])
+
+    def _comparable(self, before: Survey, after: Survey) -> tuple[np.ndarray, np.ndarray]:
+        """Return which pixels (H, W) of a part can be compared, and their error relative to the usual one."""
+        known = np.isfinite(before.heights) & np.isfinite(after.heights)
+        ratios = [
+            survey.errors / usual
+            for survey, usual in zip((before, after), self._usual, strict=True)
+            if survey.errors is not None
+        ]
+        for ratio in ratios:
+            known &= ratio <= MOST_ERROR
+        if not ratios:
+            return known, np.ones(known.shape)
+        return known, np.where(known, np.sqrt(np.mean(np.square(ratios), axis=0)), 1.0)
 
     def find_objects(self, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray) -> list[dict[str, Any]]:
         """Find connected changes that are large and thick enough.
@@ -226,6 +251,22 @@ def _steepness(heights: np.ndarray, pixel: float) -> np.ndarray:
     down, right = gradients(heights, pixel)
     steep = np.nan_to_num(np.hypot(down, right))
     return cv2.dilate(steep, np.ones((3, 3)))
+
+
+def _usual_error(survey: Survey) -> float:
+    """Median of the predicted errors where something was seen, 1 where they are not known."""
+    if survey.errors is None:
+        return 1.0
+    errors = survey.errors[np.isfinite(survey.heights) & np.isfinite(survey.errors)]
+    return float(np.median(errors)) if len(errors) else 1.0
+
+
+def _noise(values: np.ndarray) -> float:
+    """Standard deviation of differences of which most are noise with more large values than a normal distribution has.
+
+    It is found from the quantile TAIL of what is left of the middle, where up to a tenth may be changes.
+    """
+    return float(np.quantile(np.abs(values - np.median(values)), TAIL)) / TAIL_SIGMA if len(values) else 0.0
 
 
 def _spread(values: np.ndarray) -> float:

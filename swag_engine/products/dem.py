@@ -11,7 +11,7 @@ from .grid import MapGrid, make_grid
 from .heights import EDGE, SURFACE_MARGIN, surface_factor, tile_heights
 from .map_frame import MapScene, load_map_scene
 from .ortho import describe as describe_map
-from .ortho import map_answer
+from .ortho import hole_notes, map_answer
 from .packages import require_packages
 from .preview import write_preview
 from .relief import hillshade, rugosity, slope
@@ -73,15 +73,13 @@ def make_dem(
         path = out.with_name(f"{out.stem}_{name}.tif")
         _write_derived(path, out, name, scene, grid, window, progress)
         files.append(path)
-    notes = list(scene.notes)
-    if not seen:
-        notes.append("Nothing was seen in the map: all heights are nodata.")
+    covered = seen / (grid.width * grid.height)
     return map_answer(out, [*files, preview], preview, grid, scene, crs) | {
-        "covered": seen / (grid.width * grid.height),
+        "covered": covered,
         "heights": [low, high] if seen else None,
         "rugosity": _total_rugosity(out, grid),
         "volume": None if above is None else _volume_above(out, grid, above),
-        "notes": notes,
+        "notes": [*scene.notes, *hole_notes(covered)],
     }
 
 

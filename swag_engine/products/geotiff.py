@@ -53,7 +53,8 @@ def map_crs(scene: MapScene) -> Any:
         return rasterio.crs.CRS.from_wkt(LOCAL_METRES)
     name = scene.placement.crs
     try:
-        crs = rasterio.crs.CRS.from_user_input(name)
+        with rasterio.Env():  # without it GDAL writes its own line about an error, too
+            crs = rasterio.crs.CRS.from_user_input(name)
     except rasterio.errors.CRSError as error:
         raise InputError(
             f"The coordinate reference system {name} is not known: measure the scale again with --crs EPSG:NUMBER."

@@ -47,6 +47,12 @@ class MapGrid:
             self.top,
         )
 
+    def places(self, heights: np.ndarray) -> np.ndarray:
+        """Return x, y and height (H, W, 3) of the middles of all pixels, from their heights (H, W)."""
+        x = self.left + self.pixel * (np.arange(self.width) + 0.5)
+        y = self.top - self.pixel * (np.arange(self.height) + 0.5)
+        return np.stack([*np.meshgrid(x, y), heights], axis=2)
+
 
 def make_grid(
     splats: Splats, pixel: float = 0.0, box: tuple[float, float, float, float] | None = None, taglab: bool = False

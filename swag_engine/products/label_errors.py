@@ -4,22 +4,25 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 
-from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder
-from ..formats.select import LABEL
-from ..gaussians.cloud import GaussianCloud
 from ..scene.colmap import load_scene
 from ..scene.images import load_images
 from ..scene.split import split_views
-from ..semantics.assign import render_labels
 from ..semantics.masks import MaskFolder
+from .dem import read_heights
+from .geotiff import NO_LABEL, read_map
+from .grid import MapGrid
+from .map_frame import MapScene
+from .tiles import TILE, tiles_of
+from .views import camera_centre, project, visible
 
 ROUNDS = 1000
 """Resamples of the bootstrap."""
-WIDTH = 400
-"""Width of the held-out images, pixels."""
+WIDTH = 1000
+"""Largest width of the held-out images, pixels."""
+SAMPLE = 250_000
+"""Largest number of pixels of a map that are compared, about."""
 INTERVAL = (2.5, 97.5)
 """Percentiles of the interval: 95 %."""
 
@@ -43,47 +46,73 @@ class AreaErrors:
     cover_high: np.ndarray
 
 
-def held_out_confusion(folder: Path, masks: Path | None, names: dict[int, str]) -> np.ndarray:
-    """Compare rendered labels with the masks of test images, which the labels of the splats were not made from.
+def held_out_confusion(scene: MapScene, masks: Path | None, labels: Path, heights: Path, grid: MapGrid) -> np.ndarray:
+    """Compare a label map with the masks of test images, which the labels of the splats were not made from.
+
+    Pixels of the map are counted and not those of the images, so that each stands for the same area, and an image that
+    is rendered badly from its own place does not count as wrong labels. Pixels that the surface may hide from an image
+    are left out.
 
     Args:
-        folder: Folder of the run.
+        scene: What the map shows.
         masks: Folder of masks as the command label takes them; the folder `labels` of the scene without it.
-        names: Names of the labels by number.
+        labels: The label map.
+        heights: The heights of its pixels.
+        grid: Its pixels.
 
     Returns:
-        (V, L + 1, L + 1) pixels by view, label in the rendering and label in the mask, 0 for none. Without masks of
-        test images V is 0.
+        (V, L + 1, L + 1) pixels by view, label in the map and label in the mask, 0 for none. Without masks of test
+        images V is 0.
 
     Raises:
         InputError: If the masks or the scene cannot be read.
     """
-    run = RunFolder(folder)
-    scene_folder, _, _ = run.read_config()
-    count = max(names, default=0)
+    mapped, surface, coarse = _reduced(scene, labels, heights, grid)
+    count = max([*scene.labels, int(mapped[mapped != NO_LABEL].max(initial=0))])
     none = np.zeros((0, count + 1, count + 1))
+    if scene.run is None:
+        return none
+    scene_folder, _, _ = RunFolder(scene.run).read_config()
     if masks is None:
         masks = scene_folder / "labels"
         if not masks.is_dir():
             return none
-    scene = load_scene(scene_folder)
-    provider = MaskFolder(masks, scene)
-    test = set(split_views([view.camera.name for view in scene.views]).test)
-    images = load_images(scene, [view for view in scene.views if view.camera.name in test], WIDTH)
-    splats = read_ply(run.ply)
-    cloud, labels = GaussianCloud.from_splats(splats, (0.5, 0.5, 0.5)), torch.from_numpy(splats.extras[LABEL]).long()
-    numbers = {name: number for number, name in names.items()}
+    photos = load_scene(scene_folder)
+    provider = MaskFolder(masks, photos)
+    test = set(split_views([view.camera.name for view in photos.views]).test)
+    numbers = {name: number for number, name in scene.labels.items()}
     tables = []
-    for image in images:
-        truth = np.zeros((image.camera.height, image.camera.width), np.int64)
+    for image in load_images(photos, [view for view in photos.views if view.camera.name in test], WIDTH):
         regions = provider.regions(image, ())
+        if not regions:
+            continue
+        truth = np.zeros((image.camera.height, image.camera.width), np.int64)
         for region in reversed(regions):
             truth[region.mask] = numbers.get(region.label, 0)
-        if regions:
-            seen = render_labels(cloud, labels, count, image.camera).astype(np.int64)
-            table = np.bincount((seen * (count + 1) + truth).ravel(), minlength=(count + 1) ** 2)
-            tables.append(table.reshape(count + 1, count + 1).astype(np.float64))
+        free = visible(camera_centre(image.camera, scene), coarse, surface) & (mapped != NO_LABEL)
+        pixels = project(image.camera, scene, coarse.places(surface)[free])
+        inside = np.isfinite(pixels[:, 0])
+        u, v = pixels[inside].astype(np.int64).T
+        pairs = mapped[free][inside].astype(np.int64) * (count + 1) + truth[v, u]
+        table = np.bincount(pairs, minlength=(count + 1) ** 2).reshape(count + 1, count + 1)
+        tables.append(table.astype(np.float64))
     return np.stack(tables) if tables else none
+
+
+def _reduced(scene: MapScene, labels: Path, heights: Path, grid: MapGrid) -> tuple[np.ndarray, np.ndarray, MapGrid]:
+    """Read a label map and its heights, the placement taken off, with about SAMPLE pixels or fewer, and their grid."""
+    step = max(1, int(np.ceil(np.sqrt(grid.width * grid.height / SAMPLE))))
+    shape = -(-grid.height // step), -(-grid.width // step)
+    mapped, surface = np.full(shape, NO_LABEL, np.uint8), np.full(shape, np.nan)
+    offset = scene.placement.offset[2] if scene.placement else 0.0
+    for tile in tiles_of(grid, max(1, TILE // step) * step):
+        part = read_map(labels, tile).values[::step, ::step]
+        row, column = tile.row // step, tile.column // step
+        place = slice(row, row + part.shape[0]), slice(column, column + part.shape[1])
+        mapped[place], surface[place] = part, read_heights(heights, tile=tile)[::step, ::step] - offset
+    # The kept pixels are the first of each step: half a step is taken off so that their middles stay.
+    shift = grid.pixel * (step - 1) / 2
+    return mapped, surface, MapGrid(grid.left - shift, grid.top + shift, step * grid.pixel, shape[1], shape[0])
 
 
 def area_errors(pixels: np.ndarray, confusion: np.ndarray, scale_error: float | None, seed: int = 0) -> AreaErrors:

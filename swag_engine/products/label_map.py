@@ -12,7 +12,7 @@ from ..splats.splats import Splats
 from .geotiff import NO_LABEL, Color, create_map, map_size, read_map
 from .grid import MapGrid
 from .map_frame import MapScene
-from .tiles import Progress, Tile, TileRenderer, tiles_of
+from .tiles import SEEN, Progress, Tile, TileRenderer, tiles_of
 
 UNLABELLED = "unlabelled"
 """Name of label 0."""
@@ -82,14 +82,22 @@ def label_name(scene: MapScene, label: int) -> str:
 
 
 def tile_labels(renderer: TileRenderer, tile: Tile, labels: np.ndarray) -> np.ndarray:
-    """Return the labels (height, width) of a tile."""
+    """Return the labels (height, width) of a tile.
+
+    In runs with a background color, light that no splat absorbs counts for the hindmost ones: training leaves ground of
+    that color transparent, and what lies on it would look too large.
+    """
     chosen = renderer.inside(tile)
     best = np.zeros((tile.height, tile.width), np.float32)
     found = np.full((tile.height, tile.width), NO_LABEL, np.uint8)
     present = np.unique(labels[chosen])
     for start in range(0, len(present), CHANNELS):
         some = present[start : start + CHANNELS]
-        image, alpha = renderer.render(tile, chosen, (labels[chosen][:, None] == some).astype(np.float32))
+        channels = (labels[chosen][:, None] == some).astype(np.float32)
+        image, alpha = renderer.render(tile, chosen, channels)
+        if renderer.seen < SEEN:
+            hindmost, _ = renderer.render(tile, chosen, channels, below=True)
+            image += (1 - alpha)[..., None] * hindmost / np.maximum(alpha, 1e-6)[..., None]
         largest = image.max(axis=2)
         better = (largest > best) & (alpha >= renderer.seen)
         found[better] = some[image.argmax(axis=2)][better]

@@ -15,6 +15,8 @@ from .preview import write_preview
 from .tiles import SEEN, Progress, TileRenderer, tiles_of
 
 MILLIMETRES = 1000
+MOSTLY_COVERED = 0.99
+"""Covered fraction of a map above which its holes are not mentioned."""
 HIGHEST = 0.999
 """Quantile of the splats' heights above which a preview is shown: a few float far above."""
 
@@ -59,7 +61,7 @@ def make_ortho(
     crs = map_crs(scene)
     covered = write_ortho(out, scene, grid, taglab, backend, progress)
     files = [out, write_preview(out, scene, grid)]
-    notes = list(scene.notes)
+    notes = [*scene.notes, *hole_notes(covered)]
     if not scene.north:
         notes.append("The preview has no north arrow: directions were not measured.")
     if taglab:
@@ -101,6 +103,15 @@ def write_pixel_size(out: Path, grid: MapGrid, unit: str) -> Path:
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path
+
+
+def hole_notes(covered: float) -> list[str]:
+    """Say which fraction of a map shows nothing, where that is not small."""
+    if covered > MOSTLY_COVERED:
+        return []
+    if not covered:
+        return ["Nothing was seen in the map: it has no data."]
+    return [f"{1 - covered:.1%} of the map shows nothing: holes have no data and are not filled."]
 
 
 def map_answer(out: Path, files: list[Path], preview: Path, grid: MapGrid, scene: MapScene, crs: Any) -> dict[str, Any]:

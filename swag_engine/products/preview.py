@@ -14,9 +14,11 @@ from .packages import require_packages
 from .relief import hillshade
 
 PREVIEW = 1600
-"""Largest edge of a preview, pixels."""
+"""Largest edge of a preview, pixels; smaller maps are enlarged by a whole factor, so that the legend can be read."""
 STRETCH = (2, 98)
 """Percentiles of the heights that have the first and the last color."""
+HEIGHTS = 5
+"""Heights in the legend."""
 WHITE = 255
 Legend = list[tuple[str, Color]]
 
@@ -37,12 +39,14 @@ def write_preview(path: Path, scene: MapScene, grid: MapGrid) -> Path:
     rasterio = require_packages()
     from rasterio.enums import ColorInterp, Resampling
 
-    factor = min(1.0, PREVIEW / max(grid.width, grid.height))
+    factor = PREVIEW / max(grid.width, grid.height)
+    factor = max(1, int(factor)) if factor >= 1 else factor
     shape = max(1, round(grid.height * factor)), max(1, round(grid.width * factor))
     pixel = grid.pixel * grid.width / shape[1]
     with rasterio.open(path) as dataset:
         palette = dataset.colorinterp[0] == ColorInterp.palette
-        method = Resampling.nearest if palette else Resampling.average
+        smooth = Resampling.bilinear if factor > 1 else Resampling.average
+        method = Resampling.nearest if palette else smooth
         values: Any = np.moveaxis(
             dataset.read(out_shape=(dataset.count, *shape), resampling=method, masked=True), 0, -1
         )
@@ -81,7 +85,7 @@ def _palette_image(values: Any, colors: dict[int, tuple[int, ...]], tags: dict[s
 
 
 def _height_image(heights: np.ndarray, pixel: float, unit: str) -> tuple[np.ndarray, Legend]:
-    """An image (H, W, 4) of heights, and the heights that have the first and the last color."""
+    """An image (H, W, 4) of heights, and heights from the last color to the first."""
     known = np.isfinite(heights)
     if not known.any():
         return np.dstack([np.full((*heights.shape, 3), WHITE, np.uint8), np.zeros(heights.shape, np.uint8)]), []
@@ -91,7 +95,11 @@ def _height_image(heights: np.ndarray, pixel: float, unit: str) -> tuple[np.ndar
     shade = np.nan_to_num(hillshade(heights, pixel), nan=1.0)[..., None]
     image = np.round(ramp[np.round(255 * level).astype(np.uint8)] * (0.4 + 0.6 * shade))
     image[~known] = WHITE
-    legend: Legend = [(f"{value:.4g} {unit}", tuple(ramp[end].tolist())) for value, end in ((high, 255), (low, 0))]
+    digits = max(0, 1 - int(np.floor(np.log10(max(high - low, 1e-9)))))
+    legend: Legend = [
+        (f"{low + at * (high - low):.{digits}f} {unit}", tuple(ramp[round(255 * at)].tolist()))
+        for at in np.linspace(1, 0, HEIGHTS)
+    ]
     return np.dstack([image.astype(np.uint8), np.where(known, 255, 0).astype(np.uint8)]), legend
 
 
@@ -127,10 +135,15 @@ def draw_scale(image: np.ndarray, pixel: float, unit: str, north: bool) -> None:
 
 
 def _draw_legend(image: np.ndarray, legend: Legend) -> None:
-    """Write the names of colors, in these colors, from the upper left corner of an image (H, W, 4) down."""
+    """Draw squares of colors with their names, from the upper left corner of an image (H, W, 4) down."""
     margin, size = max(2, image.shape[1] // 40), _size(image)
+    edge = max(2, round(24 * size))
     for row, (name, color) in enumerate(legend):
-        _draw_text(image, name, (margin, margin + round((20 + 34 * row) * size)), color)
+        top = margin + round(34 * row * size)
+        corners = (margin, top), (margin + edge, top + edge)
+        cv2.rectangle(image, *corners, (*color, 255), cv2.FILLED)
+        cv2.rectangle(image, *corners, (0, 0, 0, 255), max(1, round(2 * size)))
+        _draw_text(image, name, (margin + round(1.4 * edge), top + edge), (WHITE, WHITE, WHITE))
 
 
 def _draw_text(image: np.ndarray, text: str, place: tuple[int, int], color: Color) -> None:

@@ -15,12 +15,17 @@ from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.products.areas import make_areas
+from swag_engine.products.grid import MapGrid
 from swag_engine.products.label_errors import area_errors, held_out_confusion
-from swag_engine.products.label_map import label_colors
+from swag_engine.products.label_map import label_colors, tile_labels
+from swag_engine.products.map_frame import BESIDE_BACKGROUND, load_map_scene
 from swag_engine.products.patches import find_patches, to_coco
+from swag_engine.products.tiles import SEEN, TileRenderer, tiles_of
+from swag_engine.products.views import visible
 from swag_engine.scene.colmap import load_scene
 from swag_engine.semantics.assign import render_labels
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.splats.splats import concatenate
 from tests.scenes.flat_splats import sheet, write_run
 from tests.scenes.tiny import make_tiny_scene
 
@@ -168,33 +173,62 @@ def test_confusion_moves_areas_and_widens_intervals():
 
 def test_confusion_of_held_out_images(tmp_path):
     """Splats west of x = 0 are `left`; the masks of the test images call the upper rows of it `right`."""
-    scene = make_tiny_scene(tmp_path / "scene")
-    west, east = sheet(-2, -2, 0, 2, 0.1, label=1), sheet(0, -2, 2, 2, 0.1, label=2)
-    run = write_run(tmp_path / "made", [west, east], ("left", "right"), None)
-    from swag_engine.splats.splats import concatenate
-
-    splats = concatenate([west, east])
+    photos = make_tiny_scene(tmp_path / "scene")
+    splats = concatenate([sheet(-2, -2, 0, 2, 0.1, label=1), sheet(0, -2, 2, 2, 0.1, label=2)])
+    run = write_run(tmp_path / "made", [splats], ("left", "right"), None)
     folder = RunFolder(run)
-    folder.write_config(scene, TrainSettings(), [0.0, -1.0, 0.0])
+    folder.write_config(photos, TrainSettings(), [0.0, -1.0, 0.0])
     folder.write_result(splats, [0.0, -1.0, 0.0])
-    assert len(held_out_confusion(run, None, {1: "left", 2: "right"})) == 0
+    out = tmp_path / "areas"
+    made = make_areas(run, out, 0.05, plane="0,0,-1")
+    assert made["held_out"] == 0
     cloud = GaussianCloud.from_splats(splats, (0.5, 0.5, 0.5))
     numbers = torch.from_numpy(splats.extras["label"]).long()
-    changed = 0
-    for view in load_scene(scene).views:
+    changed, seen_left = 0, 0
+    for view in load_scene(photos).views:
         seen = render_labels(cloud, numbers, 2, view.camera)
         left, right = seen == 1, seen == 2
         if view.name in ("view_00.png", "view_08.png"):  # every eighth
+            seen_left += left.sum()
             right[:20] |= left[:20]
             changed += left[:20].sum()
             left[:20] = False
         for name, mask in (("left", left), ("right", right)):
-            path = scene / "labels" / name / view.name
+            path = photos / "labels" / name / view.name
             path.parent.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(path), 255 * mask.astype(np.uint8))
-    confusion = held_out_confusion(run, None, {1: "left", 2: "right"})
-    assert confusion.shape == (2, 3, 3) and confusion[:, 1, 2].sum() == changed > 0
-    assert confusion[:, 2, 1].sum() == 0 and confusion[:, 1, 1].sum() > 0
+    scene, grid = load_map_scene(run, "0,0,-1"), MapGrid(**made["grid"])
+    confusion = held_out_confusion(scene, None, out / "labels.tif", out / "heights.tif", grid)
+    assert confusion.shape == (2, 3, 3)
+    assert confusion[:, 1, 2].sum() / confusion[:, 1, 1:].sum() == pytest.approx(changed / seen_left, abs=0.02)
+    assert confusion[:, 2, 1].sum() < 0.02 * confusion[:, 2, 2].sum()
+    assert make_areas(run, out, 0.05, plane="0,0,-1")["held_out"] == 2
+
+
+def test_what_the_surface_hides_from_a_photo_is_not_compared():
+    """A wall 2 m high between x = 1 and 1.2 hides the ground behind it from a camera 4 m above x = -1."""
+    grid = MapGrid(0, 1, 0.05, 80, 20)
+    heights = np.zeros((20, 80))
+    heights[:, 20:24], heights[5, 3] = 2.0, np.nan
+    seen = visible(np.array([-1.0, 0.5, 4.0]), grid, heights)
+    assert seen[10, :24].all() and not seen[5, 3]
+    assert not seen[10, 26:68].any() and seen[10, 72:].all()  # the shadow ends at x = 3.4
+
+
+def test_ground_in_the_color_of_the_background_keeps_its_area(tmp_path):
+    """Transparent ground around a coral with soft edges, in a run with and without a background color."""
+    ground = sheet(0, 0, 2, 2, 0.04, label=1)
+    ground.opacities[:] = 0.15
+    coral = sheet(0.5, 0.5, 1.5, 1.5, 0.05, 0.3, label=2)
+    scene = load_map_scene(write_run(tmp_path, [ground, coral], ("sand", "coral")))
+    areas = []
+    for seen in (SEEN, BESIDE_BACKGROUND):
+        grid = MapGrid(0, 2, 0.02, 100, 100)
+        renderer = TileRenderer(scene.splats, grid, seen=seen)
+        (tile,) = tiles_of(grid)
+        found = tile_labels(renderer, tile, scene.splats.extras["label"].astype(int))
+        areas.append((found == 2).sum() * grid.pixel**2)
+    assert areas[0] > 1.1 and areas[1] < areas[0] - 0.03, areas
 
 
 def test_the_command_prints_the_table_and_refuses_splats_without_labels(tmp_path, capsys):

@@ -15,11 +15,12 @@ from swag_engine.products import change, change_maps, dem, geotiff, preview, til
 from swag_engine.products.alignment import align
 from swag_engine.products.areas import make_areas
 from swag_engine.products.change import make_change
+from swag_engine.products.change_maps import Comparison, Survey
 from swag_engine.products.components import Components
 from swag_engine.products.grid import MapGrid, make_grid
 from swag_engine.products.map_frame import load_map_scene
 from swag_engine.products.profile import make_profile
-from swag_engine.products.views import count_views
+from swag_engine.products.views import height_errors
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.georeference import Georeference
 from swag_engine.splats.splats import concatenate
@@ -248,24 +249,64 @@ def test_memory_does_not_grow_with_the_map(tmp_path, monkeypatch):
     assert peaks[1][0] < 2 * peaks[0][0] and peaks[1][1] < 2 * peaks[0][1], peaks
 
 
-def test_places_that_few_photos_see_are_not_compared(tmp_path, monkeypatch):
-    """Six cameras over the west and three over the east, two metres above the middle: 2 m wide images."""
+def cameras_above(scene, places, height=2.0):
+    """Cameras that look straight down from places, in metres; from 2 m their images are 2 m wide."""
+    cameras = []
+    for x, y in places:
+        to_camera = np.diag([1.0, -1, -1, 1])
+        to_camera[:3, 3] = -to_camera[:3, :3] @ [x, y, height]
+        to_camera = to_camera @ scene.matrix
+        to_camera[:3] /= np.cbrt(np.linalg.det(scene.matrix[:3, :3]))  # the camera has the scene's unit
+        cameras.append(Camera("", 200, 200, 200.0, 200.0, 100.0, 100.0, to_camera))
+    return cameras
+
+
+def test_errors_of_heights_follow_from_the_rays(tmp_path):
+    """Two cameras 2 m above the ground and 1 m apart: angles of a pixel, 1/200, leave 4 cm of height in the middle."""
+    scene = load_map_scene(write_run(tmp_path, [survey(0)]))
+    grid = make_grid(scene.splats, 0.1, (0, 0, 4, 3))
+    (tile,) = tiles.tiles_of(grid)
+    found = height_errors(cameras_above(scene, [(1.5, 1.8), (2.5, 1.8)]), scene, grid, tile, np.zeros((30, 40)))
+    distance = np.hypot(2, 0.5)
+    wanted = distance / 200 / np.sqrt(2) / (0.5 / distance)  # each ray tells the height by the sine of its angle
+    assert found[15, 20] == pytest.approx(wanted, rel=0.1)
+    assert np.isinf(found[15, 2]) and np.isinf(found[15, 38]) and np.isinf(found[28, 20])
+    more = height_errors(
+        cameras_above(scene, [(1.5, 1.8), (2.5, 1.8)] * 4), scene, grid, tile, np.zeros((30, 40))
+    )  # fmt: skip
+    assert more[15, 20] == pytest.approx(found[15, 20] / 2, rel=1e-3)
+    same = height_errors(cameras_above(scene, [(2.0, 1.8)] * 2), scene, grid, tile, np.zeros((30, 40)))
+    assert np.isinf(same).all()  # two photos from one place
+
+
+def test_places_whose_heights_photos_do_not_determine_are_not_compared(tmp_path, monkeypatch):
+    """Many photos of the west from all sides, two of the east from nearly one place, and none of the rest."""
     run = write_run(tmp_path, [survey(0)])
     scene = load_map_scene(run)
-    grid = make_grid(scene.splats, 0.1, (0, 0, 4, 3))
-    cameras = []
-    for x in (0.5, 0.6, 0.7, 0.7, 0.8, 0.8, 3.3, 3.4, 3.5):
-        to_camera = np.diag([1.0, -1, -1, 1])
-        to_camera[:3, 3] = -to_camera[:3, :3] @ [x, 1.5, 2.0]
-        cameras.append(Camera("", 200, 200, 200.0, 200.0, 100.0, 100.0, to_camera @ scene.matrix))
-    (tile,) = tiles.tiles_of(grid)
-    counts = count_views(cameras, scene, grid, tile, np.zeros((30, 40)))
-    assert (counts[6:24, :14] == 6).all() and not counts[:4].any()
-    assert counts[15, [19, 24, 27, 39]].tolist() == [0, 2, 3, 3]
+    west = [(x, y) for x in (0.4, 0.8, 1.2) for y in (0.9, 1.5, 2.1)]
+    cameras = cameras_above(scene, [*west, (3.2, 1.5), (3.25, 1.5)])
     monkeypatch.setattr(change, "training_cameras", lambda scene: cameras)
     make_change(run, run, tmp_path / "change", 0.1, (0, 0, 4, 3))
     flags = rasterio.open(tmp_path / "change" / "changed.tif").read(1)
-    assert (flags[7:23, 1:12] == 0).all() and (flags[:, 20:] == 255).all()
+    assert (flags[8:22, 3:13] == 0).all() and (flags[:, 24:] == 255).all()
+
+
+def test_heights_with_larger_expected_errors_need_larger_changes():
+    """The same difference is told where the expected error is usual, and not where it is twice that."""
+    grid = MapGrid(0, 40, 1, 100, 40)
+    random = np.random.default_rng(0)
+    errors = np.ones((40, 100), np.float32)
+    errors[:, 60:], errors[:, 90:] = 2.0, 3.0
+    before, after = (0.7 * errors * random.standard_normal((40, 100), np.float32) for _ in range(2))
+    after[5:15, 5:15] += 3.2
+    after[5:15, 70:80] += 3.2
+    colors = np.full((40, 100, 3), 128, np.uint8)
+    comparison = Comparison(Survey(colors, before, None, errors), Survey(colors, after, None, errors), grid, 0.0)
+    (tile,) = tiles.tiles_of(grid)
+    found = comparison.differences(tile)
+    told = found.told >> 1 & 1
+    assert told[7:13, 7:13].mean() > 0.6 > 0.35 > told[7:13, 72:78].mean()
+    assert np.isnan(found.height[:, 90:]).all() and np.isfinite(found.height[:, :90]).all()
 
 
 def test_components_join_across_tiles():

@@ -72,8 +72,8 @@ def test_pixels_without_splats_are_transparent_and_the_preview_has_a_scale_bar(t
     with rasterio.open(out) as dataset:
         assert (dataset.read(4)[:, :90] == 0).all()
     preview = cv2.imread(str(tmp_path / "map_preview.png"))
-    assert preview.shape == (300, 500, 3)
-    assert (preview[280:295, 12:60] < 10).any()  # the bar is outlined in black over the white outside
+    assert preview.shape == (900, 1500, 3)  # three times as large as the map
+    assert (preview[840:885, 36:180] < 10).any()  # the bar is outlined in black over the white outside
 
 
 def test_tiles_join_without_a_seam(two_colors, tmp_path, monkeypatch):
@@ -283,8 +283,8 @@ def test_previews_are_transparent_where_nothing_was_seen_and_in_the_colors_of_th
     run = write_run(tmp_path, [sheet(0, 0, 2, 2, 0.05), sheet(2, 0, 4, 2, 0.05, 0.5)])
     found = make_dem(run, tmp_path / "dem.tif", pixel=0.02, box=(-1, 0, 4, 2))
     image = cv2.imread(found["preview"], cv2.IMREAD_UNCHANGED)
-    assert image.shape == (100, 250, 4) and not image[40:60, 20:45, 3].any() and (image[:, 60:, 3] == 255).all()
-    low, high = image[60, 90, :3].astype(int), image[60, 200, :3].astype(int)
+    assert image.shape == (600, 1500, 4) and not image[300:360, 120:270, 3].any() and (image[:, 360:, 3] == 255).all()
+    low, high = image[360, 540, :3].astype(int), image[360, 1200, :3].astype(int)
     assert high[1] > low[1] + 80 and low[0] > high[0]  # from blue to yellow
     to_map, extent = np.array(found["to_map"]), found["extent"]
     np.testing.assert_allclose(to_map, GEOREFERENCE.matrix)
@@ -325,8 +325,8 @@ def test_noise_of_heights_is_little_surface():
     "case, sentence",
     [
         ("no scale", "The scale of scene was not measured: lengths are in units of the scene. Measure it with"),
-        ("holes", "50.0% covered"),
-        ("nothing", "Nothing was seen in the map: all heights are nodata"),
+        ("holes", "50.0% of the map shows nothing: holes have no data and are not filled."),
+        ("nothing", "Nothing was seen in the map: it has no data."),
         ("label without splats", "No pixel shows the label seagrass."),
     ],
 )
