@@ -64,6 +64,8 @@ BAD_DRIVERS = {
     r"^Mali(?!.*Mesa)": "its driver adds wrongly in workgroup memory",
 }
 """Adapters and drivers that are known to compute wrongly, as patterns of name and driver, and what is wrong."""
+OLDEST_MESA = 22, 3
+"""Oldest version of Mesa whose software driver is used: the tests ran on 22.3.6, and on none before."""
 LEAST_BUFFER = 64
 """Smallest buffer, bytes: a kernel refuses one without room for an item."""
 CALL_BYTES = 256
@@ -157,7 +159,8 @@ class WebGpu:
             if isinstance(error, wgpu.GPUOutOfMemoryError):
                 raise MemoryError(f"{self.adapter_name} has too little memory.") from error
             reason = " ".join(str(error).split())
-            raise WebGpuFailure(f"The graphics card {self.adapter_name} failed: {reason[:300]}") from error
+            reason = reason[:300].rstrip(".")
+            raise WebGpuFailure(f"The graphics card {self.adapter_name} failed: {reason}.") from error
 
     def upload(self, values: Tensor) -> Any:
         """Return a buffer with the numbers of a tensor on the CPU.
@@ -466,8 +469,12 @@ def _refusal(adapter: Any) -> str:
     for pattern, reason in BAD_DRIVERS.items():
         if re.search(pattern, f"{info['device']}, {info['description']}"):
             return reason
-    if info["adapter_type"] == "CPU" and os.environ.get(ALLOW_SOFTWARE) != "1":
-        return f"it computes on the processor; set {ALLOW_SOFTWARE}=1 to use it in tests"
+    if info["adapter_type"] == "CPU":
+        if os.environ.get(ALLOW_SOFTWARE) != "1":
+            return f"it computes on the processor; set {ALLOW_SOFTWARE}=1 to use it in tests"
+        mesa = re.match(r"Mesa (\d+)\.(\d+)", info["description"])
+        if mesa and tuple(map(int, mesa.groups())) < OLDEST_MESA:
+            return f"{mesa[0]} is older than {OLDEST_MESA[0]}.{OLDEST_MESA[1]}, the oldest that was tested"
     for name, needed in DEFAULT_LIMITS.items():
         if adapter.limits[name] < needed:
             return f"it has {adapter.limits[name]} {name.replace('-', ' ')}, and {needed} are needed"

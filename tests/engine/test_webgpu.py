@@ -245,6 +245,28 @@ def test_lists_that_a_card_cannot_read_at_once_are_refused(kernels, gpu, monkeyp
         run(changed(n=50), "wgpu")
 
 
+def test_workgroup_memory_is_what_webgpu_allows():
+    """WebGPU's rules for the sizes of types; the driver of the tests has more memory and would not complain."""
+    numbers = {"f32": 1, "u32": 1, "atomic<u32>": 1, "vec2f": 2, "vec3f": 4, "vec4f": 4}
+    sizes = {}
+    for kernel, files in webgpu_device.STAGES.items():
+        text = re.sub(r" *//.*", "", webgpu_device._source(files, True).text)
+        functions = dict(re.findall(r"(?ms)^fn (\w+)([^\n]*}$|.*?^})", text))
+        used = {kernel}
+        for _ in functions:
+            used |= {name for name in functions for other in used if re.search(rf"\b{name}\(", functions[other])}
+        body = "".join(functions[name] for name in used)
+        size = 0
+        for name, kind in re.findall(r"(?m)^var<workgroup> (\w+): (.*);$", text):
+            count = 1
+            while inner := re.fullmatch(r"array<(.*), (\d+)>", kind):
+                kind, count = inner[1], count * int(inner[2])
+            size += 4 * numbers[kind] * count * bool(re.search(rf"\b{name}\b", body))
+        sizes[kernel] = size
+    assert max(sizes.values()) <= DEFAULT_LIMITS["max-compute-workgroup-storage-size"], sizes
+    assert sizes["l1_ssim_backward"] == 676 * 16 + 416 * 12 and sizes["move_by_digit"] == 4 * (256 + 2048)
+
+
 def test_more_groups_than_a_dimension_holds(kernels, gpu, monkeypatch):
     scene = next(clear_scenes(1, n=700, width=47, height=35, size=0.05))
     truth, _ = run(scene, "wgpu")
@@ -329,6 +351,34 @@ def test_drivers_that_are_known_to_be_bad_are_refused(monkeypatch):
     ]
 
 
+def test_the_version_of_the_software_driver_is_checked(driver, monkeypatch):
+    monkeypatch.setenv(ALLOW_SOFTWARE, "1")
+    for adapter in webgpu_device._adapters():
+        if adapter.info["adapter_type"] == "CPU":
+            assert re.match(r"Mesa \d+\.\d+", adapter.info["description"]) and not webgpu_device._refusal(adapter)
+    adapters_are(monkeypatch, Adapter("llvmpipe", "CPU", "Mesa 21.2.6 (LLVM 12.0.0)"))
+    with pytest.raises(WebGpuUnavailable, match="llvmpipe is not used: Mesa 21.2 is older than 22.3, the oldest"):
+        request()
+    adapters_are(monkeypatch, Adapter("llvmpipe", "CPU", "Mesa 25.0.7 (LLVM 19.1.7)"))
+    assert request().software
+
+
+def test_an_adapter_that_vanishes_before_it_gives_a_device_is_said(monkeypatch):
+    card = Adapter("card", "DiscreteGPU")
+    adapters_are(monkeypatch, card)
+    monkeypatch.setattr(Adapter, "request_device_sync", vanished)
+    monkeypatch.setitem(KERNELS, "wgpu", WebGpuKernels(CPU))
+    with pytest.raises(InputError, match="The wgpu backend cannot run here: card gave no device: adapter is gone"):
+        device_for("wgpu")
+    assert automatic_backend() == "cpu"
+    settings, note = with_backend_of_run(TrainSettings(backend="wgpu"), resume=True)
+    assert settings.backend == "cpu" and "card gave no device" in note
+
+
+def vanished(*_, **__):
+    raise RuntimeError("adapter is gone")
+
+
 def test_a_device_that_sorts_wrongly_is_refused(gpu, monkeypatch):
     webgpu_tiles.check(gpu)
     run = WebGpu.run
@@ -346,6 +396,9 @@ def test_auto_takes_cards_and_no_software(kernels, gpu, monkeypatch):
     assert kernels_for("auto", torch.zeros(1)) is CPU and automatic_backend() == "cpu"
     monkeypatch.setattr(gpu, "software", False)
     assert automatic_backend() == "wgpu"
+    with monkeypatch.context() as patch:
+        patch.setattr(KERNELS["cuda"], "unavailable_reason", lambda: None)
+        assert automatic_backend() == "cuda"
     auto = TrainSettings(backend="auto")
     assert with_backend_of_run(auto, False)[0].backend == "wgpu"
     assert with_backend_of_run(replace(auto, recipe="seasplat"), False)[0].backend == "auto"
