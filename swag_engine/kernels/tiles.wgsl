@@ -1,5 +1,4 @@
 // Which tiles each projected Gaussian meets, as in tiles.cu: packing, and the list of pairs of a Gaussian and a tile.
-const LOG255 = 5.54126355;      // ln(255): alpha falls below 1/255 where s > ln(255 opacity)
 const ROW_MARGIN = 0.01;        // pixels; for rounding, since each pixel is tested again
 const NOT_DRAWN = 0xffffffffu;  // key that sorts behind all others
 

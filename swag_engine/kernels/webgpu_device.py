@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from ..base.errors import InputError
-from .reference import blending, projection, similarity
+from .constants import wgsl
 
 FOLDER = Path(__file__).parent
 """Folder of the sources."""
@@ -392,29 +392,10 @@ class Source:
         return data + bytes(-len(data) % 16)
 
 
-def constants() -> str:
-    """Return the constants of the reference that the kernels use, as WGSL."""
-    distances = np.arange(similarity.WINDOW) - similarity.WINDOW // 2
-    window = np.exp(-(distances**2) / (2 * similarity.SIGMA**2))
-    half = (window / window.sum())[similarity.WINDOW // 2 :]
-    values = {
-        "NEAR": projection.NEAR,
-        "BLUR": projection.BLUR,
-        "GUARD": projection.GUARD,
-        "MAX_SIGMA": projection.MAX_SIGMA,
-        "MAX_EXTENT": projection.MAX_EXTENT,
-        "MAX_ALPHA": blending.MAX_ALPHA,
-        "MIN_TRANSMITTANCE": blending.MIN_TRANSMITTANCE,
-    }
-    lines = [f"const {name} = {float(value)!r};" for name, value in values.items()]
-    numbers = ", ".join(f"{value:.9e}" for value in half)
-    return "\n".join([*lines, f"const WINDOW = array<f32, {len(half)}>({numbers});", ""])
-
-
 @cache
 def _source(files: str, float_atomics: bool) -> Source:
     text = "".join((FOLDER / f"{name}.wgsl").read_text(encoding="utf-8") for name in ("common", *files.split()))
-    text = constants() + re.sub(rf"(?m)^//#{'native' if float_atomics else 'swap'} ", "", text)
+    text = wgsl() + re.sub(rf"(?m)^//#{'native' if float_atomics else 'swap'} ", "", text)
     found = re.findall(r"(?m)^@group\(0\) @binding\((\d+)\) var<storage, (\w+)> (\w+)", text)
     kinds = {"read": "read-only-storage", "read_write": "storage"}
     bindings = {name: (int(number), kinds[access]) for number, access, name in found}

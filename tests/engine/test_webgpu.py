@@ -11,7 +11,7 @@ import torch
 
 from swag_engine.base.errors import InputError
 from swag_engine.gaussians.sh import evaluate_sh
-from swag_engine.kernels import webgpu, webgpu_device, webgpu_tiles
+from swag_engine.kernels import constants, webgpu_device, webgpu_tiles, webgpu_training
 from swag_engine.kernels.backends import CPU, KERNELS, automatic_backend, device_for, kernels_for
 from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.kernels.webgpu_device import (
@@ -420,7 +420,25 @@ def test_the_doctor_lists_the_adapters(driver):
     assert "backend wgpu: " in text and "not used: it computes on the processor" in text and ", Vulkan, " in text
 
 
-def test_constants_of_the_kernels_are_those_of_the_reference():
-    text = webgpu_device.constants()
-    assert "const MAX_ALPHA = 0.99;" in text and "const NEAR = 0.01;" in text
-    assert (webgpu.TILE, webgpu.MOMENTS) == (16, 6)
+def test_constants_are_generated_from_the_reference_in_all_languages():
+    header, text = constants.HEADER.read_text(encoding="utf-8"), constants.wgsl()
+    assert header == constants.header(), "python -m swag_engine.kernels.constants writes it"
+    for name, value in constants.values().items():
+        assert f"constexpr double {name} = {float(value)!r};" in header and f"const {name} = {float(value)!r};" in text
+    sources = {path: path.read_text(encoding="utf-8") for path in constants.HEADER.parent.iterdir() if path.is_file()}
+    for path, source in sources.items():  # no source has a value of its own
+        if path.suffix in (".cpp", ".cu", ".cuh", ".h", ".wgsl") and path != constants.HEADER:
+            for name in (*constants.values(), "WINDOW", "C1", "C2"):
+                own = re.findall(rf"(?m)^.*\bconst(?:expr)?\b.*\b{name}(?:\[.*\])? = (.*?);", source)
+                assert all("constants::" in value for value in own), (path, name, own)
+
+
+@pytest.mark.parametrize("module", [webgpu_tiles, webgpu_training])
+def test_sizes_and_bits_that_python_and_wgsl_share_are_equal(module):
+    found = {}
+    for path in constants.HEADER.parent.glob("*.wgsl"):
+        for name, value in re.findall(r"(?m)^const (\w+) = (\w+?)u?;", path.read_text(encoding="utf-8")):
+            found.setdefault(name, set()).add(int(value, 0))
+    shared = [name for name in found if isinstance(getattr(module, name, None), int)]
+    assert len(shared) >= 5
+    assert all(found[name] == {getattr(module, name)} for name in shared), found
