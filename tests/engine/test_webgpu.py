@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from swag_engine.base.errors import InputError
-from swag_engine.gaussians.sh import evaluate_sh
 from swag_engine.kernels import constants, webgpu_device, webgpu_tiles, webgpu_training
 from swag_engine.kernels.backends import CPU, KERNELS, automatic_backend, device_for, kernels_for
 from swag_engine.kernels.webgpu import WebGpuKernels
@@ -25,19 +24,18 @@ from swag_engine.kernels.webgpu_device import (
 from swag_engine.kernels.webgpu_training import adam_fields
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.losses import photometric
-from swag_engine.training.optimizer import BETAS, EPS, adam_step
+from swag_engine.training.optimizer import BETAS, EPS
 from swag_engine.training.trainer import train
 from swag_engine.training.webgpu_step import with_backend_of_run
+from tests.engine.kernel_suite import KernelSuite
 from tests.engine.raster_scenes import (
-    GRADIENTS,
-    HARD,
     changed,
     clear_scenes,
     make_scene,
-    orthographic,
     relative_error,
     run,
 )
+from tests.engine.webgpu_devices import software_device
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +45,8 @@ def driver(missing):
 
 
 @pytest.fixture(scope="module", params=["atomic floats", "compare and swap"])
-def gpu(request, driver):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(ALLOW_SOFTWARE, "1")
-        return webgpu_device.request(float_atomics=request.param == "atomic floats", default_limits=True)
+def gpu(request, missing):
+    return software_device(missing, request.param == "atomic floats")
 
 
 @pytest.fixture
@@ -60,132 +56,29 @@ def kernels(gpu, monkeypatch):
     return KERNELS["wgpu"]
 
 
-def check(scene, image=1e-5, gradients=1e-4):
-    truth, _ = run(scene, "torch", torch.float64)
-    result, _ = run(scene, "wgpu")
-    errors = {key: relative_error(result[key], truth[key]) for key in truth}
-    assert max(errors["channels_out"], errors["alpha"]) < image, errors
-    assert max(errors.values()) < gradients, errors
+@pytest.mark.usefixtures("kernels")
+class TestWgpu(KernelSuite):
+    """The suite of all backends, with both ways to add floats."""
 
+    backend = "wgpu"
 
-@pytest.mark.parametrize("channels", [1, 3, 4, 11])
-def test_agrees_with_the_reference(channels, kernels):
-    for number, scene in enumerate(clear_scenes(3, n=50, channels=channels, width=47, height=35)):
-        scene["width"] = 47 - 11 * number  # partial tiles
-        check(scene)
-
-
-def test_agrees_with_the_reference_for_orthographic_cameras(kernels):
-    for scene in clear_scenes(2, orthographic, n=50, width=47, height=35):
-        check(scene)
-
-
-def test_agrees_on_many_small_scenes(kernels):
-    for number in range(8):
-        check(make_scene(8, channels=2, width=19, height=18, seed=number, size=0.4))
-
-
-def test_agrees_where_pixels_end_early_and_a_tile_has_several_batches(kernels):
-    for scene in clear_scenes(2, n=120, width=33, height=35, size=0.5):
-        check(scene)
-    scene = make_scene(400, width=16, height=16, size=0.6)
-    scene["opacities"] *= 0.02
-    check(scene)
+    def adam(self, parameter, gradients, backend):
+        """By the kernel of a step on the device."""
+        if backend != self.backend:
+            return super().adam(parameter, gradients, backend)
+        gpu, count = KERNELS["wgpu"].gpu, parameter.numel()
+        buffers = [gpu.upload(values) for values in (parameter, 0 * parameter, 0 * parameter)]
+        for number, gradient in enumerate(gradients):
+            call = {"count": count, **adam_fields(0.1, *BETAS, EPS, number + 1)}
+            bound = dict(zip(("parameter", "mean", "square"), buffers, strict=True))
+            gpu.run("adam_step", -(-count // 256), call, **bound, gradient=gpu.upload(gradient), skipped=gpu.empty(1))
+        return [gpu.read(buffer, tuple(parameter.shape)) for buffer in buffers]
 
 
 def test_agrees_with_several_blocks_of_the_sort(kernels):
     scene = make_scene(2500, width=60, height=44, size=0.06)
     truth, result = run(scene, "cpu")[0], run(scene, "wgpu")[0]
     assert max(relative_error(result[key], truth[key]) for key in truth) < 1e-4
-
-
-def test_agrees_beyond_the_guard_band_and_for_degenerate_shapes(kernels):
-    scene = changed(n=8, means=lambda m: m * torch.tensor([8.0, 5.0, 1.0]), scales=lambda s: s * 4)
-    scene["quats"][:2] *= 1e-8
-    scene["quats"][2] = 0
-    scene["scales"][3:5, 0] = 1e-7
-    check(scene)
-
-
-def test_agrees_for_far_gaussians(kernels):
-    scene = make_scene(50, size=0.01)
-    shift = torch.tensor([1000.0, -2000.0, 500.0], dtype=torch.float64)
-    scene["means"] = (scene["means"] + shift).float().double()
-    scene["viewmat"][:3, 3] = (scene["viewmat"][:3, 3] - scene["viewmat"][:3, :3] @ shift).float().double()
-    check(scene)
-
-
-@pytest.mark.parametrize("case", HARD)
-def test_hard_cases_give_finite_images_and_gradients(case, kernels):
-    results, rendering = run(HARD[case], "wgpu")
-    for key, value in results.items():
-        assert value.isfinite().all(), key
-    assert (rendering.alpha >= 0).all() and (rendering.alpha <= 1).all()
-    if " in " in case:  # the bad one is out
-        assert rendering.radii[1] == 0 and all((results[name][1] == 0).all() for name in GRADIENTS[:-1])
-
-
-@pytest.mark.parametrize("case", ["huge scales", "vanishing scales", "pancakes", "opacity 1", "thousands of equals"])
-def test_hard_cases_match_the_reference(case, kernels):
-    truth, _ = run(HARD[case], "torch", torch.float64)
-    result, _ = run(HARD[case], "wgpu")
-    for key in ("channels_out", "alpha"):
-        assert relative_error(result[key], truth[key]) < 1e-4, key
-
-
-@pytest.mark.parametrize("degree, stored", [(0, 0), (0, 3), (2, 3), (3, 3)])
-def test_sh_colors_agree_with_torch(degree, stored, kernels):
-    generator = torch.Generator().manual_seed(degree)
-    shapes = (1, 3), ((stored + 1) ** 2 - 1, 3), (3,), (3,)
-    sh0, shN, directions, weights = (torch.randn(300, *shape, generator=generator).double() for shape in shapes)
-    directions /= directions.norm(dim=1, keepdim=True)
-
-    def colors_and_gradients(backend, dtype):
-        inputs = [tensor.to(dtype, copy=True).requires_grad_() for tensor in (sh0, shN)]
-        colors = evaluate_sh(inputs[0], inputs[1], directions.to(dtype), degree, backend)
-        (colors * weights.to(colors)).sum().backward()
-        return [value.detach().double() for value in (colors, *(tensor.grad for tensor in inputs))]
-
-    truth = colors_and_gradients("torch", torch.float64)
-    for value, expected in zip(colors_and_gradients("wgpu", torch.float32), truth, strict=True):
-        torch.testing.assert_close(value, expected, atol=2e-6, rtol=1e-5)
-
-
-@pytest.mark.parametrize("height, width", [(1, 1), (7, 40), (45, 35)])
-def test_l1_ssim_agrees_with_torch(height, width, kernels):
-    generator = torch.Generator().manual_seed(height)
-    target = torch.rand(height, width, 3, generator=generator, dtype=torch.float64)
-    image = (target + 0.2 * torch.randn(height, width, 3, generator=generator, dtype=torch.float64)).clamp(0, 1)
-    image[2:3] = target[2:3]  # |image - target| has no slope there
-
-    def losses(backend, dtype):
-        a, b = image.to(dtype, copy=True).requires_grad_(), target.to(dtype)
-        loss = photometric(a, b, None, 0.7, 0.3, backend=backend)
-        loss.backward()
-        return [value.detach().double() for value in (loss, a.grad)]
-
-    truth = losses("torch", torch.float64)
-    for value, expected in zip(losses("wgpu", torch.float32), truth, strict=True):
-        assert relative_error(value, expected) < 1e-5
-
-
-def adam_steps(gpu):
-    """Return a parameter and its moments after five steps on the CPU in float64, and on the GPU."""
-    generator = torch.Generator().manual_seed(0)
-    parameter = torch.randn(600, generator=generator)
-    truth = parameter.double(), torch.zeros(600).double(), torch.zeros(600).double()
-    buffers = {name: gpu.upload(t.float()) for name, t in zip(("parameter", "mean", "square"), truth, strict=True)}
-    for step in range(1, 6):
-        gradient = torch.randn(600, generator=generator)
-        adam_step(truth[0], gradient.double(), *truth[1:], 0.1, step, "torch")
-        call = {"count": 600, **adam_fields(0.1, *BETAS, EPS, step)}
-        gpu.run("adam_step", 3, call, **buffers, gradient=gpu.upload(gradient), skipped=gpu.empty(1))
-    return truth, [gpu.read(buffer, (600,)).double() for buffer in buffers.values()]
-
-
-def test_adam_agrees_with_torch(gpu):
-    for expected, value in zip(*adam_steps(gpu), strict=True):
-        torch.testing.assert_close(value, expected, atol=2e-6, rtol=1e-5)
 
 
 # -- runs --------------------------------------------------------------------------------------------------------------

@@ -8,10 +8,8 @@ import torch
 
 from benchmarks import gpu_check
 from swag_engine.gaussians.densify import PER_GAUSSIAN
-from swag_engine.kernels import webgpu_device
 from swag_engine.kernels.backends import CPU, KERNELS
 from swag_engine.kernels.webgpu import WebGpuKernels
-from swag_engine.kernels.webgpu_device import ALLOW_SOFTWARE
 from swag_engine.kernels.webgpu_training import ResidentGaussians
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import native_step
@@ -32,16 +30,13 @@ from tests.engine.step_scenes import (
     inputs_of_step,
     trainers,
 )
+from tests.engine.webgpu_devices import software_device
 from tests.scenes.runs import train_with
 
 
 @pytest.fixture(scope="module", params=["atomic floats", "compare and swap"])
 def gpu(request, missing):
-    if not webgpu_device._adapters():
-        missing("A Vulkan driver is missing: apt-get install mesa-vulkan-drivers.")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(ALLOW_SOFTWARE, "1")
-        return webgpu_device.request(float_atomics=request.param == "atomic floats", default_limits=True)
+    return software_device(missing, request.param == "atomic floats")
 
 
 @pytest.fixture
@@ -359,14 +354,11 @@ def test_the_guard_rolls_back_what_is_on_the_card(make, kernels):
         assert torch.equal(state.cloud.means, kept) and state.optimizer.steps == 0
 
 
-@one_gpu
 @pytest.mark.parametrize("what", ["a call fails", "the device is lost"])
-def test_when_the_card_fails_the_run_goes_on_on_the_processor(what, kernels, tiny_scene, tmp_path, monkeypatch):
+def test_when_the_card_fails_the_run_goes_on_on_the_processor(what, missing, tiny_scene, tmp_path, monkeypatch):
     import wgpu
 
-    with monkeypatch.context() as patch:  # the device is destroyed, and no other test has it
-        patch.setenv(ALLOW_SOFTWARE, "1")
-        gpu = webgpu_device.request(default_limits=True)
+    gpu = software_device(missing)  # no other test has it, since it is destroyed
     kernels = WebGpuKernels(CPU, lambda: gpu)
     monkeypatch.setitem(KERNELS, "wgpu", kernels)
     step, made = ResidentGaussians.step, []
