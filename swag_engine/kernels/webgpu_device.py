@@ -38,8 +38,8 @@ STAGES = {
     "shade_forward": "basis light medium water",
     "sh_backward": "basis sh",
     "sh_forward": "basis sh",
-    **dict.fromkeys(("sum_blocks", "sum_totals", "add_totals", "count_digits", "move_by_digit"), "sort"),
-    **dict.fromkeys(("pack", "count_tiles", "fill_tiles", "pad_tiles", "find_ranges"), "splat tiles"),
+    **dict.fromkeys(("sum_blocks", "sum_totals", "count_digits", "move_by_digit"), "sort"),
+    **dict.fromkeys(("pack", "count_tiles", "fill_tiles", "find_ranges"), "splat tiles"),
 }
 """The files of each kernel, after common.wgsl."""
 ALLOW_SOFTWARE = "SWAG_WGPU_SOFTWARE"

@@ -256,9 +256,9 @@ def test_what_gpu_check_times_runs(kernels, monkeypatch):
     monkeypatch.setattr(gpu_check, "SIZE", (64, 48))
     monkeypatch.setattr(gpu_check, "ROUNDS", 2)
     found = gpu_check.wgpu_timings(kernels, 300)
-    # Forward 5, sort by depth 8 x 5, list 1 + 3 + 2 + 1 x 5 + 1, blend 2, compare 4, backward 5, sums 1, views and
+    # Forward 5, sort by depth 8 x 4, list 1 + 2 + 1 + 1 x 4 + 1, blend 2, compare 4, backward 5, sums 1, views and
     # Adam 7; of numbers, those of water, lamp and gains go in, sums and flags come out.
-    assert found["dispatches a step"] == 5 + 40 + 12 + 2 + 4 + 5 + 1 + 7
+    assert found["dispatches a step"] == 5 + 32 + 9 + 2 + 4 + 5 + 1 + 7
     assert found["uploaded a step"] == 4 * 45 and found["downloaded a step"] == 4 * 76
 
 
