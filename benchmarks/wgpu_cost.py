@@ -42,7 +42,7 @@ DEPTH_PASSES = 32 // RADIX_BITS
 NUMBERS = {
     "to the image plane, colors": (120, 0, 0),
     "sort by depth": (SORT_PASS * DEPTH_PASSES, 0, 0),
-    "lists of tiles": (29, 3, 0),
+    "lists of tiles": (27, 3, 0),
     "blend": (0, 15, 6),
     "compare": (0, 0, 85),
     "blend, backward": (10, 35, 7),

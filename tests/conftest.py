@@ -23,7 +23,7 @@ NOT_QUICK = (
     "test_sanitizer", "test_command_line", "test_batch", "test_worker", "test_semantics_training", "test_demo_scene",
     "test_dropout", "test_sfm", "test_sfm_video", "test_tradeoff", "test_semantics_run", "test_forecast", "test_ablate",
     "test_semantics_real_networks", "test_training_water", "test_effects_training", "test_time_budget",
-    "test_interpolation", "test_cuda", "test_recipes", "test_evaluation", "test_report",
+    "test_interpolation", "test_cuda", "test_webgpu_runs", "test_recipes", "test_evaluation", "test_report",
     "test_lpips_real", "test_camera_accuracy", "test_color_chart", "test_instruction_sets",
 )  # fmt: skip
 """Files of tests/engine that take long or download: whole runs, processes, kernels on slow stand-ins, real weights."""

@@ -119,7 +119,8 @@ class RunFolder:
     def resumed_settings(self, scene_folder: Path, asked: TrainSettings) -> tuple[TrainSettings, bool]:
         """Find the settings with which the run continues.
 
-        A run continues for longer than it was started for where more iterations, or a further time budget, are asked.
+        A run continues for longer than it was started for where more iterations, or a further time budget, are asked,
+        and on another backend where one is: the driver of a graphics card may end every process that uses it.
 
         Args:
             scene_folder: Folder of the scene that the user named.
@@ -144,6 +145,8 @@ class RunFolder:
                 f"The run {self.path} is finished already; its result is {self.ply.name}. To continue it, give more "
                 f"--iterations than {self.iterations()}, or a --time-budget."
             )
+        if asked.backend != TrainSettings().backend:
+            settings = replace(settings, backend=asked.backend)
         default, started = TrainSettings().to_json(), settings.to_json()
         for name, value in asked.to_json().items():
             if value not in (default[name], started[name]):

@@ -27,14 +27,14 @@ FOLDER = Path(__file__).parent
 LIBRARIES = FOLDER / "lib"
 """Folder of what is compiled."""
 SOURCES = ("adam.cpp", "gaussians.cpp", "photo.cpp", "project.cpp", "raster.cpp", "sh.cpp", "ssim.cpp", "water.cpp")
-HEADERS = ("light.h", "raster.h", "sh.h", "simd.h")
+HEADERS = ("constants.h", "light.h", "raster.h", "sh.h", "simd.h")
 FLAGS = (
     *("-std=c++17", "-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
     *("-fno-exceptions", "-fno-rtti", "-nostdlib++", "-fvisibility=hidden", "-shared", "-s"),
     *("-Wall", "-Wextra"),
 )
 CUDA_SOURCES = ("adam.cu", "blend.cu", "project.cu", "sh.cu", "ssim.cu", "tiles.cu", "water.cu")
-CUDA_HEADERS = ("common.cuh", "splat.cuh")
+CUDA_HEADERS = ("common.cuh", "constants.h", "splat.cuh")
 CUDA_FLAGS = ("--std=c++17", "--gpu-architecture=compute_75", "--ftz=true")
 NVRTC = "nvidia-cuda-nvrtc-cu12"
 

@@ -1,9 +1,10 @@
 // Colors in vectors: display values and linear light (sRGB, IEC 61966-2-1), and rows of three values as lanes.
 #pragma once
+#include "constants.h"
 #include "simd.h"
 
-static constexpr float DISPLAY_TOE = .04045f;   // display value below which the sRGB curve is a straight line
-static constexpr float LINEAR_TOE = .0031308f;  // linear light at the same place
+static constexpr float DISPLAY_TOE = constants::DISPLAY_TOE;  // display value below which the sRGB curve is a straight line
+static constexpr float LINEAR_TOE = constants::LINEAR_TOE;    // linear light at the same place
 
 // The curve and its slope.
 static inline Vec to_light(Vec display, Vec &slope) {

@@ -1,7 +1,4 @@
 // Display values and linear light (sRGB, IEC 61966-2-1): the value and its slope.
-const DISPLAY_TOE = 0.04045;   // display value below which the curve is a straight line
-const LINEAR_TOE = 0.0031308;  // linear light at the same place
-
 fn to_light(display: f32) -> vec2f {
     if (display <= DISPLAY_TOE) { return vec2f(display, 1.0) / 12.92; }
     let base = (display + 0.055) / 1.055;

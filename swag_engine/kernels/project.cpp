@@ -1,6 +1,7 @@
 // 3D Gaussians to 2D Gaussians, forward and backward, with the formulas of reference/projection.py: LANES Gaussians at a
 // time, in double so that needles and distant cameras keep their digits. What differs between perspective and orthographic
 // cameras is chosen when this is compiled.
+#include "constants.h"
 #include "simd.h"
 
 #include <math.h>
@@ -8,11 +9,11 @@
 namespace {
 
 // As in reference/projection.py, which has the reasons.
-constexpr double NEAR = .01;        // scene units; the near plane
-constexpr double BLUR = .3;         // pixel^2, added to the variances: a low-pass filter
-constexpr double GUARD = .3;        // fraction of the field of view beyond the edges where the linearisation holds
-constexpr double MAX_SIGMA = 1e4;   // pixels; larger Gaussians are flat over any image
-constexpr double MAX_EXTENT = 128;  // squared, in standard deviations; of no opacity in 0..1
+constexpr double NEAR = constants::NEAR;              // scene units; the near plane
+constexpr double BLUR = constants::BLUR;              // pixel^2, added to the variances: a low-pass filter
+constexpr double GUARD = constants::GUARD;            // fraction of the field of view beyond the edges where the linearisation holds
+constexpr double MAX_SIGMA = constants::MAX_SIGMA;    // pixels; larger Gaussians are flat over any image
+constexpr double MAX_EXTENT = constants::MAX_EXTENT;  // squared, in standard deviations; of no opacity in 0..1
 constexpr double LN2 = .6931471805599453;
 
 constexpr int LANES = VW / 2;

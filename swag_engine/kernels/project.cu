@@ -3,13 +3,14 @@
 // origins) and, for needles, the covariance, its determinant and their gradients. What differs between perspective and
 // orthographic cameras is chosen when this is compiled.
 #include "common.cuh"
+#include "constants.h"
 
 // As in reference/projection.py, which has the reasons.
-constexpr float NEAR = .01f;         // scene units; the near plane
-constexpr float BLUR = .3f;          // pixel^2, added to the variances: a low-pass filter
-constexpr float GUARD = .3f;         // fraction of the field of view beyond the edges where the linearisation holds
-constexpr float MAX_SIGMA = 1e4f;    // pixels; larger Gaussians are flat over any image
-constexpr float MAX_EXTENT = 128.f;  // squared, in standard deviations; of no opacity in 0..1
+constexpr float NEAR = constants::NEAR;              // scene units; the near plane
+constexpr float BLUR = constants::BLUR;              // pixel^2, added to the variances: a low-pass filter
+constexpr float GUARD = constants::GUARD;            // fraction of the field of view beyond the edges where the linearisation holds
+constexpr float MAX_SIGMA = constants::MAX_SIGMA;    // pixels; larger Gaussians are flat over any image
+constexpr float MAX_EXTENT = constants::MAX_EXTENT;  // squared, in standard deviations; of no opacity in 0..1
 
 struct Camera {
     const double *viewmat;

@@ -11,6 +11,8 @@
 // the rows of a strip that its ellipse meets: first all its alphas there are computed, then its pixels are blended.
 #include "raster.h"
 
+#include "constants.h"
+
 #include <math.h>
 
 struct alignas(64) Splat {
@@ -36,13 +38,13 @@ constexpr int BLOCK = 4;                    // vectors of alphas for which one e
 constexpr int AHEAD = 6;                    // entries of a tile's list between fetching a Gaussian from memory and its use
 constexpr int GROUP = 8;                    // channels blended in one pass: their sums stay in registers
 constexpr int MOMENTS = 6;                  // sums of v times 1, dx, u, dx^2, dx u, u^2
-constexpr float MAX_ALPHA = .99f;           // the backward pass divides by 1 - alpha; as in reference/blending.py
-constexpr float MIN_ALPHA = 1 / 255.f;      // less is skipped; as in reference/blending.py
-constexpr uint32_t MIN_TRANSMITTANCE = 0x38d1b717;  // 1e-4 as bits: at which a pixel ends; as in reference/blending.py
+constexpr float MAX_ALPHA = constants::MAX_ALPHA;  // the backward pass divides by 1 - alpha
+constexpr float MIN_ALPHA = constants::MIN_ALPHA;  // less is skipped
+constexpr uint32_t MIN_TRANSMITTANCE = __builtin_bit_cast(uint32_t, (float)constants::MIN_TRANSMITTANCE);  // at which a pixel ends, as bits
 constexpr float MIN_RATIO = 6.2e-5f;        // 2^-14: below it alpha may rise from under 2^-120 to 1/255 within a block
 constexpr float MAX_EXPONENT = 16.f;        // of the first ratio: its rounding is multiplied by this
 constexpr double LOG2E = 1.4426950408889634;  // log2(e): from e^x to 2^x
-constexpr double LOG255 = 5.541263545158426;  // ln(255): alpha falls below 1/255 where s > ln(255 opacity)
+constexpr double LOG255 = constants::LOG255;  // ln(255): alpha falls below 1/255 where s > ln(255 opacity)
 constexpr float MARGIN = .01f;          // pixels; for rounding, since each pixel is tested again
 constexpr uint32_t NOT_DRAWN = 0xffffffffu; // depth key of Gaussians that cannot be drawn
 

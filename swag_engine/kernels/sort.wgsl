@@ -1,5 +1,5 @@
-// Exclusive sums and a stable radix sort of pairs of 32-bit numbers, four bits a pass. Sums are reduced, then spread, in
-// dispatches of their own: no group waits for another one.
+// Exclusive sums and a stable radix sort of pairs of 32-bit numbers, four bits a pass. Sums are made in blocks, then those
+// of the blocks, in dispatches of their own: no group waits for another one. Who reads a sum adds its block's.
 const RADIX_BITS = 4u;
 const RADIX = 16u;
 const ITEMS = 4u;     // keys of a thread
@@ -66,18 +66,6 @@ fn sum_totals(@builtin(local_invocation_index) thread: u32) {
     if (thread == 0u) { sums[0] = carry; }
 }
 
-@compute @workgroup_size(256)
-fn add_totals(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
-              @builtin(local_invocation_index) thread: u32) {
-    let block = group_index(group, groups);
-    if (block >= call.blocks) { return; }
-    let add = sums[block + 1u];
-    for (var i = thread; i < BLOCK; i += THREADS) {
-        let at = block * BLOCK + i;
-        if (at < call.count) { data[at] += add; }
-    }
-}
-
 // data (RADIX, blocks): how often each block has each digit.
 @compute @workgroup_size(256)
 fn count_digits(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
@@ -95,7 +83,7 @@ fn count_digits(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) gr
     }
 }
 
-// Moves each key and value to its place; data as count_digits left it, summed.
+// Moves each key and value to its place; data as count_digits left it, summed in blocks.
 @compute @workgroup_size(256)
 fn move_by_digit(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
                  @builtin(local_invocation_index) thread: u32) {
@@ -120,7 +108,8 @@ fn move_by_digit(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) g
     workgroupBarrier();
     if (thread < RADIX && block < call.blocks) {
         let rank = (counters[(thread & 7u) * THREADS] >> ((thread >> 3u) * 16u)) & 0xffffu;
-        partial[thread] = data[thread * call.blocks + block] - rank;
+        let at = thread * call.blocks + block;
+        partial[thread] = data[at] + sums[at / BLOCK + 1u] - rank;
     }
     workgroupBarrier();
     for (var i = 0u; i < own; i++) {

@@ -1,12 +1,13 @@
 // A projected Gaussian as it is blended. raster.cpp says how its numbers follow from the conic.
 #pragma once
 #include "common.cuh"
+#include "constants.h"
 
 constexpr int TILE = 16;                    // width and height, pixels; a tile is a block, a pixel a thread
-constexpr float MAX_ALPHA = .99f;           // the backward pass divides by 1 - alpha; as in reference/blending.py
-constexpr float MIN_TRANSMITTANCE = 1e-4f;  // at which a pixel ends; as in reference/blending.py
+constexpr float MAX_ALPHA = constants::MAX_ALPHA;                  // the backward pass divides by 1 - alpha
+constexpr float MIN_TRANSMITTANCE = constants::MIN_TRANSMITTANCE;  // at which a pixel ends
 constexpr float LOG2E = 1.44269504f;        // log2(e): from e^x to 2^x
-constexpr float LOG255 = 5.54126355f;       // ln(255): alpha falls below 1/255 where s > ln(255 opacity)
+constexpr float LOG255 = constants::LOG255;                        // ln(255): alpha falls below 1/255 where s > ln(255 opacity)
 constexpr float ROW_MARGIN = .01f;          // pixels; for rounding, since each pixel is tested again
 
 struct alignas(8) Splat {

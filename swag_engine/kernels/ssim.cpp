@@ -3,6 +3,7 @@
 // SSIM (Wang et al. 2004): 11 x 11 Gaussian window of sigma 1.5, zero padding. The blur is separable, vertical first, so
 // that a row needs nothing from its neighbours but the images. Each row is summed on its own: the result does not depend on
 // how rows are spread over threads.
+#include "constants.h"
 #include "simd.h"
 
 #include <math.h>
@@ -13,11 +14,11 @@ constexpr int CHANNELS = 3;            // of an image
 constexpr int REACH = 5;               // pixels from the centre of the window to its end
 constexpr int PAD = REACH * CHANNELS;  // floats of a row from the centre to the end
 constexpr int BLOCK = 1920;           // floats of a row at a time: bounds the buffers; PAD neighbours on each side are computed twice
-constexpr float C1 = 1e-4f;            // .01^2, keeps the ratio of means finite
-constexpr float C2 = 9e-4f;            // .03^2, keeps the ratio of variances finite
+constexpr float C1 = constants::SSIM_C1;  // .01^2, keeps the ratio of means finite
+constexpr float C2 = constants::SSIM_C2;  // .03^2, keeps the ratio of variances finite
 // The window from the centre outwards: a Gaussian of sigma 1.5 pixels whose 11 values sum to 1.
-constexpr float WINDOW[REACH + 1] = {2.660117249e-01f, 2.130055377e-01f, 1.093606895e-01f,
-                                     3.600077213e-02f, 7.598758135e-03f, 1.028380084e-03f};
+constexpr float WINDOW[REACH + 1] = {constants::WINDOW[0], constants::WINDOW[1], constants::WINDOW[2],
+                                     constants::WINDOW[3], constants::WINDOW[4], constants::WINDOW[5]};
 
 typedef float Padded[PAD + BLOCK + PAD + VW];  // a block of one row with its neighbours; zeros beyond the image
 

@@ -1,18 +1,19 @@
 // L1 and SSIM of two images (height, width, 3) and their gradient; ssim.cpp says what is computed. A block is 16 x 16
 // pixels.
 #include "common.cuh"
+#include "constants.h"
 
 constexpr int CHANNELS = 3;                 // of an image
 constexpr int REACH = 5;                    // pixels from the centre of the window to its end
 constexpr int SQUARE = 16;                  // width and height of a block, pixels
 constexpr int PADDED = SQUARE + 2 * REACH;  // width and height with the neighbours, pixels
-constexpr float C1 = 1e-4f;                 // .01^2, keeps the ratio of means finite
-constexpr float C2 = 9e-4f;                 // .03^2, keeps the ratio of variances finite
+constexpr float C1 = constants::SSIM_C1;  // .01^2, keeps the ratio of means finite
+constexpr float C2 = constants::SSIM_C2;  // .03^2, keeps the ratio of variances finite
 
 // The window: a Gaussian of sigma 1.5 pixels whose 11 values sum to 1.
 __device__ inline float window(int distance) {
-    constexpr float WINDOW[REACH + 1] = {2.660117249e-01f, 2.130055377e-01f, 1.093606895e-01f,
-                                         3.600077213e-02f, 7.598758135e-03f, 1.028380084e-03f};
+    constexpr float WINDOW[REACH + 1] = {constants::WINDOW[0], constants::WINDOW[1], constants::WINDOW[2],
+                                         constants::WINDOW[3], constants::WINDOW[4], constants::WINDOW[5]};
     return WINDOW[distance < 0 ? -distance : distance];
 }
 

@@ -6,8 +6,6 @@ const SQUARE = 16u;    // width and height of a group, pixels
 const PADDED = 26u;    // with the neighbours
 const AREA = 676u;     // PADDED * PADDED
 const STRIPS = 416u;   // PADDED * SQUARE
-const C1 = 1e-4;       // .01^2, keeps the ratio of means finite
-const C2 = 9e-4;       // .03^2, keeps the ratio of variances finite
 
 struct Call { height: u32, width: u32, l1_factor: f32, ssim_factor: f32 }
 @group(0) @binding(0) var<uniform> call: Call;
@@ -75,8 +73,8 @@ fn l1_ssim_forward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups)
                 for (var k = 0u; k < 5u; k++) { blurred[k] += WINDOW[abs(d)] * pair_rows[source][k]; }
             }
             let ma = blurred[0]; let mb = blurred[1]; let mab = ma * mb; let mm = ma * ma + mb * mb;
-            let a1 = 2.0 * mab + C1; let a2 = 2.0 * (blurred[4] - mab) + C2;
-            let b1 = mm + C1; let b2 = blurred[2] + blurred[3] - mm + C2;
+            let a1 = 2.0 * mab + SSIM_C1; let a2 = 2.0 * (blurred[4] - mab) + SSIM_C2;
+            let b1 = mm + SSIM_C1; let b2 = blurred[2] + blurred[3] - mm + SSIM_C2;
             let inverse = 1.0 / (b1 * b2);
             let s = a1 * a2 * inverse;
             let at = (pixel.y * call.width + pixel.x) * CHANNELS + channel;

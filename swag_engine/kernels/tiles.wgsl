@@ -1,7 +1,7 @@
 // Which tiles each projected Gaussian meets, as in tiles.cu: packing, and the list of pairs of a Gaussian and a tile.
-const LOG255 = 5.54126355;      // ln(255): alpha falls below 1/255 where s > ln(255 opacity)
 const ROW_MARGIN = 0.01;        // pixels; for rounding, since each pixel is tested again
 const NOT_DRAWN = 0xffffffffu;  // key that sorts behind all others
+const BLOCK = 1024u;            // counts that are summed together, as in sort.wgsl
 
 struct Call {
     count: u32, width: u32, height: u32,
@@ -25,7 +25,7 @@ struct Call {
 @group(0) @binding(12) var<storage, read_write> counts: array<u32>;
 @group(0) @binding(13) var<storage, read> starts: array<u32>;
 @group(0) @binding(14) var<storage, read_write> ranges: array<u32>;
-@group(0) @binding(15) var<storage, read> totals: array<u32>;           // first the number of pairs
+@group(0) @binding(15) var<storage, read> totals: array<u32>;           // the number of pairs, then that before each block
 @group(0) @binding(16) var<storage, read_write> found: array<vec2u>;    // of each band: pairs there are, and that fit
 
 // Packs the Gaussians and writes their depths as keys. The comparisons are written so that NaN is never drawn.
@@ -104,15 +104,24 @@ fn count_tiles(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) gro
     counts[rank] = count;
 }
 
-// Writes each rank's pairs from starts[rank] on: the tile as key, and the Gaussian.
+// Where the pairs of a rank begin.
+fn start_of(rank: u32) -> u32 { return starts[rank] + totals[rank / BLOCK + 1u]; }
+
+// Writes the pairs of each rank, the tile as key and the Gaussian, and fills what is left of the lists, so that they can
+// be sorted without knowing how many pairs there are.
 @compute @workgroup_size(256)
 fn fill_tiles(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
               @builtin(local_invocation_index) thread: u32) {
-    let rank = group_index(group, groups) * THREADS + thread;
+    let rank = group_index(group, groups) * THREADS + thread;  // and a place in the lists
+    if (rank == 0u) { found[call.band] = vec2u(totals[0], call.room); }
+    if (rank >= totals[0] && rank < call.room) {
+        keys[rank] = NOT_DRAWN;
+        ids[rank] = 0u;
+    }
     if (rank >= call.count) { return; }
-    var at = starts[rank];
+    var at = start_of(rank);
     var end = totals[0];
-    if (rank + 1u < call.count) { end = starts[rank + 1u]; }
+    if (rank + 1u < call.count) { end = start_of(rank + 1u); }
     end = min(end, call.room);
     if (at >= end) { return; }
     let i = order[rank];
@@ -131,17 +140,6 @@ fn fill_tiles(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
         keys[at] = NOT_DRAWN;
         ids[at] = i;
     }
-}
-
-// Fills what is left of the lists, so that they can be sorted without knowing how many pairs there are.
-@compute @workgroup_size(256)
-fn pad_tiles(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
-             @builtin(local_invocation_index) thread: u32) {
-    let at = group_index(group, groups) * THREADS + thread;
-    if (at == 0u) { found[call.band] = vec2u(totals[0], call.room); }
-    if (at >= call.room || at < totals[0]) { return; }
-    keys[at] = NOT_DRAWN;
-    ids[at] = 0u;
 }
 
 // Where the pairs of each tile begin and end; ranges (tiles, 2) are 0 before.

@@ -1,10 +1,11 @@
 // Colors through water; Kernels.through_water in protocol.py has the formula. One thread per Gaussian or pixel.
 #include "common.cuh"
+#include "constants.h"
 
 constexpr int BACKGROUND_BASIS = 9;                     // SH coefficients of the background light B per channel
 constexpr int COEFFICIENTS = 6 + 3 * BACKGROUND_BASIS;  // beta_D (3), beta_B (3), raw SH coefficients of B (9, 3)
-constexpr float DISPLAY_TOE = .04045f;                  // display value below which the sRGB curve is a straight line
-constexpr float LINEAR_TOE = .0031308f;                 // linear light at the same place
+constexpr float DISPLAY_TOE = constants::DISPLAY_TOE;   // display value below which the sRGB curve is a straight line
+constexpr float LINEAR_TOE = constants::LINEAR_TOE;     // linear light at the same place
 constexpr float LEAST_LENGTH = 1e-37f;                  // scene units; keeps divisions by a length finite
 
 // The sRGB curve (IEC 61966-2-1) and its slope.

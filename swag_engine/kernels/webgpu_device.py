@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from ..base.errors import InputError
-from .reference import blending, projection, similarity
+from .constants import wgsl
 
 FOLDER = Path(__file__).parent
 """Folder of the sources."""
@@ -38,8 +38,8 @@ STAGES = {
     "shade_forward": "basis light medium water",
     "sh_backward": "basis sh",
     "sh_forward": "basis sh",
-    **dict.fromkeys(("sum_blocks", "sum_totals", "add_totals", "count_digits", "move_by_digit"), "sort"),
-    **dict.fromkeys(("pack", "count_tiles", "fill_tiles", "pad_tiles", "find_ranges"), "splat tiles"),
+    **dict.fromkeys(("sum_blocks", "sum_totals", "count_digits", "move_by_digit"), "sort"),
+    **dict.fromkeys(("pack", "count_tiles", "fill_tiles", "find_ranges"), "splat tiles"),
 }
 """The files of each kernel, after common.wgsl."""
 ALLOW_SOFTWARE = "SWAG_WGPU_SOFTWARE"
@@ -64,6 +64,8 @@ BAD_DRIVERS = {
     r"^Mali(?!.*Mesa)": "its driver adds wrongly in workgroup memory",
 }
 """Adapters and drivers that are known to compute wrongly, as patterns of name and driver, and what is wrong."""
+OLDEST_MESA = 22, 3
+"""Oldest version of Mesa whose software driver is used: the tests ran on 22.3.6, and on none before."""
 LEAST_BUFFER = 64
 """Smallest buffer, bytes: a kernel refuses one without room for an item."""
 CALL_BYTES = 256
@@ -157,7 +159,8 @@ class WebGpu:
             if isinstance(error, wgpu.GPUOutOfMemoryError):
                 raise MemoryError(f"{self.adapter_name} has too little memory.") from error
             reason = " ".join(str(error).split())
-            raise WebGpuFailure(f"The graphics card {self.adapter_name} failed: {reason[:300]}") from error
+            reason = reason[:300].rstrip(".")
+            raise WebGpuFailure(f"The graphics card {self.adapter_name} failed: {reason}.") from error
 
     def upload(self, values: Tensor) -> Any:
         """Return a buffer with the numbers of a tensor on the CPU.
@@ -389,29 +392,10 @@ class Source:
         return data + bytes(-len(data) % 16)
 
 
-def constants() -> str:
-    """Return the constants of the reference that the kernels use, as WGSL."""
-    distances = np.arange(similarity.WINDOW) - similarity.WINDOW // 2
-    window = np.exp(-(distances**2) / (2 * similarity.SIGMA**2))
-    half = (window / window.sum())[similarity.WINDOW // 2 :]
-    values = {
-        "NEAR": projection.NEAR,
-        "BLUR": projection.BLUR,
-        "GUARD": projection.GUARD,
-        "MAX_SIGMA": projection.MAX_SIGMA,
-        "MAX_EXTENT": projection.MAX_EXTENT,
-        "MAX_ALPHA": blending.MAX_ALPHA,
-        "MIN_TRANSMITTANCE": blending.MIN_TRANSMITTANCE,
-    }
-    lines = [f"const {name} = {float(value)!r};" for name, value in values.items()]
-    numbers = ", ".join(f"{value:.9e}" for value in half)
-    return "\n".join([*lines, f"const WINDOW = array<f32, {len(half)}>({numbers});", ""])
-
-
 @cache
 def _source(files: str, float_atomics: bool) -> Source:
     text = "".join((FOLDER / f"{name}.wgsl").read_text(encoding="utf-8") for name in ("common", *files.split()))
-    text = constants() + re.sub(rf"(?m)^//#{'native' if float_atomics else 'swap'} ", "", text)
+    text = wgsl() + re.sub(rf"(?m)^//#{'native' if float_atomics else 'swap'} ", "", text)
     found = re.findall(r"(?m)^@group\(0\) @binding\((\d+)\) var<storage, (\w+)> (\w+)", text)
     kinds = {"read": "read-only-storage", "read_write": "storage"}
     bindings = {name: (int(number), kinds[access]) for number, access, name in found}
@@ -466,8 +450,12 @@ def _refusal(adapter: Any) -> str:
     for pattern, reason in BAD_DRIVERS.items():
         if re.search(pattern, f"{info['device']}, {info['description']}"):
             return reason
-    if info["adapter_type"] == "CPU" and os.environ.get(ALLOW_SOFTWARE) != "1":
-        return f"it computes on the processor; set {ALLOW_SOFTWARE}=1 to use it in tests"
+    if info["adapter_type"] == "CPU":
+        if os.environ.get(ALLOW_SOFTWARE) != "1":
+            return f"it computes on the processor; set {ALLOW_SOFTWARE}=1 to use it in tests"
+        mesa = re.match(r"Mesa (\d+)\.(\d+)", info["description"])
+        if mesa and tuple(map(int, mesa.groups())) < OLDEST_MESA:
+            return f"{mesa[0]} is older than {OLDEST_MESA[0]}.{OLDEST_MESA[1]}, the oldest that was tested"
     for name, needed in DEFAULT_LIMITS.items():
         if adapter.limits[name] < needed:
             return f"it has {adapter.limits[name]} {name.replace('-', ' ')}, and {needed} are needed"

@@ -92,8 +92,8 @@ class Counted:
     """Pairs of a Gaussian and a tile, counted.
 
     Attributes:
-        starts: (N,) where the pairs of each rank of the depth order begin.
-        total: Buffer with the number of pairs first.
+        starts: (N,) where the pairs of each rank of the depth order begin in those of their block.
+        total: The number of pairs, then that before each block.
     """
 
     starts: Any
@@ -101,12 +101,11 @@ class Counted:
 
 
 def _sums(space: Workspace, name: str, data: Any, count: int) -> Any:
-    """Replace the first numbers of a buffer by the sums of those before; return a buffer with the total first."""
+    """Replace numbers by the sums of those before in their block; return the total and what is before each block."""
     blocks = -(-count // BLOCK)
     sums, call = space.empty(f"{name}.sums", blocks + 1), {"count": count, "blocks": blocks}
     space.run("sum_blocks", blocks, call, data=data, sums=sums)
     space.run("sum_totals", 1, call, sums=sums)
-    space.run("add_totals", blocks, call, data=data, sums=sums)
     return sums
 
 
@@ -118,9 +117,9 @@ def _sort(space: Workspace, name: str, keys: Any, values: Any, count: int, bits:
     for shift in range(0, bits, RADIX_BITS):
         call = {"count": count, "shift": shift, "blocks": blocks}
         space.run("count_digits", blocks, call, keys_in=keys, data=counts)
-        _sums(space, "sort", counts, blocks << RADIX_BITS)
+        sums = _sums(space, "sort", counts, blocks << RADIX_BITS)
         moved = {"keys_in": keys, "values_in": values, "keys_out": spare[0], "values_out": spare[1]}
-        space.run("move_by_digit", blocks, call, **moved, data=counts)
+        space.run("move_by_digit", blocks, call, **moved, data=counts, sums=sums)
         (keys, values), spare = spare, (keys, values)
     return keys, values
 
@@ -212,9 +211,9 @@ def list_tiles(
     """
     keys, ids = space.empty("pairs.keys", room), space.empty(f"pairs.{rows.number}", room)
     call = _call(order, grid, rows) | {"room": room}
-    lists = {"order": order.ids, "starts": counted.starts, "totals": counted.total, "keys": keys, "ids": ids}
-    space.run("fill_tiles", -(-order.count // THREADS), call, splats=order.splats, **lists)
-    space.run("pad_tiles", max(1, -(-room // THREADS)), call, totals=counted.total, keys=keys, ids=ids, found=found)
+    lists = {"starts": counted.starts, "totals": counted.total, "keys": keys, "ids": ids, "found": found}
+    groups = -(-max(order.count, room) // THREADS)
+    space.run("fill_tiles", groups, call, splats=order.splats, order=order.ids, **lists)
     keys, ids = _sort(space, f"pairs.{rows.number}", keys, ids, room, grid.tiles.bit_length())
     space.run("find_ranges", -(-room // THREADS), call, sorted_keys=keys, ranges=ranges)
     return ids

@@ -79,8 +79,9 @@ def train(
         out: Folder of the run.
         settings: What the user chose.
         resume: Continue the run in `out` from its newest checkpoint with the settings it was started with, bit-equal
-            to a run that never stopped (same machine, same backend) unless time limits it. With more iterations or a
-            time budget, a finished run continues for so long.
+            to a run that never stopped (same machine, same backend) unless time limits it or the backend is "wgpu",
+            whose sums differ from run to run. With more iterations or a time budget, a finished run continues for so
+            long.
         on_event: Gets `progress`, `preview` and `checkpoint` events as they happen.
         should_stop: Asked between two iterations. It may wait, which pauses the run; when it returns true the run
             ends, with everything written and "interrupted" true in the result.

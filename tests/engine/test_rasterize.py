@@ -15,6 +15,7 @@ from swag_engine.kernels.cpu_library import CpuLibrary
 from swag_engine.kernels.reference.projection import project
 from swag_engine.rasterize.api import contributions, rasterize
 from swag_engine.settings.settings import BACKENDS
+from tests.engine.kernel_suite import KernelSuite
 from tests.engine.raster_scenes import (
     GRADIENTS,
     HARD,
@@ -149,27 +150,10 @@ def test_reference_gradients_by_finite_differences(seed, change):
 # -- kernels -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("channels", [1, 3, 4, 7, 11])
-def test_kernels_agree_with_the_reference(channels):
-    worst: dict[str, float] = {}
-    for number, scene in enumerate(clear_scenes(8, n=50, channels=channels, width=47, height=35)):
-        scene["width"] = 47 - 5 * number  # partial tiles and strips of every kind
-        truth, _ = run(scene, "torch", torch.float64)
-        result, _ = run(scene, "cpu")
-        for key in truth:
-            worst[key] = max(worst.get(key, 0), relative_error(result[key], truth[key]))
-    assert max(worst.values()) < 1e-5, worst
+class TestCpu(KernelSuite):
+    """The suite of all backends."""
 
-
-def test_kernels_agree_with_the_reference_for_orthographic_cameras():
-    worst: dict[str, float] = {}
-    for number, scene in enumerate(clear_scenes(8, orthographic, n=50, channels=3, width=47, height=35)):
-        scene["width"] = 47 - 5 * number
-        truth, _ = run(scene, "torch", torch.float64)
-        result, _ = run(scene, "cpu")
-        for key in truth:
-            worst[key] = max(worst.get(key, 0), relative_error(result[key], truth[key]))
-    assert max(worst.values()) < 1e-5, worst
+    backend, gradients, scenes = "cpu", 1e-5, 8
 
 
 @pytest.mark.parametrize("count", [150, pytest.param(2000, marks=pytest.mark.search)])
@@ -180,29 +164,6 @@ def test_kernels_agree_on_many_scenes(count):
         result, _ = run(scene, "cpu")
         errors = {key: relative_error(result[key], truth[key]) for key in truth}
         assert max(errors.values()) < 1e-5, (number, errors)
-
-
-def test_kernels_agree_where_pixels_end_early():
-    for scene in clear_scenes(3, n=120, width=33, height=35, size=0.5):
-        truth, rendering = run(scene, "torch", torch.float64)
-        assert (rendering.alpha > 0.9998).float().mean() > 0.05
-        result, _ = run(scene, "cpu")
-        assert max(relative_error(result[key], truth[key]) for key in truth) < 1e-5
-
-
-def test_kernels_agree_beyond_the_guard_band_and_for_degenerate_shapes():
-    scene = changed(n=8, means=lambda m: m * torch.tensor([8.0, 5.0, 1.0]), scales=lambda s: s * 4)
-    camera = scene["means"]
-    beside = (camera[:, :2] / camera[:, 2:]).abs() > torch.tensor([0.9, 0.7])
-    assert beside.any(0).all() and not beside.all(1).any()
-    scene["quats"][:2] *= 1e-8
-    scene["quats"][2] = 0
-    scene["scales"][3:5, 0] = 1e-7
-    truth, rendering = run(scene, "torch", torch.float64)
-    assert (rendering.radii > 0).all()
-    result, _ = run(scene, "cpu")
-    errors = {key: relative_error(result[key], truth[key]) for key in truth}
-    assert max(errors.values()) < 1e-5, errors
 
 
 @pytest.mark.parametrize("target", build.host_targets(), ids=lambda t: f"v{t.level}")

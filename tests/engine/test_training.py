@@ -11,6 +11,7 @@ import torch
 
 from swag_engine.base.errors import InputError
 from swag_engine.formats.ply import read_ply
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import checkpoints, load_checkpoint
 from swag_engine.training.trainer import train
@@ -112,6 +113,15 @@ def test_resume_refuses_other_settings_and_scenes(tiny_scene, tmp_path):
         train(other, run, SETTINGS, resume=True)
     with pytest.raises(InputError, match="There is no run in .* to continue"):
         train(tiny_scene, tmp_path / "nothing", SETTINGS, resume=True)
+
+
+def test_a_run_continues_on_another_backend(tiny_scene, tmp_path):
+    """The driver of a card may end every process that uses it."""
+    short = replace(SETTINGS, iterations=6, backend="cpu")
+    train(tiny_scene, tmp_path / "run", short, should_stop=stop_after(3))
+    done = train(tiny_scene, tmp_path / "run", replace(short, backend="torch"), resume=True)
+    assert done["metrics"]["iteration"] == 6
+    assert RunFolder(tmp_path / "run").read_config()[1].backend == "torch"
 
 
 def test_test_views_never_reach_a_decision(tiny_scene, tmp_path):

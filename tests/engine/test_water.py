@@ -104,23 +104,6 @@ def test_gradients_by_finite_differences(light, degree, through_range):
         assert torch.autograd.gradcheck(function, stopped, eps=1e-7, atol=1e-6)
 
 
-@pytest.mark.parametrize("light", ["linear", "srgb"])
-@pytest.mark.parametrize("degree", [0, 1, 2])
-def test_kernels_agree(light, degree):
-    results = []
-    for dtype, backend in ((torch.float64, "torch"), (torch.float32, "cpu")):
-        colors, offsets, medium = make_water(500, light, dtype=dtype)
-        parameters = list(medium.parameters().values())
-        leaves = [t.requires_grad_() for t in (colors, offsets, *parameters)]
-        seen = through_water(colors, offsets, medium, degree, backend=backend)
-        water = open_water(medium, CAMERA[0].to(dtype), CAMERA[1].to(dtype), 22, 16, degree, backend=backend)
-        weights = [torch.randn(t.shape, generator=torch.Generator().manual_seed(3)).to(dtype) for t in (seen, water)]
-        gradients = torch.autograd.grad((seen * weights[0]).sum() + (water * weights[1]).sum(), leaves)
-        results.append([t.detach().double() for t in (seen, water, *gradients)])
-    for truth, value in zip(*results, strict=True):
-        assert (value - truth).abs().max() <= 1e-5 * truth.abs().max()
-
-
 def test_the_same_bits_for_any_number_of_threads():
     before, results = torch.get_num_threads(), []
     try:

@@ -22,7 +22,6 @@ from swag_engine.formats.export import export_run
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
 from swag_engine.gaussians.init import gaussians_from_points
-from swag_engine.kernels import webgpu_device
 from swag_engine.kernels.backends import CPU, KERNELS
 from swag_engine.kernels.cuda import CudaKernels
 from swag_engine.kernels.webgpu import WebGpuKernels
@@ -30,6 +29,7 @@ from swag_engine.planning.plan import plan_scene
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import InitialCloud
+from tests.engine.webgpu_devices import software_device
 from tests.scenes.hard import CLOUDS, SCENES, WATER, make_hard_scene
 from tests.scenes.runs import train_with
 
@@ -111,11 +111,7 @@ def whole_loop(
 
 @pytest.fixture(scope="module")
 def gpu(missing):
-    if not webgpu_device._adapters():
-        missing("A Vulkan driver is missing: apt-get install mesa-vulkan-drivers.")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(webgpu_device.ALLOW_SOFTWARE, "1")
-        return webgpu_device.request(default_limits=True)
+    return software_device(missing)
 
 
 @pytest.fixture
