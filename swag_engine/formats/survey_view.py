@@ -1,20 +1,17 @@
 """Which tiles of a merged survey a view needs. numpy only, Blender imports it."""
 
-import heapq
 from collections.abc import Sequence
 
 import numpy as np
 
 from ..scene.cameras import Camera
-from .survey_tiles import Cell, Tile, Tiles
+from .survey_tiles import Tile, Tiles
 
 LINEARISATION = 1.3
 """How much larger than in space a Gaussian can be drawn beside the view: the renderer holds the projection's derivative
 at 1.3 times the field of view (GUARD in kernels/reference/projection.py)."""
 BLUR = 2.0
 """Pixels by which Gaussians reach further in the image: the renderer's low-pass filter of 0.3 pixel^2."""
-SHARP = 1.0
-"""Distance of splats in pixels below which a finer level shows no more."""
 
 
 def tiles_in_view(tiles: Tiles, camera: Camera, level: int) -> list[Tile]:
@@ -33,65 +30,6 @@ def tiles_in_view(tiles: Tiles, camera: Camera, level: int) -> list[Tile]:
         InputError: If there is no such level.
     """
     return _in_view(tiles.of_level(level), camera)
-
-
-def tiles_for_view(tiles: Tiles, camera: Camera, budget: int, finest: int = 0) -> list[Tile]:
-    """Choose tiles of mixed levels for a view: fine ones near the camera, coarse ones far away.
-
-    It begins with the coarsest level. The tile whose splats are farthest apart in the image is replaced by those of
-    the finer level in its cube, as long as the budget allows.
-
-    Args:
-        tiles: The survey.
-        camera: Camera in the scene's coordinates.
-        budget: Largest number of splats. The coarsest level is shown whole even where it has more.
-        finest: Finest level that may be used.
-
-    Returns:
-        The tiles, coarse ones first. No place is covered twice: a tile is left out where a finer one of its cube is
-        shown.
-    """
-    by_place = {(tile.level, tile.cell): tile for tile in tiles.tiles if tile.level >= finest}
-    coarsest = max(tile.level for tile in tiles.tiles)
-    visible = {(tile.level, tile.cell) for tile in _in_view(list(by_place.values()), camera)}
-    children: dict[tuple[int, Cell], list[Tile]] = {}
-    for level in range(finest, coarsest):
-        for key in sorted(key for key in visible if key[0] == level):
-            x, y, z = key[1]
-            parent = level + 1, (x // 2, y // 2, z // 2)
-            visible.add(parent)  # its own box is smaller than those of its children together
-            children.setdefault(parent, []).append(by_place[key])
-    chosen = {key: by_place[key] for key in visible if key[0] == coarsest}
-    used = sum(tile.splats for tile in chosen.values())
-    waiting = [(-pixels_apart(tile, camera), key) for key, tile in chosen.items()]
-    heapq.heapify(waiting)
-    while waiting:
-        pixels, key = heapq.heappop(waiting)
-        finer = children.get(key, [])
-        more = sum(tile.splats for tile in finer) - chosen[key].splats
-        if key[0] == finest or -pixels <= SHARP or used + more > budget:
-            continue
-        del chosen[key]
-        used += more
-        for tile in finer:
-            chosen[tile.level, tile.cell] = tile
-            heapq.heappush(waiting, (-pixels_apart(tile, camera), (tile.level, tile.cell)))
-    return sorted(chosen.values(), key=lambda tile: (-tile.level, tile.cell))
-
-
-def pixels_apart(tile: Tile, camera: Camera) -> float:
-    """Return the typical distance of the splats of a tile in an image, pixels.
-
-    Args:
-        tile: The tile, which counts as a surface across its box.
-        camera: The camera; the distance is that of the nearest point of the box.
-    """
-    low, high = np.array(tile.low), np.array(tile.high)
-    apart = float(np.linalg.norm(high - low)) / np.sqrt(tile.splats)
-    if camera.kind == "orthographic":
-        return camera.fx * apart
-    distance = float(np.linalg.norm(camera.centre - np.clip(camera.centre, low, high)))
-    return camera.fx * apart / max(distance, apart, 1e-12)
 
 
 def _in_view(tiles: Sequence[Tile], camera: Camera) -> list[Tile]:
