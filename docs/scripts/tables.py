@@ -1174,39 +1174,42 @@ def guard() -> str:
 
 @table
 def maps_truth() -> str:
-    """Maps of trained surveys of a known seabed."""
-    found = results("products")
-    names = next(iter(found["surveys"].values()))["areas"]
-    heads = ["water", "test PSNR", "scale", "height, median", "height, 95 %", *names, "patches over 5 %"]
+    """Maps of trained surveys of known seabeds."""
+    found = results("products")["seeds"]
+    names = next(iter(found["0"]["surveys"].values()))["areas"]
+    heads = [
+        "water", "seed", "test PSNR", "scale", "height, median", "height, 95 %", *names, "patches over 5 %",
+        "largest error, corrected",
+    ]  # fmt: skip
     rows = []
-    for water, survey in found["surveys"].items():
-        wrong = sum(abs(patch["error"]) > 0.05 for patch in survey["patches"])
-        rows.append(
-            [
-                water, f"{survey['test_psnr']:.1f} dB", f"{100 * survey['scale_error']:+.2f} %",
-                f"{survey['height_median_error']:.1f} px", f"{survey['height_p95_error']:.1f} px",
-                *(f"{100 * survey['areas'][name]['error']:+.1f} %" for name in names),
-                of(wrong, len(survey["patches"])),
-            ]
-        )  # fmt: skip
+    for seed, figures in found.items():
+        for water, survey in figures["surveys"].items():
+            wrong = sum(abs(patch["error"]) > 0.05 for patch in survey["patches"])
+            corrected = [area["corrected_error"] for area in survey["areas"].values() if "corrected_error" in area]
+            rows.append(
+                [
+                    water, seed, f"{survey['test_psnr']:.1f} dB", f"{100 * survey['scale_error']:+.2f} %",
+                    f"{survey['height_median_error']:.1f} px", f"{survey['height_p95_error']:.1f} px",
+                    *(f"{100 * survey['areas'][name]['error']:+.1f} %" for name in names),
+                    of(wrong, len(survey["patches"])), f"{100 * max(corrected, key=abs):+.1f} %" if corrected else "-",
+                ]
+            )  # fmt: skip
     return markdown(heads, rows)
 
 
 @table
 def change_truth() -> str:
-    """Changes between trained surveys of a known seabed."""
+    """Changes between trained surveys of known seabeds."""
     rows = []
-    for name, pair in results("products")["changes"].items():
-        invented = pair["invented"]
-        farthest = max((item["from_edge"] for item in invented), default=0.0)
-        rows.append(
-            [
-                name, of(pair["found"], len(pair["expected"])), len(invented),
-                f"{100 * farthest:.0f} cm" if invented else "-", percent(pair["compared"]),
-                f"{pair['height_limit']:.1f} px",
-            ]
-        )  # fmt: skip
-    heads = "later survey", "changes found", "invented", "farthest of them from the edge", "compared", "told from"
+    for seed, figures in results("products")["seeds"].items():
+        for name, pair in figures["changes"].items():
+            rows.append(
+                [
+                    name, seed, of(pair["found"], len(pair["expected"])), len(pair["invented"]),
+                    percent(pair["compared"]), f"{pair['height_limit']:.1f} px",
+                ]
+            )  # fmt: skip
+    heads = "later survey", "seed", "changes found", "invented", "compared", "told from"
     return markdown(heads, rows)
 
 

@@ -25,11 +25,11 @@ SMOOTHING = 3
 """Edge of the median filter over differences, pixels."""
 SCATTER = 0.5
 """Error of horizontal places in pixels: each survey samples a step of the surface differently."""
-TAIL = 0.9
+TAIL = 0.8
 """Quantile of the differences that their noise is found from."""
-TAIL_SIGMA = 1.645
+TAIL_SIGMA = 1.2816
 """Standard deviations at that quantile in a normal distribution."""
-MOST_ERROR = 2.5
+MOST_ERROR = 2.0
 """Predicted error of a height, relative to the survey's median, above which a place is not compared."""
 LEAST_COLOR = 0.05
 """Smallest difference of color, display values, that counts as a change."""
@@ -122,7 +122,7 @@ class Comparison:
         smooth = _median(height)
         color = np.linalg.norm(_lit(after.colors / 255, self.light) - before.colors / 255, axis=2)
         color = np.where(known, color, np.nan)
-        told = {1: smooth > limit, 2: smooth < -limit, 3: _median(color) > self.color_limit}
+        told = {1: smooth > limit, 2: smooth < -limit, 3: _median(color) > errors * self.color_limit}
         if before.labels is not None and after.labels is not None:
             named = [(labels > 0) & (labels != NO_LABEL) for labels in (before.labels, after.labels)]
             told[4] = named[0] & named[1] & (before.labels != after.labels)
@@ -264,7 +264,7 @@ def _usual_error(survey: Survey) -> float:
 def _noise(values: np.ndarray) -> float:
     """Standard deviation of differences of which most are noise with more large values than a normal distribution has.
 
-    It is found from the quantile TAIL of what is left of the middle, where up to a tenth may be changes.
+    It is found from the quantile TAIL of what is left of the middle, where up to a fifth may be changes.
     """
     return float(np.quantile(np.abs(values - np.median(values)), TAIL)) / TAIL_SIGMA if len(values) else 0.0
 
