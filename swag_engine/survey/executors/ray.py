@@ -177,13 +177,21 @@ def _join(ray: Any, address: str) -> None:
             host, _, port = address.partition(":")
             address = f"{host}:{port or PORT}"
             socket.create_connection((host, int(port or PORT)), CONNECT_SECONDS).close()  # Ray would try for minutes
-        ray.init(address, **QUIET)
-    except (OSError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(
-            f"No Ray cluster can be reached by the address {address}: start one with `ray start --head` on one machine "
-            f"and `ray start --address=HOST:{PORT}` on each of the others and on this one ({_first_line(error)})."
+            f"No Ray cluster answers at {address} ({error}): start one with `ray start --head` on one machine, and "
+            f"`ray start --address=HOST:{PORT}` on each of the others and on this one."
+        ) from error
+    try:
+        ray.init(address, **QUIET)
+    except (OSError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
+        raise InputError(
+            f"This machine cannot use the Ray cluster {address} ({_first_line(error)}): it needs the same versions of "
+            f"Ray and Python, `ray start --address=HOST:{PORT}`, and where the cluster asks for a token the file "
+            "~/.ray/auth_token of its head and the environment variable RAY_AUTH_MODE=token."
         ) from error
 
 
 def _first_line(error: Exception) -> str:
+    """Return the first line of an error's message."""
     return next(iter(str(error).strip().splitlines()), type(error).__name__)
