@@ -1273,6 +1273,27 @@ def survey_plan() -> str:
     )  # fmt: skip
 
 
+@table
+def survey_cost() -> str:
+    """Time of large surveys on one machine, on eight and on spot machines."""
+    if not (ROOT / "benchmarks" / "results" / "survey_cost.json").exists():
+        return "Not measured yet."
+    found = results("survey_cost")
+    rows = [
+        [
+            f"{row['images']:,}".replace(",", " "), row["blocks"], row["cluster"], row["at_once_on_a_machine"],
+            f"{row['hours']:.1f} h" + (f" ({row['hours_95']:.1f} h)" if row["failures_an_hour"] else ""),
+            f"{row['machine_hours']:.0f} h", row["most_losses"], f"{row['hours_without_checkpoints']:.1f} h",
+        ]
+        for row in found["rows"]
+    ]  # fmt: skip
+    heads = [
+        "photos", "blocks", "on", "blocks at once on each", "time (95 % of simulations)", "machines, summed",
+        "most losses of a block", "time without checkpoints",
+    ]  # fmt: skip
+    return markdown(heads, rows)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Write or check the tables of all pages and return the exit code."""
     texts = {path: path.read_text("utf-8") for path in pages()}

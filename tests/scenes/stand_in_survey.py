@@ -4,7 +4,8 @@
 
 Each iteration hashes the state, so that a block that lost or repeated one has another result. orders.json in the folder
 has what happens to a block at each of its starts: "kill" at half of the iterations that are left, "refuse" with exit
-code 2, "crash" with a traceback, or "refuse on PROCESS": on the node of a Ray cluster whose raylet has that number.
+code 2, "slow" it down, "crash" with a traceback, or "refuse on PROCESS": on the node of a Ray cluster whose raylet has
+that number.
 """
 
 import hashlib
@@ -19,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from swag_engine.base.claim import claimed
 from swag_engine.base.files import FolderInUse
 
-PAUSE = float(os.environ.get("STAND_IN_PAUSE", 0.03))
+PAUSE, SLOW = 0.03, 0.2
 ITERATIONS = 20
 
 
@@ -107,7 +108,7 @@ def train(folder: Path, job: Path, name: str) -> int:
     checkpoint = run / "checkpoint-0000001.safetensors"
     begun, state = json.loads(checkpoint.read_text()) if checkpoint.exists() else (0, name)
     for iteration in range(begun, ITERATIONS):
-        time.sleep(PAUSE)
+        time.sleep(SLOW if order == "slow" else PAUSE)
         if order == "kill" and iteration >= (begun + ITERATIONS) // 2:
             os.kill(os.getpid(), signal.SIGKILL)
         state = step(state, iteration)

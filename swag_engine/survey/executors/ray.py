@@ -4,6 +4,7 @@ A Ray task is no more than a child process on its node: a crash of native code k
 travels through Ray; splats and progress are files in the survey's folder, which every node reaches by the same path.
 """
 
+import logging
 import os
 import signal
 import socket
@@ -12,6 +13,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from dataclasses import replace
 from typing import Any
 
@@ -26,6 +28,8 @@ STORE_BYTES = 100 * 2**20
 PORT = 6379
 """Port of a Ray cluster's head where the address names none: that of `ray start --head`."""
 
+QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+"""Options with which Ray writes nothing but errors."""
 CONNECT_SECONDS = 10.0
 """Time in which the head of a cluster must answer."""
 
@@ -57,11 +61,14 @@ class RayExecutor:
         self._ray, self._backend = ray, backend
         on_sigterm = signal.getsignal(signal.SIGTERM)
         if address is None:
-            ray.init("local", include_dashboard=False, object_store_memory=STORE_BYTES, log_to_driver=False)
+            ray.init("local", include_dashboard=False, object_store_memory=STORE_BYTES, **QUIET)
         else:
             _join(ray, address)
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, on_sigterm)  # Ray has put one of its own there
+        # Ray prints on stdout when a node is lost; that is for the command's answer alone. Its logs have it too.
+        self._silence = redirect_stdout(open(os.devnull, "w"))  # noqa: SIM115 (until `close`)
+        self._silence.__enter__()
         ray.cloudpickle.register_pickle_by_value(child)  # nodes may have another version of the engine, or none
         self._tasks: dict[Any, Job] = {}
         self._refused: dict[str, set[str]] = {}
@@ -121,6 +128,7 @@ class RayExecutor:
         """Leave the cluster; Ray then ends what is left, and a cluster of its own."""
         self._tasks.clear()
         self._ray.shutdown()
+        self._silence.__exit__(None, None, None)
 
     def describe(self) -> str:
         """Return the nodes, and what each job gets."""
@@ -169,13 +177,21 @@ def _join(ray: Any, address: str) -> None:
             host, _, port = address.partition(":")
             address = f"{host}:{port or PORT}"
             socket.create_connection((host, int(port or PORT)), CONNECT_SECONDS).close()  # Ray would try for minutes
-        ray.init(address, log_to_driver=False)
-    except (OSError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(
-            f"No Ray cluster can be reached by the address {address}: start one with `ray start --head` on one machine "
-            f"and `ray start --address=HOST:{PORT}` on each of the others and on this one ({_first_line(error)})."
+            f"No Ray cluster answers at {address} ({error}): start one with `ray start --head` on one machine, and "
+            f"`ray start --address=HOST:{PORT}` on each of the others and on this one."
+        ) from error
+    try:
+        ray.init(address, **QUIET)
+    except (OSError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
+        raise InputError(
+            f"This machine cannot use the Ray cluster {address} ({_first_line(error)}): it needs the same versions of "
+            f"Ray and Python, `ray start --address=HOST:{PORT}`, and where the cluster asks for a token the file "
+            "~/.ray/auth_token of its head and the environment variable RAY_AUTH_MODE=token."
         ) from error
 
 
 def _first_line(error: Exception) -> str:
+    """Return the first line of an error's message."""
     return next(iter(str(error).strip().splitlines()), type(error).__name__)
