@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import bpy
-import numpy as np
 from bpy.props import FloatVectorProperty, IntVectorProperty
 
 from ..swag_blender import survey
@@ -58,14 +57,12 @@ class SWAG_OT_load_view(TileOperator):
             self.report({"ERROR"}, "There is no 3D viewport here: start Load View in one.")
             return {"CANCELLED"}
         view = view_of(region)
-        self.matrix, self.size = view.matrix.ravel().tolist(), (view.width, view.height)
+        self.matrix, self.size = [value for row in view.matrix.tolist() for value in row], (view.width, view.height)
         return self.execute(context)
 
     def change(self, context: bpy.types.Context, obj: bpy.types.Object) -> str:
         """Load them."""
-        width, height = self.size
-        matrix = np.array(self.matrix, np.float64).reshape(4, 4)
-        return survey.load_view(context, obj, View(matrix, width, height, np.zeros((0, 4))))
+        return survey.load_view(context, obj, View.of_matrix(self.matrix, *self.size))
 
 
 class SWAG_OT_load_box(TileOperator):

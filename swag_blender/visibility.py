@@ -5,6 +5,7 @@ the splats of a cell are blended from front to back. This is coarser than a rend
 for 200 000 splats.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,11 @@ class View:
             ]
         )
         return cls(to_clip @ camera.world_to_camera, width, height, np.zeros((0, 4)))
+
+    @classmethod
+    def of_matrix(cls, matrix: Sequence[float], width: int, height: int) -> "View":
+        """View of the 16 numbers of a matrix to clip space, row by row, without further planes."""
+        return cls(np.array(matrix, np.float64).reshape(4, 4), width, height, np.zeros((0, 4)))
 
     @property
     def is_perspective(self) -> bool:

@@ -45,7 +45,7 @@ def test_what_needs_it_most_is_refined_first_and_what_needs_nothing_never(tiles)
     chosen = refine(tiles, 300, lambda tile: tile.level + 1.0 if tile.low[0] < 0 else 0.0)
     assert [tile.file for tile in chosen if tile.low[0] >= 0] == ["2/0.ply"]
     assert {tile.level for tile in chosen if tile.low[0] < 0} == {0, 1}
-    near = refine(tiles, 290, lambda tile: 1.0 if tile.low[0] <= 3 < tile.high[0] else 0.0)
+    near = refine(tiles, 800, lambda tile: 1.0 if tile.low[0] <= 3 < tile.high[0] else 0.0)
     assert sorted(tile.file for tile in near) == ["0/2.ply", "0/3.ply", "1/0.ply", "2/-1.ply"]
 
 
