@@ -8,11 +8,12 @@ import numpy as np
 import pycolmap
 import pytest
 
-from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.colmap import View, load_scene
 from tests.scenes.make_scene import Water, srgb, through_water
 from tests.scenes.survey_scenes import (
     FOCAL,
     REEF_WATER,
+    TINY,
     exposure_gains,
     large_model,
     reef_poses,
@@ -42,19 +43,38 @@ def reprojections(model: Path) -> np.ndarray:
     return np.concatenate(errors)
 
 
-def test_points_lie_where_the_photos_show_their_colors(tiny: Path) -> None:
+def test_cameras_and_points_are_those_of_the_place(tiny: Path) -> None:
     assert np.median(reprojections(tiny / "sparse" / "0")) < 0.6
     scene = load_scene(tiny)
     assert scene.up @ [0, 0, 1] > 0.99
+    for view, pose in zip(scene.views, reef_poses(20, TINY), strict=True):
+        np.testing.assert_allclose(view.camera.world_to_camera, pose, atol=1e-9)
+        assert view.camera.fx == FOCAL * view.camera.width
+    for name in ("reef_0000", "reef_0008", "reef_0016"):
+        (view,) = (view for view in scene.views if view.name.startswith(name))
+        ranges = cv2.imread(str(tiny / "range" / f"{name}.png"), cv2.IMREAD_UNCHANGED) / 1000
+        points = scene.points.positions[view.point_indices]
+        columns, rows, inside = pixels_of(view, points)
+        distances = np.linalg.norm(points - view.camera.centre, axis=1)[inside]
+        assert np.median(np.abs(distances / ranges[rows, columns] - 1)) < 0.01
+
+
+def pixels_of(view: View, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns and rows of the points in the frame of a view, and which these are."""
+    local = points @ view.camera.world_to_camera[:3, :3].T + view.camera.world_to_camera[:3, 3]
+    pixels = local[:, :2] / local[:, 2:] * [view.camera.fx, view.camera.fy] + [view.camera.cx, view.camera.cy]
+    inside = ((pixels >= 0) & (pixels < [view.camera.width, view.camera.height])).all(1)
+    columns, rows = pixels[inside].astype(int).T
+    return columns, rows, inside
+
+
+def test_points_have_the_colors_that_photos_show_there(tiny: Path) -> None:
+    scene = load_scene(tiny)
     differences, of_others = [], []
     random = np.random.default_rng(0)
     for view in scene.views:
         image = cv2.imread(str(tiny / "images" / view.name))[..., ::-1]
-        points = scene.points.positions[view.point_indices]
-        local = points @ view.camera.world_to_camera[:3, :3].T + view.camera.world_to_camera[:3, 3]
-        pixels = local[:, :2] / local[:, 2:] * [view.camera.fx, view.camera.fy] + [view.camera.cx, view.camera.cy]
-        inside = ((pixels >= 0) & (pixels < [view.camera.width, view.camera.height])).all(1)
-        columns, rows = pixels[inside].astype(int).T
+        columns, rows, inside = pixels_of(view, scene.points.positions[view.point_indices])
         colors = scene.points.colors[view.point_indices][inside].astype(float)
         differences.append(np.abs(image[rows, columns] - colors).mean(1))
         of_others.append(np.abs(image[rows, columns] - random.permutation(colors)).mean(1))
