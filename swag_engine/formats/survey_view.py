@@ -56,7 +56,12 @@ def _frustum(camera: Camera) -> list[tuple[np.ndarray, float, bool]]:
     left, right = (-BLUR - camera.cx) / camera.fx, (camera.width + BLUR - camera.cx) / camera.fx
     top, bottom = (-BLUR - camera.cy) / camera.fy, (camera.height + BLUR - camera.cy) / camera.fy
     if camera.kind == "orthographic":
-        planes = [((1, 0, 0), -left), ((-1, 0, 0), right), ((0, 1, 0), -top), ((0, -1, 0), bottom)]
+        planes = [
+            ((1.0, 0.0, 0.0), -left),
+            ((-1.0, 0.0, 0.0), right),
+            ((0.0, 1.0, 0.0), -top),
+            ((0.0, -1.0, 0.0), bottom),
+        ]
     else:
         planes = [((1, 0, -left), 0.0), ((-1, 0, right), 0.0), ((0, 1, -top), 0.0), ((0, -1, bottom), 0.0)]
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]

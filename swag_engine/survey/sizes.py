@@ -107,8 +107,8 @@ class Sizes:
                 break
         else:
             raise InputError(
-                f"The coarse model of the survey needs {memory / 1e9:.2f} GB of memory, and {self.memory / 1e9:.2f} GB "
-                "are for it: plan for a machine with more memory."
+                f"The coarse model of the survey needs {memory / 1e9:.2f} GB of memory, and "
+                f"{(self.memory or 0) / 1e9:.2f} GB are for it: plan for a machine with more memory."
             )
         sizes = Size(iterations, width, self.coarse_gaussians)
         return replace(self.asked, **sizes.numbers()), memory

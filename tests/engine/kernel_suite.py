@@ -4,6 +4,8 @@ A file of tests makes a subclass of `KernelSuite` for its backend; tests about o
 and lamp in WGSL are parts of a whole step: test_webgpu_step.py compares them with the reference.
 """
 
+from typing import Any
+
 import pytest
 import torch
 
@@ -71,9 +73,9 @@ class KernelSuite:
         scene = next(clear_scenes(1, change, n=50, width=47, height=35))
         names = "means", "quats", "scales", "opacities", "channels", "viewmat", "K"
         size = scene["width"], scene["height"], scene.get("kind", "perspective")
-        truth = project(*(scene[name] for name in names), *size)
+        truth = project(*[scene[name] for name in names], *size)  # type: ignore[call-arg]
         tensors = (scene[name].to(self.device, torch.float32) for name in names)
-        got = KERNELS[self.backend].project(*tensors, *size)
+        got = KERNELS[self.backend].project(*tensors, *size)  # type: ignore[call-arg]
         drawn = truth.radii > 0
         assert drawn.sum() > 20 and torch.equal(got.radii.cpu() > 0, drawn)
         for name in ("means2d", "conics", "depths", "radii"):
@@ -156,7 +158,9 @@ class KernelSuite:
             "weights": torch.rand(*size, images, generator=generator, dtype=torch.float64),
             "image_gradient": torch.randn(*size, scene["channels"].shape[1], generator=generator, dtype=torch.float64),
         }
-        moved = {k: v.to(device, dtype) if isinstance(v, torch.Tensor) else v for k, v in (scene | given).items()}
+        moved: dict[str, Any] = {
+            k: v.to(device, dtype) if isinstance(v, torch.Tensor) else v for k, v in (scene | given).items()
+        }
         found = contributions(**moved, backend=backend)
         return [found.weighted, found.importance, found.error]
 

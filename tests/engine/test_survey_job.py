@@ -82,7 +82,8 @@ def test_a_block_changes_neither_water_nor_exposure_nor_surroundings(finished):
 def test_every_training_image_of_the_survey_has_an_exposure_and_no_held_out_one(finished):
     files = SurveyFolder(finished)
     scene = load_scene(files.read().scene)
-    assert set(load_whole(files).effects.models["exposure"].names) == set(scene.split.train)
+    exposure = load_whole(files).effects.models["exposure"]
+    assert isinstance(exposure, Exposure) and set(exposure.names) == set(scene.split.train)
 
 
 def test_exposures_are_measured_against_the_coarse_model(survey):

@@ -69,10 +69,10 @@ def test_groups_are_of_near_splats_of_like_color():
     red, blue = (
         Splats(
             (heaps + random.normal(0, 0.01, heaps.shape)).astype(np.float32),
-            np.tile(np.float32([1, 0, 0, 0]), (80, 1)),
+            np.tile(np.array([1, 0, 0, 0], np.float32), (80, 1)),
             np.full((80, 3), 0.05, np.float32),
             np.full(80, 0.5, np.float32),
-            np.tile(np.float32(color), (80, 1))[:, None],
+            np.tile(np.array(color, np.float32), (80, 1))[:, None],
         )
         for color in ((1.5, -1, -1), (-1, -1, 1.5))
     )

@@ -5,6 +5,7 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -138,7 +139,7 @@ def test_photos_that_see_the_same_place_stay_together_and_it_is_said(tiny_scene,
     assert "1 of 1 blocks have more than 6 photos, up to 10" in document["notes"][1]
 
 
-def fails(scene: Path, out: Path, *words: str, block_images: int = BLOCK_IMAGES, **settings: object) -> None:
+def fails(scene: Path, out: Path, *words: str, block_images: int = BLOCK_IMAGES, **settings: Any) -> None:
     before = sorted(out.rglob("*")) if out.exists() else None
     with pytest.raises(InputError) as caught:
         plan_survey(scene, out, TrainSettings(**settings), block_images)
@@ -192,7 +193,7 @@ def test_a_survey_with_too_few_photos(tiny_scene, tmp_path):
 
 
 def test_a_full_disk_leaves_nothing(scene, tmp_path, monkeypatch):
-    def full(source: object, target: object) -> None:
+    def full(source: Path, target: Path) -> None:
         if str(target).endswith("survey.json"):
             raise OSError(28, "No space left on device")
         rename(source, target)

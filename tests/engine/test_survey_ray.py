@@ -32,7 +32,7 @@ def cluster():
     """A cluster of a head, on which no job runs, and two nodes with one core each."""
     cluster = Cluster(initialize_head=True, head_node_args=NODE | {"num_cpus": 0, "include_dashboard": False})
     for _ in range(2):
-        cluster.add_node(**NODE)
+        cluster.add_node(**NODE)  # type: ignore[arg-type]
     yield cluster
     cluster.shutdown()
 
@@ -83,7 +83,7 @@ def test_a_node_is_lost_and_one_is_added(cluster, tmp_path, capsys):
         if not changed and any(known_as in nodes for nodes in nodes_of(folder, at_work).values()):
             changed.append(True)
             cluster.remove_node(lost, allow_graceful=False)
-            cluster.add_node(**NODE)
+            cluster.add_node(**NODE)  # type: ignore[arg-type]
 
     document = run_survey(folder, RayExecutor("cpu", cluster.address), change)
     assert changed and document["done"] == 5 and results(folder) == UNDISTURBED
@@ -135,7 +135,5 @@ def test_a_cluster_on_this_machine(tmp_path):
 
 
 def test_an_address_without_a_cluster():
-    with pytest.raises(
-        InputError, match="No Ray cluster answers at 127.0.0.1:6378 .*: start one with `ray start"
-    ):
+    with pytest.raises(InputError, match="No Ray cluster answers at 127.0.0.1:6378 .*: start one with `ray start"):
         RayExecutor("cpu", "127.0.0.1:6378")

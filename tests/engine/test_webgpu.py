@@ -66,7 +66,9 @@ class TestWgpu(KernelSuite):
         """By the kernel of a step on the device."""
         if backend != self.backend:
             return super().adam(parameter, gradients, backend)
-        gpu, count = KERNELS["wgpu"].gpu, parameter.numel()
+        kernels = KERNELS["wgpu"]
+        assert isinstance(kernels, WebGpuKernels)
+        gpu, count = kernels.gpu, parameter.numel()
         buffers = [gpu.upload(values) for values in (parameter, 0 * parameter, 0 * parameter)]
         for number, gradient in enumerate(gradients):
             call = {"count": count, **adam_fields(0.1, *BETAS, EPS, number + 1)}
@@ -328,7 +330,7 @@ def test_constants_are_generated_from_the_reference_in_all_languages():
 
 @pytest.mark.parametrize("module", [webgpu_tiles, webgpu_training])
 def test_sizes_and_bits_that_python_and_wgsl_share_are_equal(module):
-    found = {}
+    found: dict[str, set[int]] = {}
     for path in constants.HEADER.parent.glob("*.wgsl"):
         for name, value in re.findall(r"(?m)^const (\w+) = (\w+?)u?;", path.read_text(encoding="utf-8")):
             found.setdefault(name, set()).add(int(value, 0))

@@ -361,7 +361,8 @@ def test_when_the_card_fails_the_run_goes_on_on_the_processor(what, missing, tin
     gpu = software_device(missing)  # no other test has it, since it is destroyed
     kernels = WebGpuKernels(CPU, lambda: gpu)
     monkeypatch.setitem(KERNELS, "wgpu", kernels)
-    step, made = ResidentGaussians.step, []
+    step = ResidentGaussians.step
+    made: list[int] = []
 
     def fail_later(self, *arguments):
         made.append(len(made))

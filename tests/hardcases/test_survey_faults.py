@@ -100,7 +100,7 @@ def test_results_are_equal_to_the_bit(planned, undisturbed, tmp_path):
         resource.prlimit(process, resource.RLIMIT_FSIZE, (LIMIT, LIMIT))
 
     def run_twice(process):
-        words = ["-m", "swag_engine", "survey", "block", files.path, "--block", fourth, "--json"]
+        words = ["-m", "swag_engine", "survey", "block", str(files.path), "--block", fourth, "--json"]
         answer = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, check=False)
         other.append((answer.returncode, json.loads(answer.stdout)["state"]))
 

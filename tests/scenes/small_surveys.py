@@ -38,7 +38,7 @@ def make_survey(folder: Path, splats: Splats, columns: int = 2, rows: int = 2, s
     """Write a survey of columns x rows blocks that are done; each has all splats of its extended box."""
     survey = SurveyFolder(folder)
     x_edges, y_edges = (np.linspace(-size / 2, size / 2, count + 1) for count in (columns, rows))
-    names = []
+    names: list[str] = []
     on_ground = GROUND.on_ground(splats.positions)
     for row in range(rows):
         for column in range(columns):

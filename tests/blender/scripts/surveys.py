@@ -122,7 +122,7 @@ def budgets(folder):
     box.empty_display_type, box.empty_display_size = "CUBE", 100.0
     bpy.context.scene.swag_survey.box = box
     bpy.context.view_layer.update()
-    found = {}
+    found: dict[object, list] = {}
     for budget in (1000, 1024, 100_000):
         bpy.context.scene.swag_survey.budget = budget
         found[budget] = [survey.load_box(bpy.context, obj), *tiles_of(obj)]
@@ -366,7 +366,7 @@ def merge_with_the_engine(folder, partial):
     bpy.context.scene.swag_survey.folder = folder
     assert bpy.ops.swag.show_blocks() == {"FINISHED"}
     faces = faces_of(survey_map.map_of(bpy.context.scene, SurveyFolder(Path(folder)))).values()
-    found = {"faces": [each["state"] for each in faces], "psnr": [each["psnr"] for each in faces]}
+    found: dict[str, object] = {"faces": [each["state"] for each in faces], "psnr": [each["psnr"] for each in faces]}
     try:
         bpy.ops.swag.merge_survey(partial=partial)
         found["splats"] = splats.count(bpy.context.active_object)
