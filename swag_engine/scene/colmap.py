@@ -342,7 +342,7 @@ def _read_binary(folder: Path) -> _Model:
         raise ValueError("Two points have the same id.")
 
     def column(name: str, kind: type, *shape: int) -> np.ndarray:
-        empty = np.zeros((0, *shape), kind)
+        empty: np.ndarray = np.zeros((0, *shape), kind)
         return np.concatenate([empty, *(chunk[name].astype(kind) for chunk in chunks)])[order]
 
     points = Points(

@@ -100,16 +100,15 @@ class Sizes:
             InputError: If memory does not suffice.
         """
         extent = replace(self.extent, training=training, held_out=held_out)
-        for coarse_width in COARSE_WIDTHS:
-            width = min(coarse_width, self.width)
-            memory = PROCESS_MEMORY + needed(extent, width, self.coarse_gaussians)
-            if self.memory is None or memory <= self.memory:
-                break
-        else:
+        widths = [min(width, self.width) for width in COARSE_WIDTHS]
+        needs = [PROCESS_MEMORY + needed(extent, width, self.coarse_gaussians) for width in widths]
+        fitting = [k for k, need in enumerate(needs) if self.memory is None or need <= self.memory]
+        if not fitting:
             raise InputError(
-                f"The coarse model of the survey needs {memory / 1e9:.2f} GB of memory, and {self.memory / 1e9:.2f} GB "
-                "are for it: plan for a machine with more memory."
+                f"The coarse model of the survey needs {needs[-1] / 1e9:.2f} GB of memory, and "
+                f"{(self.memory or 0) / 1e9:.2f} GB are for it: plan for a machine with more memory."
             )
+        width, memory = widths[fitting[0]], needs[fitting[0]]
         sizes = Size(iterations, width, self.coarse_gaussians)
         return replace(self.asked, **sizes.numbers()), memory
 

@@ -3,8 +3,10 @@
 import json
 import os
 import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,6 +52,11 @@ def test_the_plan_is_in_the_files_and_in_the_document(planned, scene):
     assert {name for block in blocks for name in block.images} == {view.name for view in load_scene(scene).views}
     text = describe(document)
     assert all(block.name in text for block in blocks) and "200, of which 25 are held out" in text
+
+
+def test_the_version_of_the_engine_is_that_of_the_package():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+    assert engine_version() == project["project"]["version"]
 
 
 def test_held_out_images_are_held_out_in_every_run(planned, scene):
@@ -138,7 +145,7 @@ def test_photos_that_see_the_same_place_stay_together_and_it_is_said(tiny_scene,
     assert "1 of 1 blocks have more than 6 photos, up to 10" in document["notes"][1]
 
 
-def fails(scene: Path, out: Path, *words: str, block_images: int = BLOCK_IMAGES, **settings: object) -> None:
+def fails(scene: Path, out: Path, *words: str, block_images: int = BLOCK_IMAGES, **settings: Any) -> None:
     before = sorted(out.rglob("*")) if out.exists() else None
     with pytest.raises(InputError) as caught:
         plan_survey(scene, out, TrainSettings(**settings), block_images)
@@ -192,7 +199,7 @@ def test_a_survey_with_too_few_photos(tiny_scene, tmp_path):
 
 
 def test_a_full_disk_leaves_nothing(scene, tmp_path, monkeypatch):
-    def full(source: object, target: object) -> None:
+    def full(source: Path, target: Path) -> None:
         if str(target).endswith("survey.json"):
             raise OSError(28, "No space left on device")
         rename(source, target)
