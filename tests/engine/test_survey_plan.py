@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,11 @@ def test_the_plan_is_in_the_files_and_in_the_document(planned, scene):
     assert {name for block in blocks for name in block.images} == {view.name for view in load_scene(scene).views}
     text = describe(document)
     assert all(block.name in text for block in blocks) and "200, of which 25 are held out" in text
+
+
+def test_the_version_of_the_engine_is_that_of_the_package():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+    assert engine_version() == project["project"]["version"]
 
 
 def test_held_out_images_are_held_out_in_every_run(planned, scene):

@@ -4,6 +4,7 @@ import errno
 import os
 import re
 import shutil
+import struct
 import subprocess
 import sys
 from collections.abc import Callable
@@ -112,6 +113,34 @@ def test_messages_of_colmap_are_kept_off_standard_error(folder: Path, part: str,
         [sys.executable, "-c", code], cwd=root, env=environment, capture_output=True, encoding="utf-8", check=False
     )
     assert done.stderr == "" and named in done.stdout and done.stdout.count("\n") == 1
+
+
+@pytest.mark.parametrize("what", ["image", "feature", "other point", "none"])
+def test_points_and_images_of_different_models(folder: Path, what: str) -> None:
+    points, images = (folder / "sparse" / "0" / f"{part}.bin" for part in ("points3D", "images"))
+    data = bytearray(points.read_bytes())
+    first = 8 + 51  # the track of the first point: image, feature
+    if what == "image":
+        struct.pack_into("<I", data, first, 99)
+    elif what == "feature":
+        struct.pack_into("<I", data, first + 4, 1000)
+    elif what == "other point":
+        (feature,) = struct.unpack_from("<I", data, first + 4)
+        struct.pack_into("<I", data, first + 4, feature + 1 if feature < 5 else feature - 1)
+    else:
+        head = images.read_bytes()
+        features = head.index(b"\0", 8 + 64) + 1 + 8
+        images.write_bytes(head[: features + 16] + b"\xff" * 8 + head[features + 24 :])
+    points.write_bytes(data)
+    sentence(lambda: load_scene(folder), folder / "sparse" / "0", "do not fit together")
+
+
+def test_a_rig_without_the_pose_of_a_camera(tmp_path: Path) -> None:
+    file = make_dot_scene(tmp_path, views=2, cameras_per_rig=2) / "sparse" / "0" / "rigs.bin"
+    data = bytearray(file.read_bytes())
+    data[8 + 8 + 8 + 8] = 0
+    file.write_bytes(data)
+    sentence(lambda: load_scene(tmp_path), tmp_path / "sparse" / "0", "do not fit together")
 
 
 def test_a_model_without_points(folder: Path) -> None:
