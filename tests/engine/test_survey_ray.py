@@ -135,7 +135,5 @@ def test_a_cluster_on_this_machine(tmp_path):
 
 
 def test_an_address_without_a_cluster():
-    with pytest.raises(
-        InputError, match="No Ray cluster answers at 127.0.0.1:6378 .*: start one with `ray start"
-    ):
+    with pytest.raises(InputError, match="No Ray cluster answers at 127.0.0.1:6378 .*: start one with `ray start"):
         RayExecutor("cpu", "127.0.0.1:6378")
