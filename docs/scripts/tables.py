@@ -1276,16 +1276,13 @@ def survey_plan() -> str:
 @table
 def survey_cost() -> str:
     """Time of large surveys on one machine, on eight and on spot machines."""
-    if not (ROOT / "benchmarks" / "results" / "survey_cost.json").exists():
-        return "Not measured yet."
-    found = results("survey_cost")
     rows = [
         [
             f"{row['images']:,}".replace(",", " "), row["blocks"], row["cluster"], row["at_once_on_a_machine"],
             f"{row['hours']:.1f} h" + (f" ({row['hours_95']:.1f} h)" if row["failures_an_hour"] else ""),
             f"{row['machine_hours']:.0f} h", row["most_losses"], f"{row['hours_without_checkpoints']:.1f} h",
         ]
-        for row in found["rows"]
+        for row in results("survey_cost")["rows"]
     ]  # fmt: skip
     heads = [
         "photos", "blocks", "on", "blocks at once on each", "time (95 % of simulations)", "machines, summed",
