@@ -45,10 +45,11 @@ def make_survey(folder: Path, splats: Splats, columns: int = 2, rows: int = 2, s
             names.append(f"B-{len(names) + 1:03d}")
             edges = x_edges[column], y_edges[row], x_edges[column + 1], y_edges[row + 1]
             outer = column == 0, row == 0, column == columns - 1, row == rows - 1
-            core: Box = tuple(
+            left, bottom, right, top = (
                 float(np.inf * sign if open else edge)
                 for edge, open, sign in zip(edges, outer, (-1, -1, 1, 1), strict=True)
             )
+            core: Box = (left, bottom, right, top)
             extended: Box = (core[0] - 1, core[1] - 1, core[2] + 1, core[3] + 1)
             block = Block(names[-1], core, extended, ("a.png",), (), (), 0, 10, len(splats), 100, 10**9)
             survey.write_block(block)
