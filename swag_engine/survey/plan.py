@@ -166,10 +166,9 @@ def _planned(
     chosen = {}
     for kind, most in (("train", COARSE_TRAINING), ("validation", COARSE_VALIDATION)):
         of_kind = np.flatnonzero(np.isin(names, getattr(split, kind)))
-        order: Sequence[int] = []
         if len(of_kind):
-            order = covering_images(centres[of_kind], directions[of_kind], max(reach, 1e-12), most)
-        chosen[kind] = tuple(sorted(names[image] for image in of_kind[order]))
+            of_kind = of_kind[covering_images(centres[of_kind], directions[of_kind], max(reach, 1e-12), most)]
+        chosen[kind] = tuple(sorted(names[image] for image in of_kind))
     mean_training = sum(len(block.training) for block in blocks) / len(blocks)
     coarse_settings, coarse_memory = sizes.coarse(
         len(chosen["train"]),

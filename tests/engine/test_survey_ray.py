@@ -83,7 +83,7 @@ def test_a_node_is_lost_and_one_is_added(cluster, tmp_path, capsys):
         if not changed and any(known_as in nodes for nodes in nodes_of(folder, at_work).values()):
             changed.append(True)
             cluster.remove_node(lost, allow_graceful=False)
-            cluster.add_node(**NODE)  # type: ignore[arg-type]
+            cluster.add_node(**NODE)
 
     document = run_survey(folder, RayExecutor("cpu", cluster.address), change)
     assert changed and document["done"] == 5 and results(folder) == UNDISTURBED
