@@ -105,6 +105,36 @@ class Block:
 
 
 @dataclass(frozen=True)
+class Label:
+    """Label the splats of all blocks that are done, as the command label does. Merge the survey afterwards."""
+
+    folder: tyro.conf.Positional[Folder]
+    """Folder of the survey."""
+    words: tuple[str, ...] = ()
+    """What to look for, as in --words coral wreck "open water"; needs networks (see --weights-dir)."""
+    masks: Path | None = None
+    """Folder of mask images, one folder a label: MASKS/coral/NAME.png."""
+    weights_dir: Path | None = None
+    """Folder of pretrained networks; the user's cache folder without it."""
+    download: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Download networks that are not on this machine."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..survey.labels import describe, label_survey
+        from .progress import stage_progress
+
+        with stage_progress() as progress:
+            document = label_survey(
+                self.folder, self.words, self.masks, self.weights_dir, self.download, progress=progress
+            )
+        show(document, self.json, describe(document))
+        return 0
+
+
+@dataclass(frozen=True)
 class Merge:
     """Make one model of all blocks: tiles in levels of detail, in the folder merged of the survey."""
 
@@ -209,6 +239,7 @@ Step = (
     Annotated[Plan, tyro.conf.subcommand("plan")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Block, tyro.conf.subcommand("block")]
+    | Annotated[Label, tyro.conf.subcommand("label")]
     | Annotated[Merge, tyro.conf.subcommand("merge")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Render, tyro.conf.subcommand("render")]

@@ -14,10 +14,9 @@ from ..formats.registry import find_format
 from ..formats.run_folder import RunFolder
 from ..kernels.backends import device_for
 from ..rendering.model import cloud_from_checkpoint
-from ..scene.colmap import load_scene
+from ..scene.colmap import Scene, load_scene
 from ..scene.images import cache_folder, load_images
-from ..scene.split import split_views
-from ..semantics.assign import assign
+from ..semantics.assign import Assignment, assign
 from ..semantics.embed import Clip, Descriptor, Embedder
 from ..semantics.labels import read_labels, read_semantics, write_semantics
 from ..semantics.providers import Progress, Provider, choose_provider, make_embedder, make_provider
@@ -35,6 +34,7 @@ def label_run(
     download: bool = False,
     with_features: bool = False,
     progress: Progress = lambda stage, fraction: None,
+    scene: Scene | None = None,
 ) -> dict[str, Any]:
     """Label the Gaussians of a run from its training images.
 
@@ -50,6 +50,7 @@ def label_run(
         download: Whether networks may be downloaded.
         with_features: Whether the features are written into the splat files, too.
         progress: Gets the stage and its fraction (0..1).
+        scene: The scene, or the part of it that the run was trained on; read without it.
 
     Returns:
         The document in labels.json.
@@ -65,22 +66,24 @@ def label_run(
         raise InputError(f"The run {folder} has no result yet; continue it with train --resume.")
     splats = read_ply(run.ply)
     cloud = cloud_from_checkpoint(loaded[0]).to(device_for("auto"))
-    if len(cloud) != len(splats):
+    own = len(cloud) - loaded[1].get("fixed", 0)  # surroundings that a part of a survey does not change hide others
+    if own != len(splats):
         raise InputError(
-            f"{run.ply} holds {len(splats)} splats and the run's checkpoint {len(cloud)}: continue the run with train "
+            f"{run.ply} holds {len(splats)} splats and the run's checkpoint {own}: continue the run with train "
             "--resume, which writes it again."
         )
-    scene = load_scene(scene_folder)
+    scene = scene or load_scene(scene_folder)
     chosen, masks = choose_provider(scene, words, masks, provider)
     finder, captioner = make_provider(chosen, scene, masks, bool(words), weights_dir, download, progress)
     embedder = make_embedder(weights_dir, download, progress)
-    names = set(split_views([view.camera.name for view in scene.views]).train)
+    names = set(scene.split.train)
     images = load_images(scene, [view for view in scene.views if view.camera.name in names], settings.width)
     regions = find_regions(
         images, finder, embedder, words, captioner, cache_folder(scene, "semantics"),
         lambda done, count: progress("Regions", done / count),
     )  # fmt: skip
-    assignment = assign(cloud, regions, {image.camera.name: image.camera for image in images})
+    found = assign(cloud, regions, {image.camera.name: image.camera for image in images})
+    assignment = Assignment(found.features[:own], found.labels[:own], found.agreement[:own])
     about = {"regions": chosen, "embedder": embedder.name, "words": list(words), "photographs": len(images)}
     return write_semantics(folder, splats, up, regions, assignment, about, with_features)
 

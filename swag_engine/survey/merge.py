@@ -22,11 +22,13 @@ from ..base.files import locked_folder, not_writable
 from ..base.text import first_names
 from ..formats.ply import read_ply, write_ply
 from ..formats.run_folder import read_json
+from ..formats.select import LABEL
 from ..formats.survey_folder import COARSE, VERSION, Survey, SurveyFolder
 from ..formats.survey_tiles import Cell, Level, Tile, Tiles
 from ..products.tiles import Progress
 from ..splats.splats import Splats, concatenate
 from .job import hash_of
+from .labels import SurveyLabels
 from .levels import coarser
 
 TILE_SPLATS = 32_768
@@ -104,12 +106,15 @@ class _Merge:
         self.folder, self.survey, self.blocks, self.progress = folder, survey, blocks, progress
         self.merged = folder.merged
         self.staging = folder.merged / "staging"
+        self.labels = SurveyLabels.of(folder, blocks)
+        self.label_counts = np.zeros(len(self.labels.names) + 1, np.int64)
 
     def run(self) -> Tiles:
         """Write all tiles, then tiles.json."""
         shutil.rmtree(self.staging, ignore_errors=True)
         try:
             tiles = self._tiles()
+            self.labels.write(self.merged, self.label_counts[1:].tolist())
             tiles.write()
             return tiles
         except OSError as error:
@@ -182,7 +187,8 @@ class _Merge:
     def _core(self, name: str) -> Splats:
         """Return the splats of a block whose positions are in its core."""
         splats = read_ply(self.folder.run(name).ply)
-        return splats.subset(self.folder.read_block(name).in_core(self.survey.ground.on_ground(splats.positions)))
+        core = splats.subset(self.folder.read_block(name).in_core(self.survey.ground.on_ground(splats.positions)))
+        return self.labels.renumbered(name, core)
 
     def _finest(self, pattern: Splats, edge: float) -> list[Tile]:
         """Write the tiles of level 0."""
@@ -191,6 +197,8 @@ class _Merge:
         for number, name in enumerate(self.blocks):
             self.progress("Cutting into tiles", 0.5 * number / len(self.blocks))
             splats = concatenate([self._core(name), pattern])
+            if LABEL in splats.extras:
+                self.label_counts += np.bincount(splats.extras[LABEL], minlength=len(self.label_counts))
             order, cells = by_cell(splats.positions, edge)
             sorted_rows = self.staging / f"{number}.npy"
             np.save(sorted_rows, _rows(splats)[order])
