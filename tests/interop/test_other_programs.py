@@ -1,6 +1,7 @@
 """Other programs read the files that are written here: Khronos' glTF validator and PlayCanvas' splat-transform."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -12,6 +13,11 @@ from swag_engine.formats.spz import read_spz, write_spz
 from swag_engine.scene.cameras import Camera
 from swag_engine.splats.splats import Splats
 from swag_engine.splats.transform import covariances, rotation_matrices, sh_basis, transformed
+from swag_engine.survey import merge
+from swag_engine.survey.export import export_survey
+from swag_engine.survey.merge import merge_survey
+from tests.interop.install import HERE, NODE
+from tests.scenes.small_surveys import make_survey, random_splats
 
 
 @pytest.fixture
@@ -198,3 +204,21 @@ def test_a_damaged_compressed_ply_is_refused_in_one_sentence(convert, tmp_path):
         with pytest.raises(InputError) as error:
             read_ply(small)
         assert str(small) in str(error.value) and "\n" not in str(error.value)
+
+
+def test_splat_transform_packs_the_levels_of_a_survey(npm_packages, tmp_path, monkeypatch):
+    """The streamed SOG has every level with all its splats, and replaces an earlier one whole."""
+    monkeypatch.setattr(merge, "TILE_SPLATS", 200)
+    monkeypatch.setattr(merge, "COARSEST", 150)
+    monkeypatch.setenv(
+        "PATH", os.pathsep.join([str(HERE / "node_modules" / ".bin"), str(NODE.parent), os.environ["PATH"]])
+    )
+    survey = make_survey(tmp_path / "survey", random_splats(1200, degree=0))
+    levels = [level["splats"] for level in merge_survey(survey.path)["levels"]]
+    out = tmp_path / "sog"
+    for first in (1, 0):
+        export_survey(survey.path, "sog", out, first)
+        meta = json.loads((out / "lod-meta.json").read_text())
+        assert meta["lodLevels"] == len(levels) - first
+        assert {path.name for path in tmp_path.iterdir()} == {"survey", "sog"}
+    assert len(levels) > 1
