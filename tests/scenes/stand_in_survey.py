@@ -4,8 +4,8 @@
 
 Each iteration hashes the state, so that a block that lost or repeated one has another result. orders.json in the folder
 has what happens to a block at each of its starts: "kill" at half of the iterations that are left, "refuse" with exit
-code 2, "slow" it down, "crash" with a traceback, or "refuse on PROCESS": on the node of a Ray cluster whose raylet has
-that number.
+code 2, "slow" it down to a second for each, or "crash" with a traceback; "refuse on PROCESS" is for the node of a Ray
+cluster whose raylet has that number.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from swag_engine.base.claim import claimed
 from swag_engine.base.files import FolderInUse
 
-PAUSE, SLOW = 0.03, 0.2
+PAUSE, SLOW = 0.03, 1.0
 ITERATIONS = 20
 
 
@@ -94,8 +94,10 @@ def train(folder: Path, job: Path, name: str) -> int:
     with open(job / "starts.txt", "a") as file:
         file.write(f"{os.getpid()} {os.environ['OMP_NUM_THREADS']} {os.environ.get('RAY_RAYLET_PID')}\n")
     orders = json.loads((folder / "orders.json").read_text()).get(name, [])
-    order = (orders + [""] * 100)[len(starts(folder, name)) - 1]
-    if order == "refuse" or order == f"refuse on {os.environ.get('RAY_RAYLET_PID')}":
+    order, _, node = (orders + [""] * 100)[len(starts(folder, name)) - 1].partition(" on ")
+    if node not in ("", os.environ.get("RAY_RAYLET_PID")):
+        order = ""
+    if order == "refuse":
         write(job / "failed.json", {"version": 1, "block": name, "problem": "No photo a.png.", "attempts": 1})
         print(json.dumps({"error": f"{folder}/a.png cannot be read: it is not there."}))
         return 2
