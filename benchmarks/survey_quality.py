@@ -148,8 +148,13 @@ def density_at_borders(model: MergedModel, blocks: Sequence[Block], positions: n
 
 def margin_of(blocks: Sequence[Block]) -> float:
     """Return the smallest distance from a core to the end of its extended box, scene units."""
-    distances = np.abs([np.array(block.core) - np.array(block.extended) for block in blocks if len(blocks) > 1])
-    return float(np.nanmin(np.where(np.isfinite(distances), distances, np.nan)))
+    distances = [
+        abs(edge - end)
+        for block in blocks
+        for edge, end in zip(block.core, block.extended, strict=True)
+        if np.isfinite(edge)
+    ]
+    return min(distances)
 
 
 def draw_seam(single: Path, survey: Path) -> None:
