@@ -41,8 +41,8 @@ def label_request(
     """
     if obj.get(SURVEY_KEY):
         raise InputError(
-            f"Labels are made for single runs, and the splats of {obj.name} are of a survey: select splats, and use "
-            "Separate or Mask."
+            f"The splats of {obj.name} are of a survey: label its blocks on the command line (survey label FOLDER), "
+            "merge them again and open the survey anew."
         )
     run = bpy.path.abspath(obj.get(RUN_KEY, "")) or swag_of(context.scene).run_path
     if not run:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from ..formats.registry import FORMATS
 from ..settings.settings import TrainSettings
 from .answers import show
 from .interrupts import interrupts
@@ -213,14 +214,17 @@ class Export:
 
     folder: tyro.conf.Positional[Folder]
     """Folder of the survey."""
-    format: Literal["ply", "glb", "sog"]
-    """Format of the file. sog: streamed levels of detail for the web, which needs Node with splat-transform."""
+    format: Literal[(*FORMATS, "sog")]  # type: ignore[valid-type]
+    """Format of the file. sog: a folder with streamed levels of detail for the web, which needs Node with the package
+    splat-transform."""
     out: Path
     """File to write."""
     level: int = 0
     """Level of detail, 0 is the finest."""
     box: Box | None = None
     """Left, bottom, right and top edge on the ground of the survey, scene units."""
+    develop: Annotated[str, tyro.conf.arg(metavar="none|auto|VALUES")] = "auto"
+    """Development of restored colors, as the command export has it. auto: that of the coarse model."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 
@@ -230,7 +234,7 @@ class Export:
         from .progress import stage_progress
 
         with stage_progress() as progress:
-            document = export_survey(self.folder, self.format, self.out, self.level, self.box, progress)
+            document = export_survey(self.folder, self.format, self.out, self.level, self.box, progress, self.develop)
         show(document, self.json, describe(document))
         return 0
 

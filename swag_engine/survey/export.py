@@ -182,6 +182,12 @@ class _Parts:
         return splats if self.region is None else splats.subset(self.region.holds(splats.positions))
 
 
+def describe(document: dict[str, Any]) -> str:
+    """Format what `export_survey` returned as the lines that `survey export` prints."""
+    count = f"Level {document['level']}: {document['splats']:,} splats, {document['bytes'] / 1e6:.1f} MB."
+    return "\n".join([count, *document["notes"], f"File: {document['out']}"])
+
+
 def _checked(box: Sequence[float]) -> tuple[float, ...]:
     """Return left, bottom, right, top, lowest and highest; raises InputError for a box that holds nothing."""
     edges = tuple(float(edge) for edge in box)

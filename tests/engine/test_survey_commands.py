@@ -66,6 +66,13 @@ def test_views_of_a_survey_with_and_without_water(survey, tmp_path, capsys):
     assert np.abs(pictures["0"] - pictures["1"]).mean() > 5
 
 
+def test_a_level_is_exported(survey, tmp_path, capsys):
+    tiles = Tiles.read(SurveyFolder(survey).merged)
+    code, out, _ = call(capsys, "export", survey, "--format", "ply", "--out", tmp_path / "all.ply")
+    assert code == 0 and f"{tiles.levels[0].splats:,} splats" in out
+    assert len(read_ply(tmp_path / "all.ply")) == tiles.levels[0].splats
+
+
 def test_labels_of_blocks_become_labels_of_the_merged_survey(survey, tmp_path, capsys):
     copy = shutil.copytree(survey.parent, tmp_path / "copy") / "survey"
     files = SurveyFolder(copy)
