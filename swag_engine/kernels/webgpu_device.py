@@ -6,6 +6,8 @@ The kernels are the .wgsl files beside this one. A kernel's bindings and the fie
 import os
 import re
 import struct
+import sys
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -430,6 +432,8 @@ def _adapters() -> list[Any]:
         import wgpu
     except (ImportError, OSError) as error:
         raise WebGpuUnavailable(f"the package wgpu is not installed ({error}).") from error
+    if sys.platform == "linux":  # Mesa prints an error where it is not set, as on servers
+        os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
     found = wgpu.gpu.enumerate_adapters_sync()
     return [adapter for adapter in found if adapter.info["backend_type"] != "OpenGL"]
 
