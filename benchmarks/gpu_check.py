@@ -5,7 +5,7 @@ Results: benchmarks/results/cuda_registers.json, benchmarks/results/gpu_check.js
 
 cuda: records the registers of every kernel by ptxas (needs no card), runs tests/engine/test_cuda.py on the card and
 compute-sanitizer where the CUDA toolkit is installed, and times each stage and whole training iterations at 1280x720,
-beside gsplat where that is installed. wgpu: runs tests/engine/test_webgpu.py and test_webgpu_step.py on the card, times
+beside gsplat where that is installed and steps of wgpu where that runs. wgpu: runs tests/engine/test_webgpu.py and test_webgpu_step.py on the card, times
 whole steps on the same scenes, beside those of cuda where that runs, and counts dispatches and bytes.
 """
 
@@ -289,7 +289,7 @@ def small_scene() -> None:
 
 
 def wgpu_timings(kernels: WebGpuKernels, n: int) -> dict[str, object]:
-    """Measure milliseconds of a step with n Gaussians by wgpu, and by cuda where that runs; count its dispatches."""
+    """Measure milliseconds of a step with n Gaussians by wgpu, and count its dispatches."""
     gpu = kernels.gpu
     parameters = {name: value.detach().cpu() for name, value in make_parameters(n, *SIZE).items()}
     viewmat, K = (tensor.cpu() for tensor in make_camera(*SIZE))
@@ -305,10 +305,7 @@ def wgpu_timings(kernels: WebGpuKernels, n: int) -> dict[str, object]:
         return {"does not fit": str(error)}
     asked = {field.name: getattr(gpu.counters, field.name) - getattr(before, field.name) for field in fields(before)}
     rows: dict[str, object] = {"step": round(1000 * statistics.median(times), 3)}
-    rows |= {f"{name} a step": count // ROUNDS for name, count in asked.items()}
-    if not cuda_kernels().unavailable_reason():
-        rows["iteration by cuda"] = milliseconds(iteration(n, *SIZE))
-    return rows
+    return rows | {f"{name} a step": count // ROUNDS for name, count in asked.items()}
 
 
 def check_wgpu(gaussians: list[int]) -> None:
@@ -323,7 +320,10 @@ def check_wgpu(gaussians: list[int]) -> None:
     results: dict[str, object] = kernels.details() | {"wgpu": version("wgpu"), "torch": torch.__version__}
     results["tests"] = run_tests("test_webgpu.py", "test_webgpu_step.py")
     for n in gaussians:
-        results[f"ms, {n} Gaussians at {SIZE[0]}x{SIZE[1]}"] = wgpu_timings(kernels, n)
+        rows = wgpu_timings(kernels, n)
+        if not cuda_kernels().unavailable_reason():
+            rows["iteration by cuda"] = milliseconds(iteration(n, *SIZE))
+        results[f"ms, {n} Gaussians at {SIZE[0]}x{SIZE[1]}"] = rows
     write_results("wgpu_check", results)
     print(json.dumps(results, indent=2))
 
@@ -361,8 +361,14 @@ def check_cuda(gaussians: list[int]) -> None:
         "tests": run_tests("test_cuda.py"),
         "compute-sanitizer": sanitize(),
     }
+    wgpu = KERNELS["wgpu"]
+    assert isinstance(wgpu, WebGpuKernels)
+    beside = not wgpu.unavailable_reason()
     for n in gaussians:
-        results[f"ms, {n} Gaussians at {SIZE[0]}x{SIZE[1]}"] = timings(n)
+        rows = timings(n)
+        if beside:
+            rows |= {f"{name}, by wgpu": value for name, value in wgpu_timings(wgpu, n).items()}
+        results[f"ms, {n} Gaussians at {SIZE[0]}x{SIZE[1]}"] = rows
     write_results("gpu_check", results)
     print(json.dumps(results, indent=2))
 
