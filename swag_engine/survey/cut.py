@@ -102,12 +102,18 @@ def survey_ground(up: np.ndarray, centres: np.ndarray, positions: np.ndarray) ->
     return Ground(tuple(origin.tolist()), tuple(tuple(row) for row in axes.tolist()))
 
 
-def median_reach(places: Places) -> float:
-    """Return the median distance on the ground from a camera to a point that it sees, over some points of each."""
+def median_distance(cameras: np.ndarray, points: np.ndarray, seen: Sequence[np.ndarray]) -> float:
+    """Return the median distance from a camera to a point that it sees, over some points of each image.
+
+    Args:
+        cameras: Positions of the cameras, (V, 3) or (V, 2) on the ground.
+        points: Positions of the sparse points, likewise.
+        seen: Rows of `points` that each image sees.
+    """
     distances = []
-    for camera, rows in zip(places.cameras, places.seen, strict=True):
+    for camera, rows in zip(cameras, seen, strict=True):
         some = rows[:: max(1, len(rows) // SAMPLED_POINTS)]
-        distances.append(np.linalg.norm(places.points[some] - camera, axis=1))
+        distances.append(np.linalg.norm(points[some] - camera, axis=1))
     together = np.concatenate(distances)
     return float(np.median(together)) if len(together) else 0.0
 

@@ -18,7 +18,7 @@ from ..scene.colmap import Scene, load_scene
 from ..scene.scene_part import part_of, without_points, write_part
 from ..scene.split import Split, split_views
 from ..settings.settings import TrainSettings
-from .cut import MARGIN_REACHES, Cutter, Part, Places, median_reach, survey_bounds, survey_ground
+from .cut import MARGIN_REACHES, Cutter, Part, Places, median_distance, survey_bounds, survey_ground
 from .places import connected_groups, covering_images, points_in_frame
 from .sizes import Sizes
 
@@ -130,7 +130,7 @@ def _planned(
 
     ground = survey_ground(scene.up, centres, positions)
     places = Places(ground.on_ground(centres)[:, :2], ground.on_ground(positions)[:, :2], seen)
-    reach = median_reach(places)
+    reach = median_distance(places.cameras, places.points, seen)
     distance = MARGIN_REACHES * reach
     bounds = survey_bounds(places, distance)
     observed = np.zeros(len(positions), bool)
@@ -194,7 +194,7 @@ def _planned(
         bounds=bounds,
         images=len(names),
         blocks=tuple(block.name for block in blocks),
-        median_range=reach,
+        median_range=median_distance(centres, positions, seen),
     )
     return survey, blocks, _document(survey, blocks, coarse_memory, len(names) - len(left_out), notes)
 

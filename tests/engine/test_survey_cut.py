@@ -14,7 +14,7 @@ from swag_engine.survey.cut import (
     Cutter,
     Places,
     extended_box,
-    median_reach,
+    median_distance,
     sides,
     survey_bounds,
     survey_ground,
@@ -36,7 +36,7 @@ def lawn(columns: int = 30, rows: int = 16, points: int = 30_000) -> Places:
 
 
 def cutter(places: Places, block_images: int = 120, **changes: Any) -> Cutter:
-    distance = 2 * median_reach(places)
+    distance = 2 * median_distance(places.cameras, places.points, places.seen)
     fresh = Cutter(
         places, survey_bounds(places, distance), distance, block_images, lambda part: True, lambda part: True, 0
     )

@@ -50,6 +50,7 @@ def test_the_plan_is_in_the_files_and_in_the_document(planned, scene):
     assert [block["name"] for block in document["blocks"]] == list(survey.blocks)
     assert document["totals"]["extra_images"] == sum(len(block.images) for block in blocks) / 200 - 1
     assert {name for block in blocks for name in block.images} == {view.name for view in load_scene(scene).views}
+    assert survey.median_range == pytest.approx(2.2, abs=0.1)  # the camera is 2 above the floor
     text = describe(document)
     assert all(block.name in text for block in blocks) and "200, of which 25 are held out" in text
 
