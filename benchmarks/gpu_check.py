@@ -5,8 +5,10 @@ Results: benchmarks/results/cuda_registers.json, benchmarks/results/gpu_check.js
 
 cuda: records the registers of every kernel by ptxas (needs no card), runs tests/engine/test_cuda.py on the card and
 compute-sanitizer where the CUDA toolkit is installed, and times each stage and whole training iterations at 1280x720,
-beside gsplat where that is installed and steps of wgpu where that runs. wgpu: runs tests/engine/test_webgpu.py and test_webgpu_step.py on the card, times
-whole steps on the same scenes, beside those of cuda where that runs, and counts dispatches and bytes.
+beside gsplat where that is installed and steps of wgpu where that runs.
+
+wgpu: runs tests/engine/test_webgpu.py and test_webgpu_step.py on the card, times whole steps on the same scenes, beside
+those of cuda where that runs, and counts dispatches and bytes.
 """
 
 import argparse
