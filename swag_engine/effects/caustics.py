@@ -200,4 +200,14 @@ def _cost(probe: CostProbe) -> Callable[[], Tensor]:
     return lambda: (apply_log_gains(image, [field.log_gain("", height, width)]) * weights).sum()
 
 
-EFFECT = Effect("Caustics", "image", decide, initial=_initial, load=_load, learning_rate=2e-2, cost=_cost, tried_at=0.1)
+EFFECT = Effect(
+    "Caustics",
+    "image",
+    decide,
+    initial=_initial,
+    load=_load,
+    learning_rate=2e-2,
+    row_an_image=True,
+    cost=_cost,
+    tried_at=0.1,
+)

@@ -96,6 +96,7 @@ class Effect:
         initial: Makes the model at the start of a run; None for an effect without a model of its own.
         load: Makes the model of a checkpoint's tensors and settings.
         learning_rate: Adam's step size at the start of the run; it falls to 0 as a cosine.
+        row_an_image: Whether each row of the parameters belongs to one image.
         cost: Gives the work whose time, forward and backward, is the effect's cost; None for one without cost.
         cost_every: Iterations in one of which that work is done.
         tried_at: Fraction of the run at which the effect is tried where the plan is not certain; None for never.
@@ -112,6 +113,7 @@ class Effect:
     initial: Callable[[InitialContext], EffectModel] | None = None
     load: Callable[[dict[str, Tensor], Any], EffectModel] | None = None
     learning_rate: float = 0.0
+    row_an_image: bool = False
     cost: Callable[[CostProbe], Callable[[], Tensor]] | None = None
     cost_every: int = 1
     tried_at: float | None = None

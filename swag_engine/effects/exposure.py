@@ -137,6 +137,7 @@ EFFECT = Effect(
     initial=_initial,
     load=_load,
     learning_rate=5e-3,
+    row_an_image=True,
     cost=_cost,
     tried_at=0.1,
 )

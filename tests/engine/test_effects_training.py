@@ -19,6 +19,7 @@ from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.effects.vignetting import Vignetting
 from swag_engine.evaluation.metrics import render_image
 from swag_engine.experiments.evaluate_run import load_newest, render_run
+from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.reference.transfer import to_display, to_light
 from swag_engine.planning.plan import plan_scene
 from swag_engine.scene.colmap import load_scene
@@ -27,6 +28,7 @@ from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import trials
 from swag_engine.training.checkpoint import load_checkpoint
+from swag_engine.training.optimizer import Optimizer
 from swag_engine.training.trainer import train
 from swag_engine.water.light import apply_gain
 from swag_engine.water.medium import Medium, open_water, through_water
@@ -139,9 +141,31 @@ def test_exposures_are_learned(unevenly_exposed, tmp_path):
     train(scene, tmp_path / "run", settings)
     tensors, state = load_checkpoint(tmp_path / "run")
     learned = tensors["exposure.raw"][:, 0].numpy()
-    true = np.array([truth[name] for name in state["exposure"]])
+    true = np.array([truth[name] for name in state["exposure"]["names"]])
     assert np.corrcoef(learned, true)[0, 1] > 0.8
-    assert "view_00.png" not in state["exposure"] and "view_08.png" not in state["exposure"]  # held out
+    assert (
+        "view_00.png" not in state["exposure"]["names"] and "view_08.png" not in state["exposure"]["names"]
+    )  # held out
+
+
+SHAPES = (3,), (4,), (3,), (), (1, 3), (0, 3)
+"""Shapes of the tensors of a Gaussian."""
+
+
+def test_gains_of_many_images_are_not_moved_away_from_the_truth_by_the_momentum_of_single_steps():
+    """Each of V images is visited once in V steps, with a gradient of random sign: its gain must stay where it is."""
+    moved = {}
+    for images in (20, 320):
+        exposure = Exposure.starting({f"{k:03d}": 0.0 for k in range(images)})
+        effects = SceneEffects({"exposure": exposure})
+        optimizer = Optimizer(GaussianCloud(*(torch.zeros(1, *n) for n in SHAPES), torch.zeros(3)), effects, "torch")
+        random = np.random.default_rng(1)
+        for step in range(6 * images):
+            exposure.raw.grad = torch.zeros_like(exposure.raw)
+            exposure.raw.grad[step % images] = float(random.choice([-1, 1]))
+            optimizer.step(effects.learning_rates())
+        moved[images] = float(exposure.raw.detach().abs().mean())
+    assert moved[320] < 1.2 * moved[20] < 0.1
 
 
 def test_a_held_out_gain_is_predicted_from_neighbours():
