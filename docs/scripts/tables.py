@@ -514,6 +514,28 @@ def camera_pairs() -> str:
     )
 
 
+# Surveys
+
+
+@table
+def survey_levels() -> str:
+    """PSNR of levels of detail, and what other ways of making fewer splats reach."""
+    rows = []
+    for scene, found in results("survey_levels")["scenes"].items():
+        finest = found["level_0"]
+        ways = {name: way["levels"] for name, way in found["ways"].items()}
+        size = f"{finest['bytes'] / 1e6:.1f} MB"
+        rows.append([scene, "0", finest["splats"], size, f"{finest['psnr']:.1f} dB", "", *("" for _ in ways)])
+        for number, level in enumerate(next(iter(ways.values()))):
+            psnr = [f"{way[number]['psnr']:.1f} dB" for way in ways.values()]
+            against = f"{level['psnr_level_0']:.1f} dB"
+            rows.append(
+                [scene, number + 1, level["splats"], f"{level['bytes'] / 1e6:.1f} MB", psnr[0], against, *psnr[1:]]
+            )
+    others = list(next(iter(results("survey_levels")["scenes"].values()))["ways"])[1:]
+    return markdown(["scene", "level", "splats", "PLY", "PSNR", "against level 0", *others], rows)
+
+
 # Recipes
 
 

@@ -6,6 +6,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -90,13 +91,19 @@ def export_survey(
         splats = bake_development(name_development(splats, named), development)
         return splats if metres == 1 else transformed(splats, np.diag([metres] * 3 + [1.0]))
 
+    def change_without_sh(splats: Splats) -> Splats:
+        return change(replace(splats, sh=splats.sh[:, :1]))
+
     region = _Region(survey.ground, _checked(box)) if box is not None else None
-    parts = partial(_Parts, tiles, region=region, change=change, progress=report)
+    program = _splat_transform(out) if format == STREAMED_SOG else []
+    on_processor = "cpu" in program
+    used = change_without_sh if on_processor else change
+    parts = partial(_Parts, tiles, region=region, change=used, progress=report)
     chosen = parts(level)
     if format == "ply":
         write_ply_parts(out, chosen, chosen.count)
     elif format == STREAMED_SOG:
-        _write_streamed_sog(out, [parts(each.level) for each in tiles.levels if each.level >= level])
+        _write_streamed_sog(out, program, [parts(each.level) for each in tiles.levels if each.level >= level])
     else:
         _require_room(format, tiles, chosen)
         splats = concatenate(list(chosen))
@@ -104,6 +111,8 @@ def export_survey(
     files = sorted(path for path in out.rglob("*") if path.is_file()) if out.is_dir() else [out]
     kept = FORMATS["ply" if format == STREAMED_SOG else format]
     notes = kept.notes(chosen.pattern)
+    if on_processor:
+        notes.append("splat-transform found no graphics card: colors do not change with the view in this file.")
     if development != NO_DEVELOPMENT:
         notes.append("Colors are developed; --develop none leaves them restored.")
     return {
@@ -114,6 +123,16 @@ def export_survey(
         "files": [str(path) for path in files],
         "notes": notes,
     }
+
+
+def describe(result: dict[str, Any]) -> str:
+    """Return the lines that the command `survey export` prints.
+
+    Args:
+        result: What `export_survey` returned.
+    """
+    size = f"level {result['level']}, {result['splats']} splats, {result['bytes'] / 1e6:.1f} MB"
+    return "\n".join([f"{result['out']}: {size}", *result["notes"]])
 
 
 class _Region:
@@ -219,8 +238,16 @@ def _require_room(format: str, tiles: Tiles, parts: _Parts) -> None:
         )
 
 
-def _write_streamed_sog(out: Path, levels: Sequence[_Parts]) -> None:
-    """Write a streamed SOG with splat-transform, from PLY files of the levels in a temporary folder beside it."""
+def _splat_transform(out: Path) -> list[str]:
+    """Return the command of splat-transform without its files.
+
+    It runs on the processor, `--gpu cpu`, where it finds no graphics card. Colors that change with the view are too
+    slow then, because they become a palette of up to 65 536 entries: the 53 000 splats of the demo scene's levels
+    were not done after 5 minutes of one core, those of constant colors take 3 seconds.
+
+    Raises:
+        InputError: If there is no such program, or `out` holds other files.
+    """
     program = shutil.which("splat-transform")
     if program is None:
         raise InputError(
@@ -229,6 +256,16 @@ def _write_streamed_sog(out: Path, levels: Sequence[_Parts]) -> None:
         )
     if out.exists() and not (out / META).is_file() and (out.is_file() or any(out.iterdir())):
         raise InputError(f"{out} exists and is not a streamed SOG: choose a new folder.")
+    try:
+        listed = subprocess.run([program, "--list-gpus"], capture_output=True, text=True, timeout=60, check=True)
+        has_card = "No GPU" not in listed.stdout + listed.stderr
+    except (OSError, subprocess.SubprocessError):
+        has_card = False
+    return [program, "--quiet", *([] if has_card else ["--gpu", "cpu"])]
+
+
+def _write_streamed_sog(out: Path, program: Sequence[str], levels: Sequence[_Parts]) -> None:
+    """Write a streamed SOG with splat-transform, from PLY files of the levels in a temporary folder beside it."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as scratch:
@@ -239,8 +276,7 @@ def _write_streamed_sog(out: Path, levels: Sequence[_Parts]) -> None:
                 arguments += [str(ply), "--tag-lod", str(number)]
             new = Path(scratch, "new")
             new.mkdir()
-            command = [program, "--quiet", "--gpu", "cpu", *arguments, str(new / META)]
-            said = _run(command, levels[0].progress)
+            said = _run([*program, *arguments, str(new / META)], levels[0].progress)
             if not (new / META).is_file():
                 raise InputError(f"splat-transform failed: {said or 'it said nothing'}.")
             if out.exists():

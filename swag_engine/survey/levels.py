@@ -13,7 +13,7 @@ from ..splats.transform import C0, covariances, quaternions
 GROUP = 4
 """Splats of a level that become one of the next: a surface has a quarter of the detail at twice the size."""
 MOST_OPACITY = 0.999
-"""Largest opacity of a merged splat; mass is lost where a group would need more. Larger splats instead are worse."""
+"""Largest opacity of a merged splat; mass is lost where a group would need more: larger splats are worse."""
 COLOR_WEIGHT = 8.0
 """Distance in units of the typical size of splats that counts as much as a change of the display color by 1."""
 WINDOW = 8

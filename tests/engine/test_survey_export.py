@@ -17,7 +17,7 @@ from swag_engine.splats.develop_splats import bake_development
 from swag_engine.splats.development import Development
 from swag_engine.splats.splats import concatenate
 from swag_engine.survey import export, merge
-from swag_engine.survey.export import export_survey
+from swag_engine.survey.export import describe, export_survey
 from swag_engine.survey.merge import merge_survey
 from tests.interop.install import HERE
 from tests.scenes.small_surveys import GROUND, make_survey, random_splats
@@ -29,7 +29,7 @@ def merged(tmp_path_factory):
         patch.setattr(merge, "TILE_SPLATS", 400)
         patch.setattr(merge, "COARSEST", 200)
         patch.setattr(merge.os, "fsync", lambda _: None)
-        survey = make_survey(tmp_path_factory.mktemp("survey"), random_splats(3000))
+        survey = make_survey(tmp_path_factory.mktemp("survey"), random_splats(6000))
         merge_survey(survey.path)
         return survey
 
@@ -48,6 +48,7 @@ def test_a_streamed_ply_is_that_of_the_memory_to_the_byte(merged, tmp_path, leve
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
     assert result["splats"] == len(splats) and result["bytes"] == (tmp_path / "b.ply").stat().st_size
     assert len(stages) == len(Tiles.read(merged.merged).of_level(level))
+    assert f"level {level}, {len(splats)} splats" in describe(result)
 
 
 @pytest.mark.parametrize("box", [(-2, -1, 3, 1.5), (-2, -1, 3, 1.5, -0.05, 0.1), (-np.inf, -1, 0, np.inf)])
@@ -110,7 +111,7 @@ def test_what_cannot_be_exported_is_said_and_nothing_is_written(merged, tmp_path
 
 def test_a_level_that_does_not_fit_is_refused_before_it_is_read(merged, tmp_path, monkeypatch):
     monkeypatch.setattr(export, "free_memory", lambda device: 10**5)
-    with pytest.raises(InputError, match=r"Level 0 has 3000 splats; as glb .* memory"):
+    with pytest.raises(InputError, match=r"Level 0 has 6000 splats; as glb .* memory"):
         export_survey(merged.path, "glb", tmp_path / "a.glb")
     monkeypatch.undo()
     monkeypatch.setattr(export, "GLB_LIMIT", 10**5)
@@ -130,11 +131,11 @@ def test_an_interrupted_export_leaves_the_earlier_file(merged, tmp_path):
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"earlier"]
 
 
-def test_memory_of_a_ply_is_that_of_two_tiles(merged, tmp_path, monkeypatch):
+def test_memory_of_a_ply_does_not_hold_the_level(merged, tmp_path, monkeypatch):
+    """Two fifths of the level are enough, although a tile is a tenth of it and is read through several arrays."""
     monkeypatch.setattr(ply, "BLOCK", 64)
     whole = level_of(merged, 0)
-    per_splat = sum(getattr(whole, name).nbytes for name in merge.ARRAYS) / len(whole) + 8  # and two extras
-    largest = max(tile.splats for tile in Tiles.read(merged.merged).of_level(0))
+    size = sum(getattr(whole, name).nbytes for name in merge.ARRAYS)
     seen = []
 
     def look(*_):
@@ -144,7 +145,7 @@ def test_memory_of_a_ply_is_that_of_two_tiles(merged, tmp_path, monkeypatch):
     tracemalloc.start()
     export_survey(merged.path, "ply", tmp_path / "a.ply", progress=look)
     tracemalloc.stop()
-    assert max(seen[1:]) - seen[0] < 2 * largest * per_splat < 0.4 * len(whole) * per_splat
+    assert max(seen[1:]) - seen[0] < 0.4 * size
 
 
 def test_a_streamed_sog_without_its_program(merged, tmp_path, monkeypatch):

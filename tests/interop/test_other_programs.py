@@ -213,7 +213,7 @@ def test_splat_transform_packs_the_levels_of_a_survey(npm_packages, tmp_path, mo
     monkeypatch.setenv(
         "PATH", os.pathsep.join([str(HERE / "node_modules" / ".bin"), str(NODE.parent), os.environ["PATH"]])
     )
-    survey = make_survey(tmp_path / "survey", random_splats(1200, degree=0))
+    survey = make_survey(tmp_path / "survey", random_splats(1200, degree=3))
     levels = [level["splats"] for level in merge_survey(survey.path)["levels"]]
     out = tmp_path / "sog"
     for first in (1, 0):
