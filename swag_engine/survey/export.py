@@ -131,7 +131,7 @@ def describe(result: dict[str, Any]) -> str:
     Args:
         result: What `export_survey` returned.
     """
-    size = f"level {result['level']}, {result['splats']} splats, {result['bytes'] / 1e6:.1f} MB"
+    size = f"level {result['level']}, {result['splats']:,} splats, {result['bytes'] / 1e6:.1f} MB"
     return "\n".join([f"{result['out']}: {size}", *result["notes"]])
 
 
@@ -199,12 +199,6 @@ class _Parts:
     def _read(self, tile: Tile) -> Splats:
         splats = read_ply(self.tiles.path(tile))
         return splats if self.region is None else splats.subset(self.region.holds(splats.positions))
-
-
-def describe(document: dict[str, Any]) -> str:
-    """Format what `export_survey` returned as the lines that `survey export` prints."""
-    count = f"Level {document['level']}: {document['splats']:,} splats, {document['bytes'] / 1e6:.1f} MB."
-    return "\n".join([count, *document["notes"], f"File: {document['out']}"])
 
 
 def _checked(box: Sequence[float]) -> tuple[float, ...]:
