@@ -36,6 +36,10 @@ def table(make: Callable[[], str]) -> Callable[[], str]:
     return make
 
 
+NOT_MEASURED = "*Not measured yet.*"
+"""Text in place of a table whose benchmark has not been run."""
+
+
 def results(name: str) -> Any:
     """Return the contents of benchmarks/results/NAME.json."""
     return json.loads((ROOT / "benchmarks" / "results" / f"{name}.json").read_text("utf-8"))
@@ -1265,7 +1269,9 @@ def survey_quality() -> str:
 @table
 def survey_scale() -> str:
     """Processor time and memory of surveys of several sizes."""
-    rows = sorted(results("survey")["scale"], key=lambda row: row["images"])
+    rows = sorted(results("survey").get("scale", []), key=lambda row: row["images"])
+    if not rows:
+        return NOT_MEASURED
     return markdown(
         ["photos", "blocks", "processor time, coarse model", "processor time, all", "most memory of a block"],
         [
@@ -1298,6 +1304,8 @@ def survey_plan() -> str:
 @table
 def survey_cost() -> str:
     """Time of large surveys on one machine, on eight and on spot machines."""
+    if not (ROOT / "benchmarks" / "results" / "survey_cost.json").exists():
+        return NOT_MEASURED
     rows = [
         [
             f"{row['images']:,}".replace(",", " "), row["blocks"], row["cluster"], row["at_once_on_a_machine"],
