@@ -67,9 +67,23 @@ def keep_whole(folder: SurveyFolder) -> None:
     exposure = model.effects.models.get("exposure")
     if isinstance(exposure, Exposure):
         views = read_part(folder.all_views, survey.scene)
-        document["log_gains"] = measure_exposures(model, exposure, views)
+        document["log_gains"] = measure_exposures(model, _fitted(folder, exposure), views)
     folder.coarse.write_development(automatic_development(folder.coarse.path, model.cloud, model.effects, part))
     write_json(folder.whole, document)
+
+
+def _fitted(folder: SurveyFolder, learned: Exposure) -> Exposure:
+    """Return the exposures of the coarse images as the plan fitted them to all observations, else the learned ones.
+
+    On a generated reef of 300 images the fitted log gains were wrong by .025, and after 1000 iterations the learned ones
+    by .07: each image had been visited four times.
+    """
+    if not folder.coarse.plan.exists():
+        return learned
+    fitted = read_plan(folder.coarse.plan).effects["exposure"].start.get("log_gains")
+    if not isinstance(fitted, dict) or not set(learned.names) <= set(fitted):
+        return learned
+    return Exposure.starting({name: float(fitted[name]) for name in learned.names}, learned.raw.shape[1])
 
 
 def load_whole(folder: SurveyFolder) -> Whole:
@@ -119,15 +133,15 @@ def around(whole: Whole, block: Block, on_ground: np.ndarray, cameras: list[Came
     return replace(whole, surroundings=whole.surroundings.rows(seen))
 
 
-def measure_exposures(model: SceneModel, learned: Exposure, views: Scene) -> dict[str, list[float]]:
+def measure_exposures(model: SceneModel, known: Exposure, views: Scene) -> dict[str, list[float]]:
     """Measure the exposure of images against a model that was trained on some of them.
 
-    It is the median over the pixels of the log of photographed over rendered light. Images that the model was trained
-    on keep their learned exposure; those that show too little of the model get that of their neighbours.
+    It is the median over the pixels of the log of photographed over rendered light. Images whose exposure is known
+    keep it; those that show too little of the model get that of their neighbours.
 
     Args:
         model: The model.
-        learned: Its exposures.
+        known: Exposures that are known.
         views: Cameras of all images, and their split: held-out images are not looked at.
 
     Returns:
@@ -135,7 +149,7 @@ def measure_exposures(model: SceneModel, learned: Exposure, views: Scene) -> dic
     """
     effects = SceneEffects({key: each for key, each in model.effects.models.items() if key != "exposure"})
     light = torch.from_numpy(linear_of_bytes()).float()
-    gains = {name: learned.log_gain(name).tolist() for name in learned.names}
+    gains = {name: known.log_gain(name).tolist() for name in known.names}
     wanted, missing = set(views.split.train) - set(gains), []
     for image in _images_of(views, [view for view in views.views if view.name in wanted]):
         ratios = _log_ratios(SceneModel(model.cloud, effects), image, light)
@@ -143,9 +157,9 @@ def measure_exposures(model: SceneModel, learned: Exposure, views: Scene) -> dic
             missing.append(image.camera.name)
             continue
         channels = ratios.median(0).values
-        gains[image.camera.name] = (channels if learned.raw.shape[1] == 3 else ratios.median().reshape(1)).tolist()
-    known = sorted(gains)
-    measured = Exposure(torch.tensor([gains[name] for name in known]), known, centred=False)
+        gains[image.camera.name] = (channels if known.raw.shape[1] == 3 else ratios.median().reshape(1)).tolist()
+    names = sorted(gains)
+    measured = Exposure(torch.tensor([gains[name] for name in names]), names, centred=False)
     return gains | {name: measured.log_gain(name).tolist() for name in missing}
 
 
