@@ -75,8 +75,8 @@ def keep_whole(folder: SurveyFolder) -> None:
 def _fitted(folder: SurveyFolder, learned: Exposure) -> Exposure:
     """Return the exposures of the coarse images as the plan fitted them to all observations, else the learned ones.
 
-    On a generated reef of 300 images the fitted log gains were wrong by .025, and after 1000 iterations the learned ones
-    by .07: each image had been visited four times.
+    On a generated reef of 300 images the fitted log gains were wrong by .025, and the learned ones by .07 after 1000
+    iterations: each image had been visited four times.
     """
     if not folder.coarse.plan.exists():
         return learned
