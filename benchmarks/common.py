@@ -33,8 +33,9 @@ def machine() -> str:
 
 
 def write_results(name: str, document: dict[str, Any]) -> None:
-    """Write benchmarks/results/NAME.json."""
-    (RESULTS / f"{name}.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    """Write benchmarks/results/NAME.json, each entry of the document in one line: the files are many and small."""
+    entries = (f"{json.dumps(key)}:{json.dumps(value, separators=(',', ':'))}" for key, value in document.items())
+    (RESULTS / f"{name}.json").write_text("{\n" + ",\n".join(entries) + "\n}\n", encoding="utf-8")
 
 
 def save_figure(name: str, figure: Any, dpi: int) -> None:

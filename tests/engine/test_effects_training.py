@@ -158,7 +158,8 @@ def test_gains_of_many_images_are_not_moved_away_from_the_truth_by_the_momentum_
     for images in (20, 320):
         exposure = Exposure.starting({f"{k:03d}": 0.0 for k in range(images)})
         effects = SceneEffects({"exposure": exposure})
-        optimizer = Optimizer(GaussianCloud(*(torch.zeros(1, *n) for n in SHAPES), torch.zeros(3)), effects, "torch")
+        cloud = GaussianCloud(*[torch.zeros(1, *n) for n in SHAPES], torch.zeros(3))  # type: ignore[call-arg]
+        optimizer = Optimizer(cloud, effects, "torch")
         random = np.random.default_rng(1)
         for step in range(6 * images):
             exposure.raw.grad = torch.zeros_like(exposure.raw)
