@@ -131,7 +131,7 @@ def describe(result: dict[str, Any]) -> str:
     Args:
         result: What `export_survey` returned.
     """
-    size = f"level {result['level']}, {result['splats']} splats, {result['bytes'] / 1e6:.1f} MB"
+    size = f"level {result['level']}, {result['splats']:,} splats, {result['bytes'] / 1e6:.1f} MB"
     return "\n".join([f"{result['out']}: {size}", *result["notes"]])
 
 
