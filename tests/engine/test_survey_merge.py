@@ -186,13 +186,13 @@ def test_blocks_of_other_properties_get_the_same_ones(tmp_path):
 
 def test_memory_does_not_grow_with_the_survey(tmp_path, monkeypatch):
     """Three times as many blocks of the same size: the peak grows by less than a fifth."""
-    monkeypatch.setattr(merge, "TILE_SPLATS", 2000)
+    monkeypatch.setattr(merge, "TILE_SPLATS", 1000)
     monkeypatch.setattr(merge, "COARSEST", 2000)
     monkeypatch.setattr(merge, "SAMPLES", 100)
     peaks = []
-    for columns in (8, 24):
+    for columns in (5, 15):
         size = 4.0 * columns
-        splats = random_splats(2000 * columns, size=size)
+        splats = random_splats(1000 * columns, size=size)
         positions = splats.positions.copy()
         positions[:, 0] /= columns
         make_survey(tmp_path / str(columns), replace(splats, positions=positions), columns, 1, size)
