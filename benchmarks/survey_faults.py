@@ -14,6 +14,7 @@ sys.path.insert(0, str(ROOT))
 
 from swag_engine.formats.run_folder import read_json
 from swag_engine.formats.survey_folder import COARSE, SurveyFolder
+from swag_engine.formats.survey_state import progress_of
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.survey.executors.local import LocalExecutor
 from swag_engine.survey.job import hash_of
@@ -106,15 +107,14 @@ def _start(survey: SurveyFolder, name: str, **options: Any) -> subprocess.Popen[
 
 
 def _killed(survey: SurveyFolder, name: str, seconds: float) -> int:
-    """Kill a job after so many seconds of training, and return the iteration of its last report."""
+    """Kill a job after so many seconds of training, and return the iteration of its last report; 0 if it was done."""
     process = _start(survey, name)
     while not survey.run(name).metrics_log.exists() and process.poll() is None:
         time.sleep(0.05)
     time.sleep(seconds)
     process.kill()
     process.wait()
-    lines = survey.run(name).metrics_log.read_text().splitlines() if survey.run(name).metrics_log.exists() else []
-    return sum(1 for line in lines if line.endswith("}"))
+    return progress_of(survey, name, 0).iteration
 
 
 def _with_full_disk(survey: SurveyFolder, name: str) -> str:
