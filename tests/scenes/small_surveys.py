@@ -11,8 +11,8 @@ from swag_engine.formats.survey_folder import VERSION, Block, Box, Ground, Surve
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.splats.splats import Splats
 
-GROUND = Ground((0.3, -0.2, 0.1), ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
-"""A plane whose axes are not those of the scene: x is the scene's z, y its x, up its y."""
+GROUND = Ground((0.25, -0.125, 0.5), ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+"""A plane whose axes are not those of the scene: x is the scene's z, y its x, up its y. float32 holds its origin."""
 
 
 def random_splats(count: int, seed: int = 0, size: float = 10.0, degree: int = 1) -> Splats:
