@@ -198,7 +198,8 @@ class _Merge:
             self.progress("Cutting into tiles", 0.5 * number / len(self.blocks))
             splats = concatenate([self._core(name), pattern])
             if LABEL in splats.extras:
-                self.label_counts += np.bincount(splats.extras[LABEL], minlength=len(self.label_counts))
+                counts = np.bincount(splats.extras[LABEL], minlength=len(self.label_counts))
+                self.label_counts += counts[: len(self.label_counts)]  # numbers beyond have no name
             order, cells = by_cell(splats.positions, edge)
             sorted_rows = self.staging / f"{number}.npy"
             np.save(sorted_rows, _rows(splats)[order])
