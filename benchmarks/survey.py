@@ -4,7 +4,7 @@ Run: `python benchmarks/survey.py FOLDER [--parts quality scale plan cost faults
 Results: benchmarks/results/survey.json; pictures docs/images/survey_seam.webp and survey_scale.webp
 
 Scenes, runs and surveys are kept in FOLDER. A part can be stopped and started again: rows of the results are not made
-again, and jobs that were not finished start anew, so that times are those of whole jobs.
+again. Jobs of `quality` that were not finished start anew, surveys of `scale` too, so that times are of whole ones.
 
 quality   A survey of 4 and of 9 blocks against one run of the whole scene with as many Gaussians and as many iterations
           an image, on a reef under water and a street in air of 300 photos (tests/scenes/survey_scenes.py).
@@ -17,6 +17,7 @@ faults    Jobs that are killed, a damaged checkpoint, two processes for a block,
 
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -154,17 +155,20 @@ def planned(scene: Path, out: Path, settings: TrainSettings, block_images: int) 
     return survey
 
 
-def trained(survey: SurveyFolder, workers: int | None = None) -> float:
-    """Train the jobs of a survey that are not done, from their beginning, and return the seconds that it took.
+def trained(survey: SurveyFolder, workers: int | None = None) -> tuple[float, float]:
+    """Train the jobs of a survey that are not done, from their beginning.
 
     Args:
         survey: The survey.
         workers: Jobs at once, each on one core; None for one at a time on all cores.
+
+    Returns:
+        The seconds that it took, and the processor time of all processes of the jobs, seconds.
     """
     for name in (COARSE, *survey.read().blocks):
         if not survey.done(name).exists():
             clear_job(survey, name)
-    before = os.environ.get("OMP_NUM_THREADS")
+    before, used = os.environ.get("OMP_NUM_THREADS"), _used_by_children()
     if workers:
         os.environ["OMP_NUM_THREADS"] = str(workers)  # the cores that the executor divides
     try:
@@ -176,7 +180,12 @@ def trained(survey: SurveyFolder, workers: int | None = None) -> float:
             os.environ.update({"OMP_NUM_THREADS": before} if before else {})
     if answer["exit_code"]:
         raise SystemExit("\n".join(answer["sentences"]) or f"The jobs of {survey.path} did not end.")
-    return float(answer["seconds"])
+    return float(answer["seconds"]), round(_used_by_children() - used, 2)
+
+
+def _used_by_children() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def clear_job(survey: SurveyFolder, name: str) -> None:
@@ -249,19 +258,19 @@ def scale(folder: Path, results: Results) -> None:
     for images in SIZES:
         if results.has("scale", images=images):
             continue
-        survey = planned(
-            scene_of(folder, "reef", images), folder / "scale" / f"{images}", _settings_for(images), SCALE_BLOCK
-        )
-        seconds = trained(survey, workers=1)
+        scene, out = scene_of(folder, "reef", images), folder / "scale" / f"{images}"
+        shutil.rmtree(out, ignore_errors=True)  # what was begun is measured as a whole
+        survey = planned(scene, out, _settings_for(images), SCALE_BLOCK)
+        seconds, used = trained(survey, workers=1)
         merged = measured(["-m", "swag_engine", "survey", "merge", survey.path])
         jobs = jobs_of(survey)
         row = {
             "images": images, "blocks": len(jobs) - 1, "block_images": SCALE_BLOCK, "seconds": seconds,
-            "processor_seconds": sum(job["processor_seconds"] for job in jobs) + merged["processor_seconds"],
+            "processor_seconds": round(used + merged["processor_seconds"], 2),
             "merge": merged, "jobs": jobs,
         }  # fmt: skip
         results.add("scale", row, "images")
-    if not results.has("workers", workers=2):
+    if not results.has("workers", images=SIZES[0]):
         workers(folder, results)
     rows = sorted(results.rows("scale"), key=lambda row: row["images"])
     if len(rows) >= 3:
@@ -279,20 +288,22 @@ def _settings_for(images: int) -> TrainSettings:
 def workers(folder: Path, results: Results) -> None:
     """Train the blocks of the smallest survey with one worker and with two, each on one core."""
     first = SurveyFolder(folder / "scale" / f"{SIZES[0]}")
+    seconds, used = {}, {}
     for count in (1, 2):
         copy = SurveyFolder(folder / "scale" / f"{SIZES[0]}-{count}-workers")
         shutil.rmtree(copy.path, ignore_errors=True)
         shutil.copytree(first.path, copy.path)
         for name in copy.read().blocks:
             clear_job(copy, name)
-        seconds = trained(copy, workers=count)
-        jobs = [job for job in jobs_of(copy) if job["name"] != COARSE]
-        row = {
-            "workers": count, "images": SIZES[0], "blocks": len(jobs), "seconds": seconds,
-            "processor_seconds": sum(job["processor_seconds"] for job in jobs),
-            "shortest_seconds": makespan([job["processor_seconds"] for job in jobs], count),
-        }  # fmt: skip
-        results.add("workers", row, "workers")
+        seconds[count], used[count] = trained(copy, workers=count)
+    blocks = [job["processor_seconds"] for job in jobs_of(first) if job["name"] != COARSE]
+    row = {
+        "images": SIZES[0], "blocks": len(blocks), "seconds_one": seconds[1], "seconds_two": seconds[2],
+        "processor_seconds_one": used[1], "processor_seconds_two": used[2], "speed_up": seconds[1] / seconds[2],
+        # As blocks are not divided: the time of all of them over that of the busier of two workers.
+        "most_speed_up": sum(blocks) / makespan(blocks, 2),
+    }  # fmt: skip
+    results.add("workers", row, "images")
 
 
 def makespan(seconds: Sequence[float], count: int) -> float:
@@ -330,8 +341,9 @@ def draw_scale(rows: Sequence[dict[str, Any]], line: dict[str, float]) -> None:
         memory_axes.plot(row["images"], memory[0], "^", color="#c9572b")
     memory_axes.plot([], [], "o", color="#1f5a96", label="blocks")
     memory_axes.plot([], [], "^", color="#c9572b", label="coarse model")
-    memory_axes.set(xlabel="photos", ylabel="largest memory of a job, GB", xlim=(0, None), ylim=(0, None))
-    memory_axes.legend(frameon=False)
+    most = max(job["peak_memory"] for row in rows for job in row["jobs"]) / 1e9
+    memory_axes.set(xlabel="photos", ylabel="largest memory of a job, GB", xlim=(0, None), ylim=(0, 1.15 * most))
+    memory_axes.legend(frameon=False, loc="lower right")
     save_figure("survey_scale", figure, 110)
     plt.close(figure)
 
