@@ -7,7 +7,7 @@ the claim of another machine looks whether the number changes. So no clocks of t
 
 import json
 import os
-import socket
+import platform
 import threading
 import time
 import uuid
@@ -40,7 +40,7 @@ class Claim:
         self._thread = threading.Thread(target=self._beat, daemon=True)
 
     def _content(self, beat: int) -> str:
-        return json.dumps({"host": socket.gethostname(), "pid": os.getpid(), "token": self._token, "beat": beat})
+        return json.dumps({"host": platform.node(), "pid": os.getpid(), "token": self._token, "beat": beat})
 
     def _begin(self) -> None:
         file = os.open(self._file, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
@@ -109,7 +109,7 @@ def _living_owner(file: Path, watched_seconds: float) -> str:
     if found is None:
         return ""
     owner = f"process {found.get('pid')} on {found.get('host')}"
-    if found.get("host") == socket.gethostname() and not _runs(found.get("pid")):
+    if found.get("host") == platform.node() and not _runs(found.get("pid")):
         return ""
     deadline = time.monotonic() + watched_seconds
     while time.monotonic() < deadline:

@@ -69,9 +69,11 @@ class Optimizer:
         for name, parameter in self.parameters().items():
             if parameter.grad is not None and name in rates:
                 mean, square = self.moments[name]
-                moved = slice(len(parameter) - self.fixed if name in PER_GAUSSIAN else None)
-                values, gradient = parameter.detach()[moved], parameter.grad[moved]
-                adam_step(values, gradient, mean[moved], square[moved], rates[name], self.steps, self.backend)
+                values, gradient = parameter.detach(), parameter.grad
+                if self.fixed and name in PER_GAUSSIAN:
+                    free = len(values) - self.fixed
+                    values, gradient, mean, square = values[:free], gradient[:free], mean[:free], square[:free]
+                adam_step(values, gradient, mean, square, rates[name], self.steps, self.backend)
         self.clear_gradients()
 
     def clear_gradients(self) -> None:

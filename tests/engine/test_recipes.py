@@ -146,13 +146,13 @@ def test_reallocation_keeps_the_number_and_ends_before_stage_two(tiny_scene, tmp
     values = {"reallocation": "balanced", "densify_until": 0.4, "stage_two_from": 0.8}
     trainer = trainer_of(tiny_scene, tmp_path, monkeypatch, **values)
     moved = []
-    replace_cloud = trainer.state.replace_cloud
+    replace_free = trainer.state.replace_free
 
     def watched(cloud, source):
         moved.append((trainer.state.iteration, len(trainer.state.cloud), len(cloud)))
-        replace_cloud(cloud, source)
+        replace_free(cloud, source)
 
-    trainer.state.replace_cloud = watched
+    trainer.state.replace_free = watched
     while trainer.state.iteration < 60:
         trainer.iterate()
     assert [iteration for iteration, _, _ in moved] == [24, 30, 36, 42]

@@ -72,7 +72,7 @@ class Disturbed(LocalExecutor):
 
 def test_results_are_equal_to_the_bit(planned, undisturbed, tmp_path):
     files = SurveyFolder(shutil.copytree(planned, tmp_path / "all") / "survey")
-    first, second, third, fourth = files.read().blocks
+    first, second, third, fourth = files.read().blocks[:4]
     chance, other = random.Random(5), []
 
     def killed(name):

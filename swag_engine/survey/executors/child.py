@@ -3,8 +3,8 @@
 import ctypes
 import json
 import os
+import platform
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -116,7 +116,7 @@ def run_on_node(words: Sequence[str], threads: int, root: str) -> tuple[str, str
     import ray
 
     node, ended = ray.get_runtime_context().get_node_id(), run(words, threads, root)
-    return node, socket.gethostname(), (ended.code, ended.error, ended.errors)
+    return node, platform.node(), (ended.code, ended.error, ended.errors)
 
 
 def end(children: Sequence[Child]) -> None:

@@ -7,7 +7,6 @@ travels through Ray; splats and progress are files in the survey's folder, which
 import logging
 import os
 import signal
-import socket
 import sys
 import threading
 import time
@@ -15,6 +14,7 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
+from http.client import HTTPConnection
 from typing import Any
 
 from ...base.errors import InputError
@@ -176,7 +176,7 @@ def _join(ray: Any, address: str) -> None:
         if address != "auto":
             host, _, port = address.partition(":")
             address = f"{host}:{port or PORT}"
-            socket.create_connection((host, int(port or PORT)), CONNECT_SECONDS).close()  # Ray would try for minutes
+            _answers(host, int(port or PORT))  # Ray would try for minutes
     except (OSError, ValueError) as error:
         raise InputError(
             f"No Ray cluster answers at {address} ({error}): start one with `ray start --head` on one machine, and "
@@ -195,3 +195,10 @@ def _join(ray: Any, address: str) -> None:
 def _first_line(error: Exception) -> str:
     """Return the first line of an error's message."""
     return next(iter(str(error).strip().splitlines()), type(error).__name__)
+
+
+def _answers(host: str, port: int) -> None:
+    """Raise OSError unless a program answers at a port."""
+    connection = HTTPConnection(host, port, timeout=CONNECT_SECONDS)
+    connection.connect()
+    connection.close()
