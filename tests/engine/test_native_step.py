@@ -91,7 +91,8 @@ def test_200_steps_follow_those_of_autograd(make):
     assert (got - expected)[:100].abs().max() < 0.005 * expected.min()
     assert (got - expected).abs().max() < 0.05 * expected.min()
     pairs = zip(states[0].optimizer.parameters().values(), states[1].optimizer.parameters().values(), strict=True)
-    assert all((a - b).norm() <= 0.1 * b.norm().clamp(min=0.1) for a, b in pairs)  # a log near 0 may differ by .01
+    # A log near 0 may differ by .02: that of the lamp differs by .017 on an AMD EPYC with AVX2.
+    assert all((a - b).norm() <= 0.1 * b.norm().clamp(min=0.2) for a, b in pairs)
 
 
 @pytest.mark.parametrize(("effects", "name"), [(NONE, "background"), (ALL, "opacity_logits"), (ALL, "exposure.raw")])
