@@ -133,6 +133,7 @@ def wait_for(what, seconds=120):
 
 
 @linux
+@pytest.mark.search  # on a machine with other load it has failed in two of three runs, for a reason not found yet
 def test_jobs_end_with_a_killed_driver_and_another_one_goes_on(tmp_path):
     folder = make_survey(tmp_path / "survey", orders={"B-001": ["slow"], "B-002": ["slow"]})
     with driver(folder) as first:
