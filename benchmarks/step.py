@@ -53,7 +53,7 @@ def steps(recipe: str, effects: str, count: int, folder: Path) -> dict[str, Call
     trainer = make_trainer(RunFolder(folder), DEMO, settings, False, lambda event: None, None, time.monotonic())
     cloud, camera = make_cloud(count, WIDTH, HEIGHT)
     camera = replace(camera, name=trainer.inputs.training[0].camera.name)
-    trainer.state.replace_cloud(cloud, torch.full((count,), -1))
+    trainer.state.replace_free(cloud, torch.full((count,), -1))
     config = replace(trainer.step_config(), fraction=0.6, sh_degree=3, water_degree=2)
     coarse = torch.randint(0, 256, (HEIGHT // 8, WIDTH // 8, 3), generator=torch.Generator().manual_seed(0))
     pixels = coarse.byte().repeat_interleave(8, 0).repeat_interleave(8, 1)

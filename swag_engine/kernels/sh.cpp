@@ -32,6 +32,6 @@ API void sh_backward(int64_t begin, int64_t end, int64_t higher, int64_t degree,
         float *to = by_shN + 3 * higher * i;
         for (int64_t k = 0; k < used; k++)
             for (int c = 0; c < 3; c++) to[3 * k + c] = basis[k + 1] * gradient[c];
-        memset(to + 3 * used, 0, (higher - used) * 3 * sizeof(float));
+        for (int64_t k = 3 * used; k < 3 * higher; k++) to[k] = 0;
     }
 }

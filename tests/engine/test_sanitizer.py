@@ -26,7 +26,7 @@ skipped = "instruction_set or in_float32 or without_kernels or build_compiles"
 # What runs the reference alone calls none of these kernels.
 skipped += " or reference_blends or finite_differences or torch]"
 skipped += " or 200_steps or resumes or float64_reference or step_that_is_not_finite or left_to_autograd"
-sys.exit(pytest.main(["-x", "-v", "-p", "no:cacheprovider", "-k", f"not ({skipped})", *sys.argv[2:]]))
+sys.exit(pytest.main(["-x", "-v", "--capture=no", "-p", "no:cacheprovider", "-k", f"not ({skipped})", *sys.argv[2:]]))
 """
 
 

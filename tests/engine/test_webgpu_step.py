@@ -195,7 +195,7 @@ def test_what_the_cpu_changes_between_steps_counts(make, kernels):
             state.cloud.log_scales[::2] += 0.5  # in place
         step(state, target, config)
         state.synchronize()
-        state.replace_cloud(
+        state.replace_free(
             state.cloud.__class__(
                 **{name: getattr(state.cloud, name).detach()[::2] for name in PER_GAUSSIAN},
                 background=state.cloud.background,
