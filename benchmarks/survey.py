@@ -165,7 +165,7 @@ def trained(survey: SurveyFolder, workers: int | None = None) -> tuple[float, fl
     Returns:
         The seconds that it took, and the processor time of all processes of the jobs, seconds.
     """
-    for name in (COARSE, *survey.read().blocks):
+    for name in survey.read().jobs:
         if not survey.done(name).exists():
             clear_job(survey, name)
     before, used = os.environ.get("OMP_NUM_THREADS"), _used_by_children()
@@ -201,7 +201,7 @@ def jobs_of(survey: SurveyFolder) -> list[dict[str, Any]]:
     names = ("images", "seconds", "processor_seconds", "peak_memory", "iterations", "gaussians")
     return [
         {"name": name} | {key: done.get(key) for key in names}
-        for name in (COARSE, *survey.read().blocks)
+        for name in survey.read().jobs
         for done in [read_json(survey.done(name), f"{name} is not done.")]
     ]
 
@@ -228,7 +228,7 @@ def quality(folder: Path, results: Results, seeds: Sequence[int], iterations: in
                 merge_survey(survey.path)
                 jobs = jobs_of(survey)
                 row = {
-                    "scene": kind, "seed": seed, "cut": cut, "blocks": len(jobs) - 1, "block_images": limit,
+                    "scene": kind, "seed": seed, "cut": cut, "blocks": len(survey.read().blocks), "block_images": limit,
                     "iterations": [job["iterations"] for job in jobs], "single_iterations": iterations,
                     "single_seconds": usage["processor_seconds"], "single_memory": usage["peak_memory"],
                     "survey_seconds": sum(job["processor_seconds"] for job in jobs),
@@ -265,7 +265,7 @@ def scale(folder: Path, results: Results) -> None:
         merged = measured(["-m", "swag_engine", "survey", "merge", survey.path])
         jobs = jobs_of(survey)
         row = {
-            "images": images, "blocks": len(jobs) - 1, "block_images": SCALE_BLOCK, "seconds": seconds,
+            "images": images, "blocks": len(survey.read().blocks), "block_images": SCALE_BLOCK, "seconds": seconds,
             "processor_seconds": round(used + merged["processor_seconds"], 2),
             "merge": merged, "jobs": jobs,
         }  # fmt: skip
@@ -293,15 +293,18 @@ def workers(folder: Path, results: Results) -> None:
         copy = SurveyFolder(folder / "scale" / f"{SIZES[0]}-{count}-workers")
         shutil.rmtree(copy.path, ignore_errors=True)
         shutil.copytree(first.path, copy.path)
-        for name in copy.read().blocks:
+        for name in copy.read().parts:
             clear_job(copy, name)
         seconds[count], used[count] = trained(copy, workers=count)
-    blocks = [job["processor_seconds"] for job in jobs_of(first) if job["name"] != COARSE]
+    stages = [
+        [job["processor_seconds"] for job in jobs_of(first) if job["name"] in names]
+        for names in (first.read().blocks, first.read().seams)
+    ]
     row = {
-        "images": SIZES[0], "blocks": len(blocks), "seconds_one": seconds[1], "seconds_two": seconds[2],
+        "images": SIZES[0], "blocks": len(first.read().blocks), "seconds_one": seconds[1], "seconds_two": seconds[2],
         "processor_seconds_one": used[1], "processor_seconds_two": used[2], "speed_up": seconds[1] / seconds[2],
-        # As blocks are not divided: the time of all of them over that of the busier of two workers.
-        "most_speed_up": sum(blocks) / makespan(blocks, 2),
+        # As no job is divided, and seams wait for blocks: the time of all over that of the busier of two workers.
+        "most_speed_up": sum(map(sum, stages)) / sum(makespan(stage, 2) for stage in stages),
     }  # fmt: skip
     results.add("workers", row, "images")
 
@@ -369,14 +372,15 @@ def cost(results: Results) -> None:
     if not line:
         raise SystemExit("The part cost needs the figures of the part scale: measure that first.")
     largest = max(rows, key=lambda row: row["images"])
-    blocks = [job for job in largest["jobs"] if job["name"] != COARSE]
+    parts = [job for job in largest["jobs"] if job["name"] != COARSE]
     for images in ON_PAPER:
         row = {
             "images": images,
             "blocks": round(largest["blocks"] * images / largest["images"]),
             "processor_hours": (line["seconds"] + line["seconds_per_image"] * images) / 3600,
             "coarse_hours": largest["jobs"][0]["processor_seconds"] / 3600,
-            "block_minutes": float(np.mean([job["processor_seconds"] for job in blocks])) / 60,
+            # With its share of the seams.
+            "block_minutes": sum(job["processor_seconds"] for job in parts) / largest["blocks"] / 60,
             "peak_memory": max(job["peak_memory"] for job in largest["jobs"]),
         }
         results.add("cost", row, "images")

@@ -53,12 +53,12 @@ def faults(folder: Path) -> dict[str, Any]:
         shutil.rmtree(survey.path, ignore_errors=True)
         plan_survey(scene, survey.path, SETTINGS, BLOCK_IMAGES)
     _finish(calm)
-    names = [COARSE, *calm.read().blocks]
+    names, blocks = calm.read().jobs, calm.read().blocks
     draw = random.Random(0)
     seconds = {name: read_json(calm.done(name), "")["seconds"] for name in names}
 
-    # The coarse model first: no block begins without it.
-    chosen = draw.sample(names[1:], max(3, round(KILLED * len(names))) - 1)
+    # The coarse model first, as no block begins without it; then blocks, as seams begin when these are done.
+    chosen = draw.sample(blocks, max(3, round(KILLED * len(names))) - 1)
     iterations = {name: _killed(disturbed, name, draw.uniform(0.2, 0.9) * seconds[name]) for name in (COARSE, *chosen)}
     _finish(disturbed, only=COARSE)
     begun = [name for name in chosen if checkpoints(disturbed.run(name).path)]
@@ -66,7 +66,7 @@ def faults(folder: Path) -> dict[str, Any]:
     if damaged:
         newest = checkpoints(disturbed.run(damaged).path)[0]
         newest.write_bytes(newest.read_bytes()[: newest.stat().st_size // 2])
-    free = [name for name in names[1:] if name not in chosen]
+    free = [name for name in blocks if name not in chosen]
     full, twice = free[0], free[1]
     sentence = _with_full_disk(disturbed, full)
     both = [_start(disturbed, twice) for _ in range(2)]

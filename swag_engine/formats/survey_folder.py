@@ -3,6 +3,7 @@
     survey.json             scene, settings, ground, blocks
     coarse/                 run of the coarse model of the whole survey
     blocks/B-001/           block.json, run/ (the block's run), done.json or failed.json
+    seams/S-001-002/        the same for the strip along the border between two blocks
     merged/                 tiles.json, tiles/, report.html
 
 Whether a block is done, running or waiting follows from its files and is stored nowhere else.
@@ -54,12 +55,12 @@ class Ground:
 
 @dataclass(frozen=True)
 class Block:
-    """A part of a survey that is trained by itself.
+    """A part of a survey that is trained by itself: a block, or the seam between two blocks.
 
     Attributes:
-        name: Such as B-001.
-        core: Box on the ground; each place of the plane is in the core of one block.
-        extended: Core with the margin in which the block has Gaussians of its own.
+        name: Such as B-001, or S-001-002 for the seam between B-001 and B-002.
+        core: Box on the ground; each place of the plane is in the core of one block, and in one seam at most.
+        extended: Core with the margin in which the block has Gaussians of its own; a seam has no margin.
         training: Names of the images that the loss is computed on.
         validation: Names of the images that decisions of the run are made on.
         test: Names of the images for the reported figures only; all held-out images are held out in every block.
@@ -68,6 +69,7 @@ class Block:
         max_gaussians: Largest number of Gaussians.
         points: Sparse points in the extended box.
         memory: Estimate of the memory that the run needs, bytes.
+        sides: Names of the blocks whose Gaussians a seam trains further; empty for a block.
     """
 
     name: str
@@ -81,6 +83,7 @@ class Block:
     max_gaussians: int
     points: int
     memory: int
+    sides: tuple[str, ...] = ()
 
     @property
     def images(self) -> tuple[str, ...]:
@@ -110,7 +113,7 @@ class Block:
         for name in ("core", "extended"):
             pairs = zip(values[name], ends, strict=True)
             values[name] = tuple(float(end if edge is None else edge) for edge, end in pairs)
-        for name in ("training", "validation", "test"):
+        for name in ("training", "validation", "test", "sides"):
             values[name] = tuple(str(image) for image in values[name])
         for name in ("seed", "iterations", "max_gaussians", "points", "memory"):
             values[name] = int(values[name])
@@ -141,6 +144,7 @@ class Survey:
         bounds: Box on the ground that holds the cameras and all but the outermost sparse points, for maps.
         images: Number of images.
         blocks: Names of the blocks.
+        seams: Names of the seams.
         median_range: Median distance from a camera to the sparse points that it sees, scene units.
     """
 
@@ -155,7 +159,18 @@ class Survey:
     bounds: Box
     images: int
     blocks: tuple[str, ...]
+    seams: tuple[str, ...]
     median_range: float = 0.0
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of blocks and seams, which are merged."""
+        return (*self.blocks, *self.seams)
+
+    @property
+    def jobs(self) -> tuple[str, ...]:
+        """Names of all jobs in an order in which each has what it needs: coarse model, blocks, seams."""
+        return (COARSE, *self.parts)
 
     def to_json(self) -> dict[str, Any]:
         """Return a plain dict that `from_json` reads."""
@@ -184,6 +199,7 @@ class Survey:
             bounds=(left, bottom, right, top),
             images=int(document["images"]),
             blocks=_names(document["blocks"]),
+            seams=_names(document["seams"]),
             median_range=float(document["median_range"]),
         )
 
@@ -219,8 +235,10 @@ class SurveyFolder:
         return self.merged / "report.html"
 
     def job(self, name: str) -> Path:
-        """Return the folder of a block, or of the coarse model."""
-        return self.path / COARSE if name == COARSE else self.path / "blocks" / name
+        """Return the folder of a block, of a seam, or of the coarse model."""
+        if name == COARSE:
+            return self.path / COARSE
+        return self.path / ("seams" if name.startswith("S-") else "blocks") / name
 
     def block_file(self, name: str) -> Path:
         """Return the file that describes a block."""

@@ -71,14 +71,14 @@ def progress_of(folder: SurveyFolder, name: str, iterations: int) -> Progress:
 
 
 def progress_of_all(folder: SurveyFolder) -> list[Progress]:
-    """Read how far the coarse model and all blocks are, in this order.
+    """Read how far the coarse model, all blocks and all seams are, in this order.
 
     Raises:
         InputError: If the folder is not a survey, or a file is damaged.
     """
     survey = folder.read()
     coarse = progress_of(folder, COARSE, survey.coarse_settings.iterations)
-    return [coarse, *(progress_of(folder, name, folder.read_block(name).iterations) for name in survey.blocks)]
+    return [coarse, *(progress_of(folder, name, folder.read_block(name).iterations) for name in survey.parts)]
 
 
 def _read(file: Any) -> dict[str, Any] | None:

@@ -1,11 +1,11 @@
-"""The jobs of a survey: the coarse model, and the blocks. A job can be started again at any time, on any machine."""
+"""The jobs of a survey: coarse model, blocks, seams. A job can be started again at any time, on any machine."""
 
 import hashlib
 import sys
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +27,10 @@ from ..scene.scene_part import read_part
 from ..settings.settings import TrainSettings
 from ..training.checkpoint import checkpoints, load_checkpoint
 from ..training.inputs import Event
-from ..training.schedule import STANDARD
+from ..training.schedule import CONTINUED, STANDARD, Schedule
 from ..training.trainer import InitialCloud, make_trainer
 from ..training.whole import Whole
-from .whole_model import around, keep_whole, load_whole
+from .whole_model import around, around_seam, keep_whole, load_whole
 
 
 def run_job(
@@ -39,11 +39,11 @@ def run_job(
     on_event: Callable[[Event], None] = lambda event: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> dict[str, Any]:
-    """Train a block, or the coarse model, of a survey, as far as that is not done.
+    """Train a block, a seam, or the coarse model, of a survey, as far as that is not done.
 
     Args:
         folder: Folder of the survey.
-        name: Name of the block, or COARSE.
+        name: Name of the block or seam, or COARSE.
         on_event: Gets the events of the run.
         should_stop: Asked between two iterations; the job then ends with everything kept.
 
@@ -56,7 +56,7 @@ def run_job(
     """
     survey_folder = SurveyFolder(folder)
     survey = survey_folder.read()
-    if name not in (COARSE, *survey.blocks):
+    if name not in survey.jobs:
         raise InputError(f"The survey {folder} has no block {name}; its first is {survey.blocks[0]}.")
     try:
         with claimed(survey_folder.job(name)) as claim:
@@ -92,21 +92,18 @@ def _train(
 ) -> dict[str, Any]:
     started, processor = time.monotonic(), time.process_time()
     part = read_part(folder.scene_part(name), survey.scene)
-    settings, whole = survey.coarse_settings, None
-    initial_cloud: InitialCloud = gaussians_from_points
-    if name != COARSE:
-        settings, whole, initial_cloud = _block_inputs(folder, survey, name, part)
     run = folder.run(name)
     metrics = read_json(run.metrics, "") if run.metrics.exists() and run.finished() else None
     if metrics is None:
-        metrics = _trained(run, survey.scene, settings, part, whole, initial_cloud, on_event, should_stop)
+        inputs = _inputs(folder, survey, name, part)
+        metrics = _trained(run, survey.scene, part, inputs, on_event, should_stop)
     if metrics["interrupted"]:
         return {"state": "begun", "iteration": metrics["iteration"]}
     if name == COARSE:
         keep_whole(folder)
     splats = read_ply(run.ply)
     in_core = len(splats)
-    if name != COARSE:
+    if name in survey.blocks:
         in_core = int(folder.read_block(name).in_core(survey.ground.on_ground(splats.positions)).sum())
     document = {
         "version": VERSION,
@@ -132,10 +129,8 @@ def _train(
 def _trained(
     run: RunFolder,
     scene: Path,
-    settings: TrainSettings,
     part: Scene,
-    whole: Whole | None,
-    initial_cloud: InitialCloud,
+    inputs: "_Inputs",
     on_event: Callable[[Event], None],
     should_stop: Callable[[], bool],
 ) -> dict[str, Any]:
@@ -147,8 +142,9 @@ def _trained(
             for path in checkpoints(run.path):
                 path.unlink()
         trainer = make_trainer(
-            run, scene, settings, resume, on_event, None, time.monotonic(), STANDARD, initial_cloud, part, whole
-        )
+            run, scene, inputs.settings, resume, on_event, None, time.monotonic(),
+            inputs.schedule, inputs.initial_cloud, part, inputs.whole,
+        )  # fmt: skip
         return trainer.run_to_end(should_stop, preview=False)["metrics"]
 
 
@@ -160,14 +156,34 @@ def _can_be_read(run: RunFolder) -> bool:
         return False
 
 
-def _block_inputs(
-    folder: SurveyFolder, survey: Survey, name: str, part: Scene
-) -> tuple[TrainSettings, Whole, InitialCloud]:
-    """Return the settings of a block, what it takes over, and what makes its Gaussians: points in its extended box."""
+@dataclass(frozen=True)
+class _Inputs:
+    """What a job is trained with beside its part of the scene.
+
+    Attributes:
+        settings: Settings of the run.
+        whole: What it takes over from the rest of the survey.
+        schedule: When things happen in the run.
+        initial_cloud: Makes the Gaussians that it starts from, unless `whole` has them.
+    """
+
+    settings: TrainSettings
+    whole: Whole | None = None
+    schedule: Schedule = STANDARD
+    initial_cloud: InitialCloud = gaussians_from_points
+
+
+def _inputs(folder: SurveyFolder, survey: Survey, name: str, part: Scene) -> _Inputs:
+    """Return what a job is trained with; a block starts from the points in its extended box."""
+    if name == COARSE:
+        return _Inputs(survey.coarse_settings)
     block, whole = folder.read_block(name), load_whole(folder)
     settings = replace(survey.settings, iterations=block.iterations, max_gaussians=block.max_gaussians, seed=block.seed)
-    coarse = survey.ground.on_ground(whole.surroundings.means.numpy())
     cameras = [view.camera for view in part.views]
+    if block.sides:
+        whole = around_seam(whole, folder, survey.ground, block, cameras)
+        assert whole.start
+        return _Inputs(replace(settings, max_gaussians=max(1, len(whole.start))), whole, CONTINUED)
 
     def initial_cloud(points: Points, most: int, sh_degree: int, seed: int, background: np.ndarray) -> GaussianCloud:
         near = inside(block.extended, survey.ground.on_ground(points.positions))
@@ -176,7 +192,7 @@ def _block_inputs(
         )
         return gaussians_from_points(of_block, most, sh_degree, seed, background)
 
-    return settings, around(whole, block, coarse, cameras), initial_cloud
+    return _Inputs(settings, around(whole, survey.ground, block, cameras), STANDARD, initial_cloud)
 
 
 def check_engine(survey: Survey) -> None:

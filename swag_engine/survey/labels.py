@@ -49,7 +49,7 @@ def label_survey(
     """
     files = SurveyFolder(folder)
     survey = files.read()
-    done = [name for name in survey.blocks if files.done(name).exists()]
+    done = [name for name in survey.parts if files.done(name).exists()]
     if not done:
         raise InputError(f"No block of {folder} is done yet: train them first (survey run {folder}).")
     for number, name in enumerate(done):
@@ -63,7 +63,7 @@ def label_survey(
             document = read_json(files.done(name), "")
             write_json(files.done(name), document | {"result_sha256": hash_of(files.run(name).ply)})
     labels = SurveyLabels.of(files, done)
-    missing = [name for name in survey.blocks if name not in done]
+    missing = [name for name in survey.parts if name not in done]
     return {"survey": str(folder), "labels": labels.table(labels.counts), "missing": missing}
 
 
@@ -71,7 +71,7 @@ def describe(document: dict[str, Any]) -> str:
     """Format what `label_survey` returned as the lines that `survey label` prints."""
     lines = [f"{entry['name']}: {entry['count']:,} Gaussians" for entry in document["labels"]]
     if document["missing"]:
-        lines.append(f"{len(document['missing'])} blocks are not done and have no labels: "
+        lines.append(f"{len(document['missing'])} blocks and seams are not done and have no labels: "
                      f"{first_names(document['missing'])}.")  # fmt: skip
     return "\n".join([*lines, f"Next: survey merge {document['survey']}"])
 

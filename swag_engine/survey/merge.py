@@ -1,7 +1,8 @@
 """Merging of the blocks of a survey into tiles in levels of detail.
 
-Each block contributes the Gaussians in its core. Blocks and tiles are read one after the other, so that the memory does
-not grow with the survey. The files depend on the results of the blocks alone, to the bit.
+Each block contributes the Gaussians in its core, except those in a seam, which come from the seam. Blocks and tiles are
+read one after the other, so that the memory does not grow with the survey. The files depend on the results of the
+blocks and seams alone, to the bit.
 
 The name of a tile's file ends in a hash of its content, and tiles.json is written last: until then the tiles of an
 earlier merge are in place. Files that tiles.json does not list are removed.
@@ -52,7 +53,8 @@ def merge_survey(folder: Path, progress: Progress | None = None, partial: bool =
         partial: Merge the blocks that are done, although others are not.
 
     Returns:
-        `folder`, of the tiles; `blocks`, names of those that were merged, and `missing`, of those that are not done;
+        `folder`, of the tiles; `blocks`, names of those (with the seams) that were merged, and `missing`, of those that
+        are not done;
         `splats` of level 0; `tiles`, their number in all levels; `levels`, as in tiles.json; `notes`, sentences for the
         user.
 
@@ -62,18 +64,20 @@ def merge_survey(folder: Path, progress: Progress | None = None, partial: bool =
     """
     survey_folder = SurveyFolder(folder)
     survey = survey_folder.read()
-    done = [name for name in survey.blocks if survey_folder.done(name).exists()]
-    missing = [name for name in survey.blocks if name not in done]
-    if missing and not (partial and done):
+    done = [name for name in survey.parts if survey_folder.done(name).exists()]
+    missing = [name for name in survey.parts if name not in done]
+    if missing and not (partial and set(done).intersection(survey.blocks)):
         raise InputError(
-            f"{len(missing)} of {len(survey.blocks)} blocks of {folder} are not done: {first_names(missing)}. Run them "
-            "with survey run, or merge the others with --partial."
+            f"{len(missing)} of {len(survey.parts)} blocks and seams of {folder} are not done: {first_names(missing)}. "
+            "Run them with survey run, or merge the others with --partial."
         )
     with locked_folder(survey_folder.merged):
         tiles = _Merge(survey_folder, survey, done, progress or (lambda stage, fraction: None)).run()
     notes = []
     if missing:
-        notes.append(f"{len(missing)} of {len(survey.blocks)} blocks are missing here: {first_names(missing)}.")
+        notes.append(
+            f"{len(missing)} of {len(survey.parts)} blocks and seams are missing here: {first_names(missing)}."
+        )
     return {
         "folder": str(tiles.folder),
         "blocks": done,
@@ -88,7 +92,7 @@ def merge_survey(folder: Path, progress: Progress | None = None, partial: bool =
 def describe(document: dict[str, Any]) -> str:
     """Format what `merge_survey` returned as the lines that `survey merge` prints."""
     lines = [
-        f"{len(document['blocks'])} blocks merged: {document['splats']:,} splats in {document['tiles']} tiles.",
+        f"{len(document['blocks'])} blocks and seams merged: {document['splats']:,} splats, {document['tiles']} tiles.",
         *(
             f"Level {each['level']}: {each['splats']:,} splats, {each['bytes'] / 1e6:.1f} MB"
             for each in document["levels"]
@@ -104,6 +108,7 @@ class _Merge:
 
     def __init__(self, folder: SurveyFolder, survey: Survey, blocks: Sequence[str], progress: Progress) -> None:
         self.folder, self.survey, self.blocks, self.progress = folder, survey, blocks, progress
+        self.seams = [folder.read_block(name) for name in blocks if name in survey.seams]
         self.merged = folder.merged
         self.staging = folder.merged / "staging"
         self.labels = SurveyLabels.of(folder, blocks)
@@ -185,10 +190,19 @@ class _Merge:
             raise InputError(f"{result} was changed or damaged after the block was done: {again}.")
 
     def _core(self, name: str) -> Splats:
-        """Return the splats of a block whose positions are in its core."""
+        """Return the splats that a block or seam contributes.
+
+        Of a seam these are all: each started in it, wherever it is now. Of a block these are the ones in its core that
+        did not start in a seam, as the Gaussians of the block are where the seam has found them.
+        """
         splats = read_ply(self.folder.run(name).ply)
-        core = splats.subset(self.folder.read_block(name).in_core(self.survey.ground.on_ground(splats.positions)))
-        return self.labels.renumbered(name, core)
+        if name in self.survey.blocks:
+            places = self.survey.ground.on_ground(splats.positions)
+            chosen = self.folder.read_block(name).in_core(places)
+            for seam in self.seams:
+                chosen &= ~seam.in_core(places)
+            splats = splats.subset(chosen)
+        return self.labels.renumbered(name, splats)
 
     def _finest(self, pattern: Splats, edge: float) -> list[Tile]:
         """Write the tiles of level 0."""

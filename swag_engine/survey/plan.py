@@ -18,7 +18,7 @@ from ..scene.colmap import Scene, load_scene
 from ..scene.scene_part import part_of, without_points, write_part
 from ..scene.split import Split, split_views
 from ..settings.settings import TrainSettings
-from .cut import MARGIN_REACHES, Cutter, Part, Places, median_distance, survey_bounds, survey_ground
+from .cut import MARGIN_REACHES, Cutter, Part, Places, Seam, median_distance, seams_of, survey_bounds, survey_ground
 from .places import connected_groups, covering_images, points_in_frame
 from .sizes import Sizes
 
@@ -47,7 +47,7 @@ def plan_survey(
     progress: Progress | None = None,
     memory: int | None = None,
 ) -> dict[str, Any]:
-    """Cut a survey into blocks and write survey.json, and block.json of each block.
+    """Cut a survey into blocks and write survey.json, and block.json of each block and of each seam between two.
 
     Args:
         scene: Folder of the scene.
@@ -59,8 +59,8 @@ def plan_survey(
         memory: Bytes of the machine that trains a block, None without a limit.
 
     Returns:
-        A dict for JSON, of which `describe` makes text: `blocks` and `coarse` with figures, `totals`, and `notes`,
-        sentences for the user.
+        A dict for JSON, of which `describe` makes text: `blocks`, `seams` and `coarse` with figures, `totals`, and
+        `notes`, sentences for the user.
 
     Raises:
         InputError: If the survey cannot be planned; nothing is written then.
@@ -74,10 +74,10 @@ def plan_survey(
         _check_empty(out)
         report("Read the scene", 0.0)
         loaded = load_scene(scene)
-        survey, blocks, document = _planned(loaded, settings, block_images, memory, report)
+        survey, parts, document = _planned(loaded, settings, block_images, memory, report)
         survey = replace(survey, scene=_scene_path(scene, out))
         report("Write the blocks", 0.95)
-        _write(SurveyFolder(out), loaded, survey, blocks)
+        _write(SurveyFolder(out), loaded, survey, parts)
     return {"survey": str(out), "scene": str(scene)} | document
 
 
@@ -94,20 +94,20 @@ def _scene_path(scene: Path, out: Path) -> Path:
     return Path(os.path.relpath(scene, out)) if scene.is_relative_to(out.parent) else scene
 
 
-def _write(folder: SurveyFolder, scene: Scene, survey: Survey, blocks: Sequence[Block]) -> None:
+def _write(folder: SurveyFolder, scene: Scene, survey: Survey, parts: Sequence[Block]) -> None:
     """Write all files, survey.json last: a folder without it is no survey."""
     try:
-        for block in blocks:
-            folder.write_block(block)
-            split = Split(block.training, block.validation, block.test)
-            write_part(folder.scene_part(block.name), part_of(scene, split))
+        for part in parts:
+            folder.write_block(part)
+            split = Split(part.training, part.validation, part.test)
+            write_part(folder.scene_part(part.name), part_of(scene, split))
         split = Split(survey.coarse_training, survey.coarse_validation, ())
         write_part(folder.scene_part(COARSE), part_of(scene, split))
         write_part(folder.all_views, without_points(scene))
         folder.write(survey)
     except BaseException:
         folder.survey.unlink(missing_ok=True)
-        for made in ("blocks", COARSE):
+        for made in ("blocks", "seams", COARSE):
             shutil.rmtree(folder.path / made, ignore_errors=True)
         raise
 
@@ -115,7 +115,7 @@ def _write(folder: SurveyFolder, scene: Scene, survey: Survey, blocks: Sequence[
 def _planned(
     scene: Scene, settings: TrainSettings, block_images: int, memory: int | None, report: Progress
 ) -> tuple[Survey, list[Block], dict[str, Any]]:
-    """Plan a survey without writing anything."""
+    """Plan a survey without writing anything; return it, its blocks and seams, and the document."""
     names = [view.name for view in scene.views]
     split = split_views(names)
     notes = list(scene.warnings)
@@ -160,6 +160,7 @@ def _planned(
             f"{first_names([names[image] for image in left_out])}."
         )
     blocks = _blocks(parts, names, split, sizes, settings.seed)
+    seams = _seams(seams_of(parts, places, bounds, distance), parts, blocks, names, split, sizes)
 
     report("Choose the photos of the coarse model", 0.9)
     directions = np.stack([view.camera.world_to_camera[2, :3] for view in scene.views])
@@ -194,9 +195,11 @@ def _planned(
         bounds=bounds,
         images=len(names),
         blocks=tuple(block.name for block in blocks),
+        seams=tuple(seam.name for seam in seams),
         median_range=median_distance(centres, positions, seen),
     )
-    return survey, blocks, _document(survey, blocks, coarse_memory, len(names) - len(left_out), notes)
+    document = _document(survey, blocks, seams, coarse_memory, len(names) - len(left_out), notes)
+    return survey, [*blocks, *seams], document
 
 
 def _check_one_place(scene: Scene, names: list[str], seen: Sequence[np.ndarray], notes: list[str]) -> None:
@@ -240,22 +243,22 @@ def _check_parts(parts: Sequence[Part], cutter: Cutter, sizes: Sizes, notes: lis
         notes.append(f"{count} photos are few enough for one block: `train` does the same with less work.")
 
 
+def _members(images: np.ndarray, names: Sequence[str], split: Split) -> dict[str, tuple[str, ...]]:
+    """Return the names of images (N,) by what they are for, as `Block` has them."""
+    joined = {names[image] for image in images}
+    of_kind = {"training": split.train, "validation": split.validation, "test": split.test}
+    return {kind: tuple(sorted(joined.intersection(wanted))) for kind, wanted in of_kind.items()}
+
+
 def _blocks(parts: Sequence[Part], names: Sequence[str], split: Split, sizes: Sizes, seed: int) -> list[Block]:
-    sets = {kind: frozenset(getattr(split, kind)) for kind in ("train", "validation", "test")}
-    of_part = [[names[image] for image in part.images] for part in parts]
-    members = [
-        {kind: tuple(sorted(name for name in joined if name in wanted)) for kind, wanted in sets.items()}
-        for joined in of_part
-    ]
-    iterations = sizes.block_iterations([len(member["train"]) for member in members])
+    members = [_members(part.images, names, split) for part in parts]
+    iterations = sizes.block_iterations([len(member["training"]) for member in members])
     return [
         Block(
             name=f"B-{number:03d}",
             core=part.core,
             extended=part.extended,
-            training=member["train"],
-            validation=member["validation"],
-            test=member["test"],
+            **member,
             seed=(seed + number) % 2**31,
             iterations=steps,
             max_gaussians=sizes.block_gaussians(part),
@@ -266,8 +269,41 @@ def _blocks(parts: Sequence[Part], names: Sequence[str], split: Split, sizes: Si
     ]
 
 
+def _seams(
+    seams: Sequence[Seam],
+    parts: Sequence[Part],
+    blocks: Sequence[Block],
+    names: Sequence[str],
+    split: Split,
+    sizes: Sizes,
+) -> list[Block]:
+    """Return the seams as parts of the survey; a border that too few training images show has none."""
+    training = [len(block.training) for block in blocks]
+    made = []
+    for seam in seams:
+        member = _members(seam.images, names, split)
+        if len(member["training"]) < FEWEST_TRAINING:
+            continue
+        first, second = (blocks[side] for side in seam.sides)
+        made.append(
+            Block(
+                name=f"S-{first.name[2:]}-{second.name[2:]}",
+                core=seam.box,
+                extended=seam.box,
+                **member,
+                seed=first.seed,
+                iterations=sizes.seam_iterations(len(member["training"]), training),
+                max_gaussians=sizes.seam_gaussians(seam, parts),
+                points=seam.points,
+                memory=sizes.seam_memory(seam, parts),
+                sides=(first.name, second.name),
+            )
+        )
+    return made
+
+
 def _document(
-    survey: Survey, blocks: Sequence[Block], coarse_memory: int, joined: int, notes: list[str]
+    survey: Survey, blocks: Sequence[Block], seams: Sequence[Block], coarse_memory: int, joined: int, notes: list[str]
 ) -> dict[str, Any]:
     coarse = survey.coarse_settings
     memberships = sum(len(block.images) for block in blocks)
@@ -275,22 +311,8 @@ def _document(
         "engine": survey.engine,
         "ground": {"origin": survey.ground.origin, "axes": survey.ground.axes},
         "bounds": survey.bounds,
-        "blocks": [
-            {
-                "name": block.name,
-                "core": _edges(block.core),
-                "extended": _edges(block.extended),
-                "images": len(block.images),
-                "training": len(block.training),
-                "validation": len(block.validation),
-                "test": len(block.test),
-                "iterations": block.iterations,
-                "max_gaussians": block.max_gaussians,
-                "points": block.points,
-                "memory": block.memory,
-            }
-            for block in blocks
-        ],
+        "blocks": [_figures(block) for block in blocks],
+        "seams": [_figures(seam) for seam in seams],
         "coarse": {
             "training": len(survey.coarse_training),
             "validation": len(survey.coarse_validation),
@@ -305,12 +327,28 @@ def _document(
             "blocks": len(blocks),
             "width": survey.settings.width,
             "max_gaussians": survey.settings.max_gaussians,
-            "iterations": sum(block.iterations for block in blocks),
+            "iterations": sum(part.iterations for part in (*blocks, *seams)),
             # Images that are trained in several blocks, as a fraction of those in one.
             "extra_images": memberships / joined - 1,
-            "largest_memory": max(coarse_memory, *(block.memory for block in blocks)),
+            "largest_memory": max(coarse_memory, *(part.memory for part in (*blocks, *seams))),
         },
         "notes": notes,
+    }
+
+
+def _figures(block: Block) -> dict[str, Any]:
+    return {
+        "name": block.name,
+        "core": _edges(block.core),
+        "extended": _edges(block.extended),
+        "images": len(block.images),
+        "training": len(block.training),
+        "validation": len(block.validation),
+        "test": len(block.test),
+        "iterations": block.iterations,
+        "max_gaussians": block.max_gaussians,
+        "points": block.points,
+        "memory": block.memory,
     }
 
 
@@ -338,11 +376,11 @@ def describe(document: dict[str, Any]) -> str:
         f"Coarse model: {coarse['training'] + coarse['validation']} photos of {coarse['width']} px, "
         f"{coarse['max_gaussians']} Gaussians, {coarse['iterations']} iterations, {coarse['memory'] / 1e9:.2f} GB",
         "",
-        f"{'block':8} {'photos':>7} {'points':>9} {'Gaussians':>10} {'iterations':>11} {'GB':>6}",
+        f"{'block':11} {'photos':>7} {'points':>9} {'Gaussians':>10} {'iterations':>11} {'GB':>6}",
     ]
-    for block in document["blocks"]:
+    for block in document["blocks"] + document["seams"]:
         lines.append(
-            f"{block['name']:8} {block['images']:7} {block['points']:9} {block['max_gaussians']:10} "
+            f"{block['name']:11} {block['images']:7} {block['points']:9} {block['max_gaussians']:10} "
             f"{block['iterations']:11} {block['memory'] / 1e9:6.2f}"
         )
     if document["notes"]:

@@ -47,7 +47,7 @@ def report_survey(folder: Path, progress: Progress = lambda stage, fraction: Non
     model = MergedModel.load(folder)
     survey, files = model.survey, SurveyFolder(folder)
     blocks = [files.read_block(name) for name in survey.blocks]
-    done = {name: read_json(files.done(name), f"{name} is not done.") for name in (COARSE, *survey.blocks)
+    done = {name: read_json(files.done(name), f"{name} is not done.") for name in survey.jobs
             if files.done(name).exists()}  # fmt: skip
     band = SEAM_BAND * survey.median_range
     views, comparisons, errors = {}, [], SeamErrors()
@@ -81,7 +81,7 @@ def report_survey(folder: Path, progress: Progress = lambda stage, fraction: Non
         "processor_seconds": sum(each["processor_seconds"] for each in done.values()),
         "peak_memory": max((each["peak_memory"] for each in done.values()), default=0),
         "coarse": done.get(COARSE),
-        "blocks": {name: done.get(name) for name in survey.blocks},
+        "blocks": {name: done.get(name) for name in survey.parts},
         "views": views,
     }
     write_json(files.merged / "report.json", document)
@@ -175,7 +175,8 @@ def _write_page(
     comparisons: Sequence[ViewComparison],
 ) -> None:
     rows = []
-    for block in blocks:
+    for name in model.survey.parts:
+        block = files.read_block(name)
         done = document["blocks"][block.name]
         if done is None:
             rows.append([block.name, f"{len(block.images)}", "not done", "", "", "", ""])
@@ -184,7 +185,7 @@ def _write_page(
             block.name, f"{len(block.images)}", number(done["test_psnr"], 2), f"{done['gaussians_in_core']:,}",
             f"{done['iterations']:,}", time_text(done["processor_seconds"]), f"{done['peak_memory'] / 1e9:.1f}",
         ])  # fmt: skip
-    heads = ("block", "photos", "test PSNR, dB", "splats in core", "iterations", "processor time", "memory, GB")
+    heads = ("block or seam", "photos", "test PSNR, dB", "splats in core", "iterations", "processor time", "memory, GB")
     order = sorted(range(len(comparisons)), key=lambda place: list(document["views"].values())[place]["psnr"])
     chosen = (
         sorted({order[round(at)] for at in np.linspace(0, len(order) - 1, min(SHOWN, len(order)))}) if order else []
@@ -210,7 +211,7 @@ def _write_page(
             ],
             styles=("", "number", "meaning"),
         ),
-        "<h2>Blocks</h2>",
+        "<h2>Blocks, and seams between two of them</h2>",
         _map(model, blocks, document),
         table_html(rows, heads, ["", *["number"] * 6]),
         "<h2>Levels of detail</h2>",

@@ -1,4 +1,4 @@
-"""Training all blocks of a survey: the coarse model first, then the blocks in any order, each in a process of its own.
+"""Training a survey: the coarse model first, then the blocks, then the seams, each in a process of its own.
 
 Whether a block is done is read from the folder alone, so that this program may be ended and started again at any time,
 and several of it may work on one survey. No clock of one machine is compared with that of another.
@@ -41,8 +41,8 @@ def run_survey(
         folder: Folder of the survey.
         executor: Where the jobs run; it is closed at the end.
         progress: Called about once a second with {"event": "survey", "blocks", "done", "seconds_left", "executor"}.
-            Each of `blocks`, the coarse model among them, is a dict of name, state, iteration, iterations, psnr (of
-            validation images, dB), seconds, seconds_left, attempts (those that failed) and problem (a sentence, or
+            Each of `blocks`, with the coarse model and the seams, is a dict of name, state, iteration, iterations, psnr
+            (of validation images, dB), seconds, seconds_left, attempts (those that failed) and problem (a sentence, or
             empty); what is not known is None.
         should_stop: Asked about once a second; once it returns true, all jobs end with what exists kept.
 
@@ -105,14 +105,16 @@ class _SurveyRun:
     ) -> None:
         survey = files.read()
         check_engine(survey)
-        blocks = [files.read_block(name) for name in survey.blocks]
+        parts = [files.read_block(name) for name in survey.parts]
         coarse = Job(files.path, COARSE, _coarse_memory(survey))
         self._records = {
             COARSE: _Record(coarse, survey.coarse_settings.iterations),
-            **{block.name: _Record(Job(files.path, block.name, block.memory), block.iterations) for block in blocks},
+            **{part.name: _Record(Job(files.path, part.name, part.memory), part.iterations) for part in parts},
         }
         # The longest first, so that none of them is left alone at the end.
-        self._blocks = [block.name for block in sorted(blocks, key=_work, reverse=True)]
+        ordered = sorted(parts, key=_work, reverse=True)
+        blocks, seams = ([part.name for part in ordered if bool(part.sides) == of_seams] for of_seams in (False, True))
+        self._stages = [[COARSE], blocks, seams]
         self._files, self._executor = files, executor
         self._progress, self._should_stop = progress, should_stop
         self._finished: dict[str, Progress] = {}
@@ -120,8 +122,8 @@ class _SurveyRun:
         self._interrupted = False
 
     def train(self) -> None:
-        """Train the coarse model, then the blocks."""
-        for names in ([COARSE], self._blocks):
+        """Train the coarse model, then the blocks, then the seams."""
+        for names in self._stages:
             waiting = [self._records[name].job for name in names if not self._done(name)]
             if waiting:
                 self._executor.divide(waiting)
@@ -239,7 +241,7 @@ class _SurveyRun:
     def _sentence(self, name: str) -> str:
         """Say why a job was given up, and how to go on."""
         record = self._records[name]
-        what = "The coarse model" if name == COARSE else f"Block {name}"
+        what = "The coarse model" if name == COARSE else f"Seam {name}" if name.startswith("S-") else f"Block {name}"
         times = "at the first attempt" if record.attempts == 1 else f"in {record.attempts} attempts"
         return (
             f"{what} failed {times}: {record.problem} To try it again: survey run {self._files.path}, or survey block "

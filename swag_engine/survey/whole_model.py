@@ -13,7 +13,7 @@ from ..effects.scene_effects import SceneEffects
 from ..evidence.noise import Noise, estimate_noise
 from ..experiments.develop_run import automatic_development
 from ..formats.run_folder import read_json, write_json
-from ..formats.survey_folder import Block, SurveyFolder, inside
+from ..formats.survey_folder import Block, Ground, SurveyFolder, inside
 from ..gaussians.cloud import GaussianCloud
 from ..planning.plan import read_plan
 from ..rendering.model import SceneModel
@@ -120,17 +120,69 @@ def load_whole(folder: SurveyFolder) -> Whole:
         ) from error
 
 
-def around(whole: Whole, block: Block, on_ground: np.ndarray, cameras: list[Camera]) -> Whole:
+def around(whole: Whole, ground: Ground, block: Block, cameras: list[Camera]) -> Whole:
     """Return what a block is trained with: of the coarse Gaussians those outside its extended box that it sees.
 
     Args:
         whole: What was taken over from the coarse model.
+        ground: Ground of the survey.
         block: The block.
-        on_ground: (N, 3) places of the coarse Gaussians on the ground of the survey.
         cameras: Cameras of the block.
     """
-    seen = _seen(whole.surroundings, cameras) & torch.from_numpy(~inside(block.extended, on_ground))
-    return replace(whole, surroundings=whole.surroundings.rows(seen))
+    outside = _outside(whole.surroundings, ground, block)
+    return replace(whole, surroundings=whole.surroundings.rows(_seen(whole.surroundings, cameras) & outside))
+
+
+def around_seam(whole: Whole, folder: SurveyFolder, ground: Ground, seam: Block, cameras: list[Camera]) -> Whole:
+    """Return what a seam is trained with: it starts from the Gaussians of its two blocks that are in it.
+
+    Those that surround it are, on each side of the border, the other Gaussians of the block of that side with its
+    margin, and coarse ones beyond.
+
+    Args:
+        whole: What was taken over from the coarse model.
+        folder: The survey.
+        ground: Ground of the survey.
+        seam: The seam.
+        cameras: Cameras of the seam.
+
+    Raises:
+        InputError: If a block beside it is not done, or its checkpoint is damaged.
+    """
+    first, second = (folder.read_block(name) for name in seam.sides)
+    x_gap = max(first.core[0], second.core[0]) - min(first.core[2], second.core[2])
+    axis = 0 if x_gap == 0 else 1
+    low, high = sorted((first, second), key=lambda block: block.core[axis])
+    clouds = []
+    for block in (low, high):
+        cloud = _trained_of(folder, block.name)
+        along = ground.on_ground(cloud.means.numpy())[:, axis]
+        of_side = along < high.core[axis] if block is low else along >= high.core[axis]
+        clouds.append(cloud.rows(torch.from_numpy(of_side)))
+    both, coarse = clouds[0].followed_by(clouds[1]), whole.surroundings
+    outside = _outside(both, ground, seam)
+    beyond = coarse.rows(_outside(coarse, ground, low) & _outside(coarse, ground, high))
+    surroundings = beyond.followed_by(both.rows(outside))
+    return replace(whole, surroundings=surroundings.rows(_seen(surroundings, cameras)), start=both.rows(~outside))
+
+
+def _trained_of(folder: SurveyFolder, name: str) -> GaussianCloud:
+    """Return the Gaussians that a block has trained; those in its result have their colors limited for display."""
+    if not folder.done(name).exists():
+        raise InputError(f"Block {name} of {folder.path} is not done, and its seams come after it: train it first.")
+    loaded = load_checkpoint(folder.run(name).path)
+    if loaded is None:
+        raise InputError(
+            f"{folder.run(name).path} has no checkpoint, which the seams of {name} start from: remove "
+            f"{folder.done(name)} and train the block again."
+        )
+    cloud = SceneModel.from_checkpoint(*loaded).cloud
+    return cloud.rows(slice(len(cloud) - loaded[1]["fixed"]))
+
+
+def _outside(cloud: GaussianCloud, ground: Ground, block: Block) -> torch.Tensor:
+    """Return which Gaussians (N,) bool are outside the extended box of a block."""
+    return torch.from_numpy(~inside(block.extended, ground.on_ground(cloud.means.numpy())))
 
 
 def measure_exposures(model: SceneModel, known: Exposure, views: Scene) -> dict[str, list[float]]:

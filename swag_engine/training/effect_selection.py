@@ -57,7 +57,7 @@ class EffectSelection:
         """Make the effects that a run starts with, and take their water out of the cloud's colors, in place."""
         if self.whole:
             effects = deepcopy(self.whole.effects).to(self.inputs.device)
-            if isinstance(effects.medium, Medium):
+            if isinstance(effects.medium, Medium) and not self.whole.start:
                 remove_water_from_colors(cloud, effects.medium, self.inputs.training)
             self.water = InitialWater("The water is that of the whole survey.") if effects.medium else InitialWater()
             return effects

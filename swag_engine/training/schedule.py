@@ -55,3 +55,12 @@ class Schedule:
 
 STANDARD = Schedule()
 """The schedule of every run that users start."""
+
+CONTINUED = Schedule(
+    coarse=(),
+    sh_degrees=(0.0, 0.0, 0.0),
+    densify_from=1.0,
+    relocate_every=1.0,
+    learning_rates=LearningRates(means=1.28e-4),
+)
+"""The schedule of runs that start from trained Gaussians: like the second half of a run, with no other Gaussians."""

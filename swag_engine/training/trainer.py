@@ -210,7 +210,7 @@ class Trainer:
         self.pacer = Pacer(budget)
         inputs = self.inputs = load_inputs(scene, settings, schedule, on_event)
         self.ledger = Ledger(torch.cuda.synchronize if inputs.device.type == "cuda" else None)
-        cloud = initial_cloud(
+        cloud = (whole and whole.start) or initial_cloud(
             scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, inputs.median_color()
         )
         start_count = len(cloud)

@@ -20,6 +20,7 @@ class Whole:
         surroundings: Gaussians around the part, which are drawn, and the background color.
         colors: How the restored colors of the scene are distributed; None where colors are not restored.
         noise: Noise of the images; None where colors are not restored.
+        start: Trained Gaussians that the part starts from; None where it starts from sparse points.
     """
 
     plan: Plan | None
@@ -28,3 +29,4 @@ class Whole:
     choices: dict[str, bool] = field(default_factory=dict)
     colors: SceneColors | None = None
     noise: Noise | None = None
+    start: GaussianCloud | None = None
