@@ -36,8 +36,8 @@ class Reading:
         folder: The survey.
         version: Time of survey.json, ns: the blocks are read again when it changes.
         survey: What is in survey.json.
-        blocks: Its blocks.
-        statuses: State of the coarse model and of each block by its name.
+        parts: Its blocks and seams.
+        statuses: State of the coarse model and of each block and seam by its name.
         beats: Last beat of each job that somebody works on, and the local clock (s) when it was first seen.
         merged: Whether it has been merged.
     """
@@ -45,7 +45,7 @@ class Reading:
     folder: SurveyFolder
     version: int
     survey: Survey
-    blocks: tuple[Block, ...]
+    parts: tuple[Block, ...]
     statuses: Mapping[str, Progress] = field(default_factory=dict)
     beats: Mapping[str, tuple[int, float]] = field(default_factory=dict)
     merged: bool = False
@@ -70,10 +70,10 @@ def read_survey(folder: SurveyFolder, before: Reading | None = None, now: float 
         version = 0
     if before is None or (before.folder, before.version) != (folder, version):
         survey = folder.read()
-        before = Reading(folder, version, survey, tuple(folder.read_block(name) for name in survey.blocks))
+        before = Reading(folder, version, survey, tuple(folder.read_block(name) for name in survey.parts))
     now = time.monotonic() if now is None else now
     iterations = {COARSE: before.survey.coarse_settings.iterations}
-    iterations |= {block.name: block.iterations for block in before.blocks}
+    iterations |= {part.name: part.iterations for part in before.parts}
     statuses, beats = {}, {}
     for name, number in iterations.items():
         status = progress_of(folder, name, number)
@@ -84,12 +84,12 @@ def read_survey(folder: SurveyFolder, before: Reading | None = None, now: float 
                 status = replace(status, state="begun")
         statuses[name] = status
     merged = (folder.merged / "tiles.json").is_file()
-    return Reading(folder, version, before.survey, before.blocks, statuses, beats, merged)
+    return Reading(folder, version, before.survey, before.parts, statuses, beats, merged)
 
 
 @with_properties
 class SwagSurveyJob(PropertyGroup):
-    """A job of a survey: the coarse model or a block."""
+    """A job of a survey: the coarse model, a block or a seam."""
 
     state: Annotated[str, StringProperty(description="waiting, begun, running, failed or done")]
     psnr: Annotated[float, FloatProperty(description="PSNR in dB; 0 until it is measured")]
@@ -109,7 +109,7 @@ class SwagSurveyJobs(PropertyGroup):
     active: Annotated[int, IntProperty(description="Number of the chosen job")]
 
     def count(self, state: str) -> int:
-        """Number of blocks in a state, without the coarse model."""
+        """Number of blocks and seams in a state, without the coarse model."""
         return sum(job.state == state for job in self.jobs if job.name != COARSE)
 
 
@@ -142,11 +142,12 @@ def show_blocks(context: bpy.types.Context, folder: SurveyFolder) -> str:
         InputError: the survey is damaged.
     """
     reading = refresh(context, folder)
-    obj = make_map(present(context.scene), folder, reading.survey, reading.blocks)
+    blocks = [part for part in reading.parts if not part.sides]
+    obj = make_map(present(context.scene), folder, reading.survey, blocks)
     color_map(obj, reading.statuses)
     follow()
-    done = jobs_of(context).count("done")
-    return f"{len(reading.blocks)} blocks of {reading.survey.images} photos, {done} finished."
+    done = sum(reading.statuses[block.name].state == "done" for block in blocks)
+    return f"{len(blocks)} blocks of {reading.survey.images} photos, {done} finished."
 
 
 def follow() -> None:

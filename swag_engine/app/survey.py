@@ -85,12 +85,13 @@ class Run:
 
 @dataclass(frozen=True)
 class Block:
-    """Train one block of a survey, or continue it. A block that is done, or that another process has, is left alone."""
+    """Train one block or seam of a survey, or continue it. What is done, or what another process has, is left alone."""
 
     folder: tyro.conf.Positional[Folder]
     """Folder of the survey."""
     block: str
-    """Name of the block, such as B-001, or coarse for the coarse model, which comes before all blocks."""
+    """Name of a block, such as B-001, or of a seam between two, such as S-001-002, which comes after them; or coarse
+    for the coarse model, which comes before all blocks."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
     """One JSON document on stdout instead of text."""
 

@@ -60,13 +60,14 @@ class Block:
     Attributes:
         name: Such as B-001, or S-001-002 for the seam between B-001 and B-002.
         core: Box on the ground; each place of the plane is in the core of one block, and in one seam at most.
-        extended: Core with the margin in which the block has Gaussians of its own; a seam has no margin.
+        extended: Core with the margin in which the block has Gaussians of its own; in that of a seam are the Gaussians
+            of its two blocks, which do not change. Coarse ones are beyond.
         training: Names of the images that the loss is computed on.
         validation: Names of the images that decisions of the run are made on.
         test: Names of the images for the reported figures only; all held-out images are held out in every block.
         seed: Seed of the run.
         iterations: Number of optimisation steps.
-        max_gaussians: Largest number of Gaussians.
+        max_gaussians: Largest number of Gaussians; of a seam an estimate of the number in its core.
         points: Sparse points in the extended box.
         memory: Estimate of the memory that the run needs, bytes.
         sides: Names of the blocks whose Gaussians a seam trains further; empty for a block.
@@ -159,7 +160,7 @@ class Survey:
     bounds: Box
     images: int
     blocks: tuple[str, ...]
-    seams: tuple[str, ...]
+    seams: tuple[str, ...] = ()
     median_range: float = 0.0
 
     @property

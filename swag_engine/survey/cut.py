@@ -77,20 +77,14 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Seam:
-    """The strip along the border between two parts.
+class Seam(Part):
+    """The strip along the border between two parts; the cores of all seams are disjoint.
 
     Attributes:
         sides: Numbers of the two parts.
-        box: The strip on the ground; those of all seams are disjoint.
-        images: Images (N,) that show it, rows of `Places.cameras`, ascending.
-        points: Number of points in it.
     """
 
     sides: tuple[int, int]
-    box: Box
-    images: np.ndarray
-    points: int
 
 
 def survey_ground(up: np.ndarray, centres: np.ndarray, positions: np.ndarray) -> Ground:
@@ -263,39 +257,54 @@ def seams_of(parts: Sequence[Part], places: Places, bounds: Box, distance: float
         distance: The least margin of extended boxes, scene units.
 
     Returns:
-        The seams, each with the images of its parts that show it.
+        The seams, each with the images of its parts that show it: no more than these parts have themselves, and then
+        those that show most of it.
     """
     # Thinner than the cores, so that the strips of opposite borders do not meet.
     sides_of = [side for part in parts for side in sides(part.core, bounds) if side > 0]
     width = min(SEAM_WIDTH * distance, 0.25 * min(sides_of, default=0.0))
     seams = []
     for first, second in itertools.combinations(range(len(parts)), 2):
-        box = _strip(parts[first].core, parts[second].core, width)
-        if box is not None:
-            images = np.union1d(parts[first].images, parts[second].images)
-            within = inside(box, places.points)
-            _, joins = _joining(within, places, images)
-            seams.append(Seam((first, second), box, images[joins], int(np.count_nonzero(within))))
+        found = _strip(parts[first], parts[second], width, distance)
+        if found is None:
+            continue
+        core, extended = found
+        images = np.union1d(parts[first].images, parts[second].images)
+        within = inside(core, places.points)
+        fractions, joins = _joining(within, places, images)
+        most = max(len(parts[first].images), len(parts[second].images))
+        joined = np.sort(np.argsort(-np.where(joins, fractions, 0), kind="stable")[: min(most, joins.sum())])
+        near = inside(extended, places.points)
+        whole_images = _joining(near, places, images[joined])[0].sum()
+        counts = int(np.count_nonzero(near)), int(np.count_nonzero(within))
+        seams.append(Seam(core, extended, images[joined], float(whole_images), *counts, (first, second)))
     return seams
 
 
-def _strip(first: Box, second: Box, width: float) -> Box | None:
-    """Return what lies within a distance from the common border of two cores, None where they have none.
+def _strip(first: Part, second: Part, width: float, distance: float) -> tuple[Box, Box] | None:
+    """Return what lies within a distance from the common border of two cores, and the box that surrounds it.
 
-    Strips along x end before those along y, so that each place is in one of them at most.
+    Strips along x end before those along y, so that each place is in one of them at most. What surrounds a strip is, at
+    its ends, within the least margin, and across it all of the two parts: with coarse Gaussians beyond the least margin
+    in place of those of the parts, PSNR at the seams of a generated reef was 1.9 dB worse.
+
+    Returns:
+        Both boxes, or None where the cores have no common border.
     """
     for axis, along in ((0, 1), (1, 0)):
-        start, end = max(first[along], second[along]), min(first[2 + along], second[2 + along])
+        start, end = (limit(first.core[k], second.core[k]) for limit, k in ((max, along), (min, 2 + along)))
         for low, high in ((first, second), (second, first)):
-            if low[2 + axis] != high[axis]:
-                continue
-            if axis == 1:
-                start, end = start + width, end - width
-            if start >= end:
-                continue
-            at = high[axis]
-            return (at - width, start, at + width, end) if axis == 0 else (start, at - width, end, at + width)
+            at, inset = high.core[axis], width * axis
+            if low.core[2 + axis] == at and start + inset < end - inset:
+                core = _box(axis, at - width, at + width, start + inset, end - inset)
+                across = low.extended[axis], high.extended[2 + axis]
+                return core, _box(axis, *across, start - distance, end + distance)
     return None
+
+
+def _box(axis: int, low: float, high: float, start: float, end: float) -> Box:
+    """Return the box from `low` to `high` on an axis and from `start` to `end` on the other."""
+    return (start, low, end, high) if axis else (low, start, high, end)
 
 
 def _joining(within: np.ndarray, places: Places, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -160,7 +160,7 @@ def _planned(
             f"{first_names([names[image] for image in left_out])}."
         )
     blocks = _blocks(parts, names, split, sizes, settings.seed)
-    seams = _seams(seams_of(parts, places, bounds, distance), parts, blocks, names, split, sizes)
+    seams = _seams(seams_of(parts, places, bounds, distance), blocks, names, split, sizes, notes)
 
     report("Choose the photos of the coarse model", 0.9)
     directions = np.stack([view.camera.world_to_camera[2, :3] for view in scene.views])
@@ -271,16 +271,22 @@ def _blocks(parts: Sequence[Part], names: Sequence[str], split: Split, sizes: Si
 
 def _seams(
     seams: Sequence[Seam],
-    parts: Sequence[Part],
     blocks: Sequence[Block],
     names: Sequence[str],
     split: Split,
     sizes: Sizes,
+    notes: list[str],
 ) -> list[Block]:
     """Return the seams as parts of the survey; a border that too few training images show has none."""
     training = [len(block.training) for block in blocks]
+    fitting = [seam for seam in seams if sizes.fits(seam)]
+    if len(fitting) < len(seams):
+        notes.append(
+            f"{len(seams) - len(fitting)} of {len(seams)} borders between blocks are not trained as seams, as the "
+            "memory does not suffice: pixels beside them will be less good than others."
+        )
     made = []
-    for seam in seams:
+    for seam in fitting:
         member = _members(seam.images, names, split)
         if len(member["training"]) < FEWEST_TRAINING:
             continue
@@ -288,14 +294,14 @@ def _seams(
         made.append(
             Block(
                 name=f"S-{first.name[2:]}-{second.name[2:]}",
-                core=seam.box,
-                extended=seam.box,
+                core=seam.core,
+                extended=seam.extended,
                 **member,
                 seed=first.seed,
                 iterations=sizes.seam_iterations(len(member["training"]), training),
-                max_gaussians=sizes.seam_gaussians(seam, parts),
+                max_gaussians=max(1, round(sizes.block_gaussians(seam) * seam.core_points / max(1, seam.points))),
                 points=seam.points,
-                memory=sizes.seam_memory(seam, parts),
+                memory=sizes.block_memory(seam),
                 sides=(first.name, second.name),
             )
         )

@@ -12,7 +12,7 @@ from ..settings.settings import TrainSettings
 from ..training.pacing.memory import USABLE_FRACTION, needed
 from ..training.pacing.preset_size import FEWEST, largest_size, suitable_gaussians, suited
 from ..training.pacing.speed import Extent
-from .cut import Part, Seam
+from .cut import Part
 
 COARSE_GAUSSIANS = 200_000
 """Largest number of Gaussians of the coarse model."""
@@ -78,18 +78,6 @@ class Sizes:
             return max(FEWEST, round(self.asked.max_gaussians * part.points / max(1, self.extent.points)))
         surface = replace(self.extent, training=round(part.whole_images), held_out=0)
         return suited(self.asked, self.largest, surface, self.width).max_gaussians
-
-    def seam_gaussians(self, seam: Seam, parts: Sequence[Part]) -> int:
-        """Estimate the number of Gaussians of a seam: of those of its two parts, the share that its points are."""
-        first, second = (parts[side] for side in seam.sides)
-        both = self.block_gaussians(first) + self.block_gaussians(second)
-        return max(1, round(both * min(1.0, seam.points / max(1, first.points + second.points))))
-
-    def seam_memory(self, seam: Seam, parts: Sequence[Part]) -> int:
-        """Estimate the memory of a seam's process, bytes: its images, the Gaussians of its parts and coarse ones."""
-        extent = replace(self.extent, training=len(seam.images), held_out=0)
-        of_sides = sum(self.block_gaussians(parts[side]) for side in seam.sides)
-        return PROCESS_MEMORY + needed(extent, self.width, of_sides + self.coarse_gaussians)
 
     @property
     def coarse_gaussians(self) -> int:

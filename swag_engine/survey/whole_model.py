@@ -136,8 +136,8 @@ def around(whole: Whole, ground: Ground, block: Block, cameras: list[Camera]) ->
 def around_seam(whole: Whole, folder: SurveyFolder, ground: Ground, seam: Block, cameras: list[Camera]) -> Whole:
     """Return what a seam is trained with: it starts from the Gaussians of its two blocks that are in it.
 
-    Those that surround it are, on each side of the border, the other Gaussians of the block of that side with its
-    margin, and coarse ones beyond.
+    Those that surround it are the Gaussians of the block on each side of the border, in the margin of the seam, and
+    coarse ones beyond.
 
     Args:
         whole: What was taken over from the coarse model.
@@ -160,10 +160,12 @@ def around_seam(whole: Whole, folder: SurveyFolder, ground: Ground, seam: Block,
         of_side = along < high.core[axis] if block is low else along >= high.core[axis]
         clouds.append(cloud.rows(torch.from_numpy(of_side)))
     both, coarse = clouds[0].followed_by(clouds[1]), whole.surroundings
-    outside = _outside(both, ground, seam)
-    beyond = coarse.rows(_outside(coarse, ground, low) & _outside(coarse, ground, high))
-    surroundings = beyond.followed_by(both.rows(outside))
-    return replace(whole, surroundings=surroundings.rows(_seen(surroundings, cameras)), start=both.rows(~outside))
+    places = ground.on_ground(both.means.numpy())
+    within = inside(seam.core, places)
+    margin = torch.from_numpy(inside(seam.extended, places) & ~within)
+    surroundings = coarse.rows(_outside(coarse, ground, seam)).followed_by(both.rows(margin))
+    start = both.rows(torch.from_numpy(within))
+    return replace(whole, surroundings=surroundings.rows(_seen(surroundings, cameras)), start=start)
 
 
 def _trained_of(folder: SurveyFolder, name: str) -> GaussianCloud:

@@ -42,7 +42,7 @@ def call(capsys, *words):
 def test_a_merged_survey_has_each_block_and_is_scored(survey, capsys):
     code, out, _ = call(capsys, "report", survey, "--json")
     document, files = json.loads(out), SurveyFolder(survey)
-    assert code == 0 and set(document["blocks"]) == {"B-001", "B-002"}
+    assert code == 0 and set(document["blocks"]) == {"B-001", "B-002", "S-001-002"}
     tiles = Tiles.read(files.merged)
     assert tiles.levels[0].splats == sum(block["gaussians_in_core"] for block in document["blocks"].values())
     assert document["levels"][0]["test_psnr"] == pytest.approx(document["test_psnr"], abs=1e-6)

@@ -15,6 +15,7 @@ from swag_engine.survey.cut import (
     Places,
     extended_box,
     median_distance,
+    seams_of,
     sides,
     survey_bounds,
     survey_ground,
@@ -87,6 +88,39 @@ def test_extended_boxes_have_the_larger_margin_and_infinite_edges(places):
     for part in cutter(places).cut():
         assert (np.isinf(part.core) == np.isinf(part.extended)).all()
         assert part.points == np.count_nonzero(inside(part.extended, places.points)) > part.core_points
+
+
+@pytest.mark.parametrize("block_images", [60, 120])
+def test_seams_lie_along_all_borders_and_do_not_overlap(places, block_images):
+    cut = cutter(places, block_images)
+    parts = cut.cut()
+    seams = seams_of(parts, places, cut.bounds, cut.distance)
+    random = np.random.default_rng(3)
+    anywhere = random.uniform((-5, -5), (35, 20), (200_000, 2))
+    within = np.array([inside(seam.core, anywhere) for seam in seams])
+    assert within.sum(0).max() == 1
+    nearest = np.min([beside(part.core, anywhere) for part in parts], axis=0)
+    width = max(np.nanmin(np.subtract(seam.core[2:], seam.core[:2])) for seam in seams) / 2
+    assert (nearest[within.any(0)] <= width * (1 + 1e-9)).all()
+    # What lies between two strips, where four cores meet, is small.
+    assert (within.any(0) | (nearest > width)).mean() > 0.98
+    for seam in seams:
+        owners = {k for k, part in enumerate(parts) if inside(part.core, anywhere[inside(seam.core, anywhere)]).any()}
+        assert owners == set(seam.sides)
+        assert set(seam.images) <= {*parts[seam.sides[0]].images, *parts[seam.sides[1]].images}
+        fractions = [inside(seam.core, places.points[places.seen[image]]).mean() for image in seam.images]
+        assert len(seam.images) >= 3 and min(fractions) > 0.1
+        # All of its surroundings are in one of the extended boxes, so that nothing is missing there.
+        around = anywhere[inside(seam.extended, anywhere)]
+        assert np.any([inside(parts[side].extended, around) for side in seam.sides], axis=0).all()
+        assert seam.core_points == np.count_nonzero(inside(seam.core, places.points)) < seam.points
+
+
+def beside(core: Box, positions: np.ndarray) -> np.ndarray:
+    """The distance (N,) of places in a core from its edges; infinite outside."""
+    x, y = positions.T
+    nearest = np.min([x - core[0], y - core[1], core[2] - x, core[3] - y], axis=0)
+    return np.where(inside(core, positions), nearest, np.inf)
 
 
 def joined(places: Places, core: Box, **changes: Any) -> list[int]:

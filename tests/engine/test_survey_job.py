@@ -79,6 +79,38 @@ def test_a_block_changes_neither_water_nor_exposure_nor_surroundings(finished):
     assert inside(block.extended, files.read().ground.on_ground(result.positions)).mean() > 0.9
 
 
+def test_a_seam_changes_the_gaussians_of_both_blocks_in_it_alone(finished, tmp_path):
+    survey = shutil.copytree(finished.parent, tmp_path / "copy") / "survey"
+    files = SurveyFolder(survey)
+    (name,) = files.read().seams
+    seam, ground = files.read_block(name), files.read().ground
+    with pytest.raises(InputError, match=r"Block B-002 .* is not done, and its seams come after it"):
+        run_job(survey, name)
+    assert run_job(survey, "B-002")["state"] == "done"
+    clouds = []
+    for block in (files.read_block(side) for side in seam.sides):
+        tensors, stored = load_checkpoint(files.run(block.name).path)
+        cloud = SceneModel.from_checkpoint(tensors, stored).cloud
+        places = ground.on_ground(cloud.means.numpy())
+        own = inside(block.core, places) & (np.arange(len(places)) < len(places) - stored["fixed"])
+        clouds.append((cloud, places, own))
+    started = sum(int((inside(seam.core, places) & own).sum()) for _, places, own in clouds)
+    assert run_job(survey, name)["gaussians"] == started > 20
+    tensors, stored = load_checkpoint(files.run(name).path)
+    means = {row.numpy().tobytes() for row in tensors["cloud.means"][-stored["fixed"] :]}
+    trained = {row.numpy().tobytes() for row in tensors["cloud.means"][: -stored["fixed"]]}
+    beside = [
+        row.numpy().tobytes() for cloud, places, own in clouds for row in cloud.means[own & ~inside(seam.core, places)]
+    ]
+    assert len(means.intersection(beside)) > 0.5 * len(beside), "the blocks do not surround the seam"
+    started_at = {
+        row.numpy().tobytes() for cloud, places, own in clouds for row in cloud.means[own & inside(seam.core, places)]
+    }
+    assert not started_at & means and len(trained & started_at) < 0.1 * started, "they were not trained"
+    for parameter, value in load_whole(files).effects.parameters().items():
+        assert torch.equal(tensors[parameter], value), parameter
+
+
 def test_every_training_image_of_the_survey_has_an_exposure_and_no_held_out_one(finished):
     files = SurveyFolder(finished)
     scene = load_scene(files.read().scene)
@@ -108,7 +140,7 @@ def test_a_finished_job_is_left_alone_and_a_stopped_one_ends_as_if_it_had_not_be
     calls = iter([False] * 15 + [True] * 1000)
     stopped = run_job(survey, BLOCK, should_stop=lambda: next(calls))
     assert stopped["state"] == "begun" and stopped["iteration"] == 15
-    assert [each.state for each in progress_of_all(SurveyFolder(survey))] == ["done", "begun", "waiting"]
+    assert [each.state for each in progress_of_all(SurveyFolder(survey))] == ["done", "begun", "waiting", "waiting"]
     assert run_job(survey, BLOCK)["result_sha256"] == hash_of(SurveyFolder(finished).run(BLOCK).ply)
     changed = SurveyFolder(survey).done(BLOCK).stat().st_mtime_ns
     assert run_job(survey, BLOCK)["state"] == "done"

@@ -14,7 +14,7 @@ from swag_engine.formats.survey_tiles import Tiles
 from swag_engine.splats.splats import concatenate
 from swag_engine.survey import merge
 from swag_engine.survey.merge import merge_survey
-from tests.scenes.small_surveys import GROUND, finish_block, make_survey, random_splats
+from tests.scenes.small_surveys import GROUND, add_seam, finish_block, make_survey, random_splats
 
 
 @pytest.fixture(autouse=True)
@@ -60,6 +60,25 @@ def test_each_splat_of_a_core_is_in_one_tile_once(tmp_path):
     # Files hold logarithms, so that the numbers to compare with come from a file, too.
     written = concatenate([read_ply(survey.run(name).ply) for name in survey.read().blocks])
     np.testing.assert_array_equal(rows_of(level_of(tiles, 0)), np.unique(rows_of(written), axis=0))
+
+
+def test_a_seam_replaces_what_its_blocks_have_in_it(tmp_path):
+    splats = on_borders()
+    survey = make_survey(tmp_path, splats)
+    within = (np.abs(GROUND.on_ground(splats.positions)[:, 0]) < 0.25) & (GROUND.on_ground(splats.positions)[:, 1] >= 0)
+    moved = replace(splats.subset(within), positions=splats.positions[within] + np.array([0.4, 0, 0.3], np.float32))
+    add_seam(survey, "S-003-004", ("B-003", "B-004"), (-0.25, 0.0, 0.25, np.inf), moved)
+    assert merge_survey(tmp_path)["blocks"] == [*survey.read().blocks, "S-003-004"]
+    others = concatenate([read_ply(survey.run(name).ply) for name in survey.read().blocks])
+    places = GROUND.on_ground(others.positions)
+    outside = others.subset(~((np.abs(places[:, 0]) < 0.25) & (places[:, 1] >= 0)))
+    expected = concatenate([outside, read_ply(survey.run("S-003-004").ply)])
+    tiles = Tiles.read(survey.merged)
+    np.testing.assert_array_equal(rows_of(level_of(tiles, 0)), np.unique(rows_of(expected), axis=0))
+    survey.done("S-003-004").unlink()
+    with pytest.raises(InputError, match="1 of 5 blocks and seams .* S-003-004"):
+        merge_survey(tmp_path)
+    assert merge_survey(tmp_path, partial=True)["splats"] == len(splats)  # the blocks are whole without it
 
 
 def test_tiles_say_what_they_hold(tmp_path):

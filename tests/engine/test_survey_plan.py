@@ -105,6 +105,7 @@ def test_memory_cuts_further_and_is_a_sentence_where_that_cannot_help(scene, tmp
     memory = int(0.9 * whole["totals"]["largest_memory"] / USABLE_FRACTION)
     parts = plan_survey(scene, tmp_path / "parts", settings, 200, memory=memory)
     assert parts["totals"]["blocks"] > 1 and parts["totals"]["largest_memory"] <= USABLE_FRACTION * memory
+    assert any("not trained as seams" in note for note in parts["notes"])  # it needs the Gaussians of both blocks
     with pytest.raises(InputError, match=r"needs .* GB of memory.*smaller width"):
         plan_survey(scene, tmp_path / "none", settings, 200, memory=10_000_000)
     assert not (tmp_path / "none").exists()
@@ -188,7 +189,7 @@ def test_bad_settings_and_folders(scene, planned, tmp_path):
     fails(tmp_path / "nothing", tmp_path / "out", "no folder")
     (tmp_path / "empty").mkdir()
     plan_survey(scene, tmp_path / "empty", TrainSettings(iterations=40), BLOCK_IMAGES)
-    assert sorted(path.name for path in (tmp_path / "empty").iterdir()) == ["blocks", "coarse", "survey.json"]
+    assert sorted(path.name for path in (tmp_path / "empty").iterdir()) == ["blocks", "coarse", "seams", "survey.json"]
 
 
 def test_a_survey_with_too_few_photos(tiny_scene, tmp_path):

@@ -1,6 +1,7 @@
 """Surveys made by hand, with splats in place of trained blocks."""
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,14 @@ def make_survey(folder: Path, splats: Splats, columns: int = 2, rows: int = 2, s
         Survey(folder / "scene", "test", settings, settings, ("a.png",), (), (), GROUND, bounds, 1, tuple(names))
     )
     return survey
+
+
+def add_seam(survey: SurveyFolder, name: str, sides: tuple[str, ...], core: Box, splats: Splats) -> None:
+    """Add a seam that is done to a survey."""
+    survey.write_block(Block(name, core, core, ("a.png",), (), (), 0, 10, len(splats), 100, 10**9, sides))
+    whole = survey.read()
+    survey.write(replace(whole, seams=(*whole.seams, name)))
+    finish_block(survey, name, splats)
 
 
 def finish_block(survey: SurveyFolder, name: str, splats: Splats) -> None:

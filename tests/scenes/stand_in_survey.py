@@ -24,7 +24,13 @@ PAUSE, SLOW = 0.03, 1.0
 ITERATIONS = 20
 
 
-def make_survey(folder: Path, blocks: int = 4, memory: int = 1000, orders: dict[str, list[str]] = {}) -> Path:  # noqa: B006
+def make_survey(
+    folder: Path,
+    blocks: int = 4,
+    memory: int = 1000,
+    orders: dict[str, list[str]] = {},  # noqa: B006
+    seams: tuple[str, ...] = (),
+) -> Path:
     """Write a survey and what is to happen to its blocks; return its folder."""
     from swag_engine.formats.survey_folder import Block, Ground, Survey, SurveyFolder
     from swag_engine.kernels.machine import engine_version
@@ -32,12 +38,13 @@ def make_survey(folder: Path, blocks: int = 4, memory: int = 1000, orders: dict[
 
     files, settings = SurveyFolder(folder), TrainSettings(iterations=ITERATIONS, width=64, max_gaussians=100)
     names = tuple(f"B-{number:03d}" for number in range(1, blocks + 1))
-    for name in names:
-        box = (0.0, 0.0, 1.0, 1.0)
-        files.write_block(Block(name, box, box, ("a.png",), (), (), 0, ITERATIONS, 100, 10, memory))
+    for name in (*names, *seams):
+        box, sides = (0.0, 0.0, 1.0, 1.0), names[:2] if name in seams else ()
+        files.write_block(Block(name, box, box, ("a.png",), (), (), 0, ITERATIONS, 100, 10, memory, sides))
     ground = Ground((0.0, 0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
     version = engine_version() or ""
-    files.write(Survey(folder, version, settings, settings, ("a.png",), (), (), ground, (0.0, 0.0, 1.0, 1.0), 1, names))
+    bounds = (0.0, 0.0, 1.0, 1.0)
+    files.write(Survey(folder, version, settings, settings, ("a.png",), (), (), ground, bounds, 1, names, seams))
     (folder / "orders.json").write_text(json.dumps(orders))
     return folder
 
@@ -71,7 +78,9 @@ def results(folder: Path) -> dict[str, str | None]:
 
 
 def job_folder(folder: Path, name: str) -> Path:
-    return folder / "coarse" if name == "coarse" else folder / "blocks" / name
+    if name == "coarse":
+        return folder / "coarse"
+    return folder / ("seams" if name.startswith("S-") else "blocks") / name
 
 
 def write(file: Path, document: object) -> None:
@@ -111,6 +120,8 @@ def train(folder: Path, job: Path, name: str) -> int:
     begun, state = json.loads(checkpoint.read_text()) if checkpoint.exists() else (0, name)
     for iteration in range(begun, ITERATIONS):
         time.sleep(SLOW if order == "slow" else PAUSE)
+        while order == "endless" and not asked_to_end:
+            time.sleep(PAUSE)
         if order == "kill" and iteration >= (begun + ITERATIONS) // 2:
             os.kill(os.getpid(), signal.SIGKILL)
         state = step(state, iteration)
