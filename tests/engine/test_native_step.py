@@ -90,9 +90,12 @@ def test_200_steps_follow_those_of_autograd(make):
     # The order of sums differs, and differences grow from step to step: to .018 of the least loss in 200.
     assert (got - expected)[:100].abs().max() < 0.005 * expected.min()
     assert (got - expected).abs().max() < 0.05 * expected.min()
-    pairs = zip(states[0].optimizer.parameters().values(), states[1].optimizer.parameters().values(), strict=True)
-    # A log near 0 may differ by .02: that of the lamp differs by .017 on an AMD EPYC with AVX2.
-    assert all((a - b).norm() <= 0.1 * b.norm().clamp(min=0.2) for a, b in pairs)
+    first, second = (state.optimizer.parameters() for state in states)
+    # The log of the lamp is near 0; what it does to light is compared, at half and at twice the median range.
+    lamps = [state.effects.lamp.light(state.effects.lamp.unit_range * torch.tensor([0.5, 2.0])) for state in states]
+    assert ((lamps[0] - lamps[1]).abs() <= 0.01 * lamps[1]).all()
+    for name in first.keys() - {"lamp.log_tau"}:
+        assert (first[name] - second[name]).norm() <= 0.1 * second[name].norm().clamp(min=0.1), name
 
 
 @pytest.mark.parametrize(("effects", "name"), [(NONE, "background"), (ALL, "opacity_logits"), (ALL, "exposure.raw")])
