@@ -1,5 +1,6 @@
 """State of the blocks of a survey, as their files show it. Blender imports it."""
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +9,7 @@ from ..base.claim import read_claim
 from ..base.errors import InputError
 from ..base.strict_json import from_json
 from .run_folder import read_json
-from .survey_folder import COARSE, State, SurveyFolder
+from .survey_folder import State, SurveyFolder
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def progress_of(folder: SurveyFolder, name: str, iterations: int) -> Progress:
         iterations: Iterations that it will have.
     """
     if done := _read(folder.done(name)):
-        seconds, gaussians = _number(done.get("seconds")) or 0.0, int(done.get("gaussians") or 0)
+        seconds, gaussians = _number(done.get("seconds")) or 0.0, int(_number(done.get("gaussians")) or 0)
         psnr = _number(done.get("test_psnr"))
         return Progress(name, "done", iterations, iterations, seconds, psnr, gaussians, -1, "")
     state: State = "begun" if folder.run(name).config.exists() else "waiting"
@@ -65,20 +66,9 @@ def progress_of(folder: SurveyFolder, name: str, iterations: int) -> Progress:
     elif failed := _read(folder.failed(name)):
         state, problem = "failed", str(failed.get("problem", ""))
     entry = _last_entry(folder, name)
-    iteration, seconds = int(entry.get("iteration") or 0), _number(entry.get("seconds")) or 0.0
-    psnr, gaussians = _number(entry.get("psnr")), int(entry.get("gaussians") or 0)
+    iteration, seconds = int(_number(entry.get("iteration")) or 0), _number(entry.get("seconds")) or 0.0
+    psnr, gaussians = _number(entry.get("psnr")), int(_number(entry.get("gaussians")) or 0)
     return Progress(name, state, iteration, iterations, seconds, psnr, gaussians, beat, problem)
-
-
-def progress_of_all(folder: SurveyFolder) -> list[Progress]:
-    """Read how far the coarse model, all blocks and all seams are, in this order.
-
-    Raises:
-        InputError: If the folder is not a survey, or a file is damaged.
-    """
-    survey = folder.read()
-    coarse = progress_of(folder, COARSE, survey.coarse_settings.iterations)
-    return [coarse, *(progress_of(folder, name, folder.read_block(name).iterations) for name in survey.parts)]
 
 
 def _read(file: Any) -> dict[str, Any] | None:
@@ -108,4 +98,5 @@ def _last_entry(folder: SurveyFolder, name: str) -> dict[str, Any]:
 
 
 def _number(value: Any) -> float | None:
-    return float(value) if isinstance(value, int | float) else None
+    """Return a finite number, None for anything else that a damaged file may hold."""
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None

@@ -211,7 +211,7 @@ def _write_page(
             ],
             styles=("", "number", "meaning"),
         ),
-        "<h2>Blocks, and seams between two of them</h2>",
+        "<h2>Blocks, and seams, whose splats replace those of two blocks along a border</h2>",
         _map(model, blocks, document),
         table_html(rows, heads, ["", *["number"] * 6]),
         "<h2>Levels of detail</h2>",

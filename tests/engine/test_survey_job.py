@@ -17,7 +17,7 @@ from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.evaluation.metrics import render_color
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.survey_folder import COARSE, SurveyFolder, inside
-from swag_engine.formats.survey_state import progress_of_all
+from swag_engine.formats.survey_state import progress_of
 from swag_engine.rendering.model import SceneModel
 from swag_engine.scene.colmap import load_scene
 from swag_engine.settings.settings import TrainSettings
@@ -140,7 +140,9 @@ def test_a_finished_job_is_left_alone_and_a_stopped_one_ends_as_if_it_had_not_be
     calls = iter([False] * 15 + [True] * 1000)
     stopped = run_job(survey, BLOCK, should_stop=lambda: next(calls))
     assert stopped["state"] == "begun" and stopped["iteration"] == 15
-    assert [each.state for each in progress_of_all(SurveyFolder(survey))] == ["done", "begun", "waiting", "waiting"]
+    files = SurveyFolder(survey)
+    states = [progress_of(files, name, 40).state for name in files.read().jobs]
+    assert states == ["done", "begun", "waiting", "waiting"]
     assert run_job(survey, BLOCK)["result_sha256"] == hash_of(SurveyFolder(finished).run(BLOCK).ply)
     changed = SurveyFolder(survey).done(BLOCK).stat().st_mtime_ns
     assert run_job(survey, BLOCK)["state"] == "done"
@@ -174,7 +176,7 @@ def test_what_keeps_a_block_from_being_trained_is_said_and_kept(survey):
     photo.unlink()
     with pytest.raises(InputError, match=f"1 photos of the scene .* not on this machine: .*{photo.name}"):
         run_job(survey, BLOCK)
-    failed = progress_of_all(files)[1]
+    failed = progress_of(files, BLOCK, 40)
     assert failed.state == "failed" and photo.name in failed.problem
     photo.write_bytes(content)
     document = files.read()
