@@ -201,12 +201,15 @@ def test_the_engine_plans_trains_and_merges_a_survey(blender, tmp_path):
     assert not planned["failed"] and planned["message"].startswith("2 blocks of ") and planned["faces"] == [0, 0]
     folder = SurveyFolder(tmp_path / "reef" / "swag_survey")
     merge = "surveys.merge_with_the_engine"
-    assert "2 of 2 blocks of" in blender.run(merge, folder.path, False, **environment)["message"]
+    assert "3 of 3 blocks and seams of" in blender.run(merge, folder.path, False, **environment)["message"]
     for name in ("coarse", "B-001"):
         assert run_job(folder.path, name)["state"] == "done"
     part = blender.run(merge, folder.path, True, **environment)
-    assert part["faces"] == [4, 0] and part["message"].endswith("1 of 2 blocks are missing here: B-002.")
-    assert run_job(folder.path, "B-002")["state"] == "done"
+    assert part["faces"] == [4, 0] and part["message"].endswith(
+        "2 of 3 blocks and seams are missing here: B-002, S-001-002."
+    )
+    for name in ("B-002", "S-001-002"):
+        assert run_job(folder.path, name)["state"] == "done"
     whole = blender.run(merge, folder.path, False, **environment)
     assert whole["faces"] == [4, 4] and not whole["failed"] and "Traceback" not in blender.printed
     in_cores = sum(read_json(folder.done(name), "")["gaussians_in_core"] for name in ("B-001", "B-002"))
