@@ -13,17 +13,27 @@ import torch
 from ..base.errors import InputError
 from ..base.files import locked_folder
 from ..base.timing import Ledger
-from ..evaluation.metrics import ViewScore, mean_score, median_image_psnr, score_views
+from ..evaluation.metrics import (
+    ViewScore,
+    in_8_bits,
+    mean_score,
+    median_image_psnr,
+    render_image,
+    score_image,
+    score_views,
+)
 from ..evidence.noise import estimate_noise
 from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud, to_numpy
+from ..gaussians.densify import PER_GAUSSIAN
 from ..gaussians.init import gaussians_from_points
 from ..kernels.backends import KERNELS, device_for
 from ..kernels.webgpu import WebGpuKernels
 from ..planning.plan import write_plan
 from ..rendering.model import SceneModel
 from ..rendering.restoration import CONFIDENCE, RestorationLimit, describe_restored, restoration_limit
+from ..scene.cameras import Camera
 from ..scene.colmap import Points, Scene, load_scene
 from ..scene.images import TrainingImage
 from ..semantics.embed import DIMENSIONS
@@ -57,6 +67,8 @@ from .whole import Whole
 
 InitialCloud = Callable[[Points, int, int, int, np.ndarray], GaussianCloud]
 
+PREVIEWED = ("means", "quats", "log_scales", "opacity_logits", "sh0")
+"""Parameters of the Gaussians that a preview shows."""
 PROGRESS_SECONDS = 0.2
 """Seconds between two `progress` events."""
 
@@ -322,14 +334,13 @@ class Trainer:
         state = self.state
         config = self.step_config()
         target = self.targets.next(state, config.fraction)
-        result = self.step(state, target, config)
-        state.iteration += 1
-        state.clock.advance(state.iteration)
         with_water = config.with_water and state.effects.medium is not None
         phase = f"[{self.targets.factor}] {with_water} {config.stage_two} {state.dropout > 0}"
-        phase = "" if target.interpolated else phase
-        self.guard.record_step(state.guarded, result.loss, result.problem, target.camera.name, phase)
-        if not config.stage_two and self.densification.due(state):
+        result = self.step(state, target, replace(config, phase="" if target.interpolated else phase))
+        state.iteration += 1
+        state.clock.advance(state.iteration)
+        densifies = not config.stage_two and self.densification.due(state)
+        if densifies:
             state.synchronize()
         if not result.problem:
             if result.means2d_gradient is not None and result.radii is not None and not target.interpolated:
@@ -337,7 +348,8 @@ class Trainer:
             if not config.stage_two:
                 rate, fraction = config.learning_rates["means"], state.clock.fraction
                 self.densification.after_step(state, rate, self._sh_degree(fraction), self._water_degree(fraction))
-                if "moving_objects" in state.recipe.effects and state.motion.search_due(fraction):
+                # With densification, so that Gaussians on a device are read for both at once.
+                if densifies and "moving_objects" in state.recipe.effects and state.motion.search_due(fraction):
                     self._mask_motion()
         if self.guard.roll_back_if_bad(state.guarded, state.optimizer, state.iteration, state.on_device):
             state.reset_statistics()
@@ -380,7 +392,6 @@ class Trainer:
         return {name: state.guarded.record.rate_factor * rate for name, rate in rates.items()}
 
     def _mask_motion(self) -> None:
-        self.state.synchronize(parameters_only=True)
         state, settings = self.state, self.inputs.settings
         masks = find_motion(state.cloud, state.effects, self.inputs.training, settings.sh_degree, settings.backend)
         state.motion = MotionMasks(masks, state.motion.searches + 1)
@@ -397,7 +408,7 @@ class Trainer:
                 if should_stop():
                     return None
                 self.iterate()
-            fork.synchronize(parameters_only=True)
+            fork.synchronize(())
             return self._scores(self.inputs.validation, fork.cloud)
 
         best = run_trials(before, due, self._copied, self.selection.switch, score_after)
@@ -449,7 +460,7 @@ class Trainer:
         }
 
     def _write_preview(self) -> None:
-        self.state.synchronize(parameters_only=True)
+        self.state.synchronize(PREVIEWED)
         state = self.state
         write_ply(self.run.preview, state.free_cloud.to_splats(sh_degree=0))
         water = state.effects.medium.to_json() if state.effects.medium else None  # per scene unit
@@ -460,8 +471,17 @@ class Trainer:
         """Score images; on the CPU where the card has too little memory, with NaN where no memory suffices."""
         state, settings = self.state, self.inputs.settings
         degree, backend = settings.sh_degree, settings.backend
-        found = none_if_out_of_memory(lambda: score_views(cloud, images, degree, backend, state.effects))
+
+        def color(camera: Camera) -> torch.Tensor:
+            shown = state.on_device.render(camera, degree) if state.on_device else None
+            if shown is None:
+                return render_image(cloud, camera, degree, backend, state.effects)
+            return in_8_bits(state.effects.apply_to_image(shown, camera.name))
+
+        with torch.no_grad():
+            found = none_if_out_of_memory(lambda: [score_image(image, color(image.camera)) for image in images])
         if found is None:
+            state.synchronize(PER_GAUSSIAN)
             on_cpu, effects = cloud.to(CPU), deepcopy(state.effects).to(CPU)
             found = none_if_out_of_memory(lambda: score_views(on_cpu, images, degree, "auto", effects))
         state.relief.unscored |= found is None
@@ -469,7 +489,7 @@ class Trainer:
 
     def _validate(self, loss: float) -> None:
         """Score the validation images and log the result. Test images are never scored here."""
-        self.state.synchronize(parameters_only=True)
+        self.state.synchronize(())
         state, inputs = self.state, self.inputs
         started, seconds = time.monotonic(), self.pacer.seconds
         state.psnr, state.ssim = mean_score(self._scores(inputs.validation, state.cloud))

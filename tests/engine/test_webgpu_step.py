@@ -336,7 +336,7 @@ def test_the_guard_rolls_back_what_is_on_the_card(make, kernels):
     step = steps_of(trainer, kernels)[0]
 
     def check():
-        guard.record_step(state.guarded, step(state, target, config).loss, "", "image", "phase")
+        state.guarded.record_step(step(state, target, config).loss, "", "image", "phase")
         return guard.roll_back_if_bad(state.guarded, state.optimizer, guard.interval, state.on_device)
 
     state.guarded.record.best, before = 1.0, state.cloud.means.detach().clone()
