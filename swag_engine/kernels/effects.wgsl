@@ -35,7 +35,7 @@ struct Call {
 @group(0) @binding(6) var<storage, read> similarity: array<vec2f>;
 @group(0) @binding(7) var<storage, read> pairs: array<vec2u>;  // of each band: how many there are, how many fit
 @group(0) @binding(8) var<storage, read_write> outcomes: array<u32>;
-@group(0) @binding(9) var<storage, read_write> flags: array<u32>;
+@group(0) @binding(9) var<storage, read_write> flags: array<u32>;  // of the step; whether a step before it overflowed
 
 var<workgroup> partial: array<f32, 256>;
 var<workgroup> sums: array<f32, 74>;
@@ -135,7 +135,8 @@ fn rate_of(place: u32) -> f32 {
 }
 
 // Sums, then the outcome: sums of |error|, error^2, what is left open and SSIM; flags; pairs in the longest list, and in
-// all. Then Adam, where no flag is set.
+// all. Then Adam, where no flag is set. After a step that overflowed no step changes anything, so that the host can make all
+// of them again in their order.
 @compute @workgroup_size(256)
 fn conclude(@builtin(local_invocation_index) thread: u32) {
     if (thread == 0u) { found = flags[0]; }
@@ -155,7 +156,7 @@ fn conclude(@builtin(local_invocation_index) thread: u32) {
     if (thread == 0u) {
         var longest = 0u;
         var all = 0u;
-        var overflow = false;
+        var overflow = flags[1] != 0u;
         for (var i = 0u; i < call.bands; i++) {
             longest = max(longest, pairs[i].x);
             all += pairs[i].x;
@@ -163,6 +164,7 @@ fn conclude(@builtin(local_invocation_index) thread: u32) {
         }
         found |= select(0u, LOSS, bad > 0.0 || !is_finite(similar)) | select(0u, OVERFLOW, overflow);
         flags[0] = found;
+        flags[1] = found & OVERFLOW;
         let at = 8u * call.row;
         for (var i = 0u; i < 3u; i++) { outcomes[at + i] = bitcast<u32>(sums[i]); }
         outcomes[at + 3u] = bitcast<u32>(similar);

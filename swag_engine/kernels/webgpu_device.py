@@ -303,9 +303,9 @@ class WebGpu:
             ],
         )
 
-    def clear(self, buffer: Any) -> None:
-        """Set all numbers of a buffer to 0, behind what is pending."""
-        self._pending.append(lambda encoder: encoder.clear_buffer(buffer))
+    def clear(self, buffer: Any, size: int | None = None) -> None:
+        """Set all numbers of a buffer, or its first `size` bytes, to 0, behind what is pending."""
+        self._pending.append(lambda encoder: encoder.clear_buffer(buffer, 0, size))
 
     def copy(self, source: Any, to: Any) -> None:
         """Copy a buffer to another one of its size, behind what is pending."""

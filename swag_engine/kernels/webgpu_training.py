@@ -173,13 +173,15 @@ class ResidentGaussians:
         count: N.
         sizes: Numbers of a Gaussian by parameter name.
         learned: Learned numbers of water, lamp, gains and background.
-        longest_list: Most pairs of a Gaussian and a tile in one list.
+        pairs_guessed: Pairs of a Gaussian and a tile that there is room for at first, for each Gaussian.
+        longest_list: Most pairs in one list.
     """
 
     gpu: WebGpu
     count: int
     sizes: dict[str, int]
     learned: int
+    pairs_guessed: float = PAIRS_GUESSED
     _arrays: dict[str, list[Any]] = field(default_factory=dict)
     _room: int = 0
     _lists: int = 1
@@ -191,7 +193,12 @@ class ResidentGaussians:
         self._effects = self.gpu.empty(3 * self.learned)
         self._good_effects = self.gpu.empty(3 * self.learned)
         self.longest_list = self.gpu.largest_binding // 4
-        self._room = max(BLOCK, PAIRS_GUESSED * self.count)
+        self._room = min(max(BLOCK, int(self.pairs_guessed * self.count)), self.longest_list)
+
+    @property
+    def pairs_a_gaussian(self) -> float:
+        """Pairs of a Gaussian and a tile that there is room for now, for each Gaussian."""
+        return self._lists * self._room / self.count
 
     @cached_property
     def chunks(self) -> list[Chunk]:
@@ -287,7 +294,8 @@ class ResidentGaussians:
     def outcomes(self, wait: bool) -> list[Outcome]:
         """Return the outcomes that are known by now and have not been returned.
 
-        Steps whose lists of pairs were too short have changed nothing; they are made again with longer ones.
+        Where the lists of pairs were too short for a step, it and those after it have changed nothing; they are made
+        again with longer ones.
 
         Args:
             wait: Whether to wait for all steps.
@@ -301,16 +309,27 @@ class ResidentGaussians:
         while len(self._reads) > 1 or (wait and (self._reads or self._asked)):
             if not self._reads:
                 self._begin_to_read()
-            steps, read = self._reads.pop(0)
-            rows = list(zip(steps, read().view(-1, OUTCOME)[: len(steps)], strict=True))
-            again = [(step, row) for step, row in rows if int(row[4]) & OVERFLOW]
+            rows = self._next_rows()
             found += [self._outcome(step, row) for step, row in rows if not int(row[4]) & OVERFLOW]
-            if again:
-                step, row = max(again, key=lambda pair: int(pair[1][5]) & 0xFFFFFFFF)
-                self._make_room(*(number & 0xFFFFFFFF for number in row[5:7].tolist()), step.view)
-            for step, _ in again:
-                self._attempt(step)
+            if again := [(step, row) for step, row in rows if int(row[4]) & OVERFLOW]:
+                while self._reads or self._asked:
+                    again += self._next_rows()
+                self._make_again(again)
         return found
+
+    def _next_rows(self) -> list[tuple[Queued, Tensor]]:
+        """Wait for the outcomes of the first steps of which none is known; return steps and outcomes."""
+        if not self._reads:
+            self._begin_to_read()
+        steps, read = self._reads.pop(0)
+        return list(zip(steps, read().view(-1, OUTCOME)[: len(steps)], strict=True))
+
+    def _make_again(self, steps: list[tuple[Queued, Tensor]]) -> None:
+        step, row = max(steps, key=lambda pair: int(pair[1][5]) & 0xFFFFFFFF)
+        self._make_room(*(number & 0xFFFFFFFF for number in row[5:7].tolist()), step.view)
+        self.gpu.clear(self._shared("flags"))
+        for step, _ in steps:
+            self._attempt(step)
 
     def _begin_to_read(self) -> None:
         asked, self._asked = self._asked, []
@@ -318,7 +337,8 @@ class ResidentGaussians:
 
     def _attempt(self, step: Queued) -> None:
         view, grid = step.view, TileGrid(step.view.width, step.view.height)
-        for name in ("flags", "gradients", "ranges"):
+        self.gpu.clear(self._shared("flags"), 4)
+        for name in ("gradients", "ranges"):
             self.gpu.clear(self._shared(name, grid))
         lists = self._show(view, grid)
         self._compare(view)
@@ -381,7 +401,7 @@ class ResidentGaussians:
         tiles = grid.tiles if grid else 0
         sizes = {
             "splats": SPLAT_NUMBERS * self.count, "keys": self.count, "ids": self.count, "channels": GROUP * self.count,
-            "gradients": (MOMENTS + GROUP) * self.count, "ranges": 2 * tiles, "flags": 1, "found": 2 * self._lists,
+            "gradients": (MOMENTS + GROUP) * self.count, "ranges": 2 * tiles, "flags": 2, "found": 2 * self._lists,
             "outcomes": OUTCOME * STEPS_READ, "gaussian_sums": GAUSSIAN_SUMS * self._gaussian_rows,
         }  # fmt: skip
         return self.space.empty(name, sizes[name])

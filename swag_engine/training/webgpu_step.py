@@ -25,6 +25,7 @@ from ..kernels.webgpu_training import (
     LAMP,
     LINEAR,
     OPEN,
+    PAIRS_GUESSED,
     SIMILARITY,
     WATER,
     ResidentGaussians,
@@ -182,8 +183,9 @@ class WebGpuStep:
         resident = self._resident
         if resident is None or (resident.count, resident.sizes, resident.learned) != (count, sizes, numbers):
             self._held.clear()
+            pairs = resident.pairs_a_gaussian if resident else PAIRS_GUESSED
             resident = self._resident = None  # its memory is free before the other is made
-            resident = self._resident = ResidentGaussians(self.kernels.gpu, count, sizes, numbers)
+            resident = self._resident = ResidentGaussians(self.kernels.gpu, count, sizes, numbers, pairs)
         for name, tensor in arrays.items():
             if self._has_changed(name, tensor):
                 resident.load(name, tensor)
