@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -18,7 +19,6 @@ from ..evaluation.metrics import (
     in_8_bits,
     mean_score,
     median_image_psnr,
-    render_image,
     score_image,
     score_views,
 )
@@ -33,7 +33,6 @@ from ..kernels.webgpu import WebGpuKernels
 from ..planning.plan import write_plan
 from ..rendering.model import SceneModel
 from ..rendering.restoration import CONFIDENCE, RestorationLimit, describe_restored, restoration_limit
-from ..scene.cameras import Camera
 from ..scene.colmap import Points, Scene, load_scene
 from ..scene.images import TrainingImage
 from ..semantics.embed import DIMENSIONS
@@ -52,7 +51,7 @@ from .native_step import NativeStep
 from .network_priors import depth_of_images, interpolated_frames
 from .pacing.budget import Budget, fit_budget
 from .pacing.clock import FLAT_DB, FLAT_FRACTION, Clock, is_flat, next_minute
-from .pacing.memory import TOO_LITTLE, fit_memory, free_memory, none_if_out_of_memory, reduced
+from .pacing.memory import TOO_LITTLE, Relief, fit_memory, free_memory, none_if_out_of_memory, reduced
 from .pacing.pacer import Pacer
 from .pacing.preset_size import fit_preset
 from .pacing.speed import Extent
@@ -62,9 +61,10 @@ from .state import CPU, RunState
 from .step import GEOMETRY, AutogradStep, Step, StepConfig
 from .target_cache import Targets
 from .trials import run_trials, trials_due
-from .webgpu_step import WebGpuStep, with_backend_of_run
+from .webgpu_step import WebGpuStep, leave_card, with_backend_of_run
 from .whole import Whole
 
+T = TypeVar("T")
 InitialCloud = Callable[[Points, int, int, int, np.ndarray], GaussianCloud]
 
 PREVIEWED = ("means", "quats", "log_scales", "opacity_logits", "sh0")
@@ -142,15 +142,22 @@ def make_trainer(
     scene = part or load_scene(scene_folder)
     if not resume:
         settings = with_scale_of(scene, settings)
-    settings, budget = fit_budget(scene, fit_preset(scene, settings), started, schedule.closing_seconds)
+    asked = fit_preset(scene, settings)
+    fitted = _or_on_cpu(asked.backend, lambda: fit_budget(scene, asked, started, schedule.closing_seconds))
+    if not fitted:
+        raise InputError(TOO_LITTLE)
+    settings, budget = fitted
     note = ""
     if not resume:
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
     settings, backend_note = with_backend_of_run(settings, resume)
     try:
-        trainer = none_if_out_of_memory(
-            lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud, whole)
+        trainer = _or_on_cpu(
+            settings.backend,
+            lambda: Trainer(
+                scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud, whole
+            ),
         )
         if not trainer:
             raise InputError(TOO_LITTLE)
@@ -162,6 +169,12 @@ def make_trainer(
     if resume:
         trainer.resume(longer)
     return trainer
+
+
+def _or_on_cpu(backend: str, compute: Callable[[], T]) -> T | None:
+    """Return what `compute` returns, without the card where that has too little memory; None where memory runs out."""
+    found = none_if_out_of_memory(compute)
+    return none_if_out_of_memory(compute) if found is None and leave_card(backend) else found
 
 
 def with_scale_of(scene: Scene, settings: TrainSettings) -> TrainSettings:
@@ -319,11 +332,17 @@ class Trainer:
         return self._finish(loss, interrupted, limit)
 
     def iterate(self) -> float:
-        """Make one iteration and return its loss; one that runs out of memory is abandoned and the run reduced."""
+        """Make one iteration and return its loss; one that runs out of memory is abandoned and the run reduced.
+
+        A run on a card that cannot be reduced any further continues on the processor, with images of full size.
+        """
         if (loss := none_if_out_of_memory(self._iterate)) is not None:
             return loss
         state = self.state
         state.optimizer.restart(state.guarded.last_good)
+        if state.relief.exhausted and leave_card(self.inputs.settings.backend):
+            state.relief = Relief()
+            return math.nan
         state.replace_free(*reduced(state.free_cloud))
         state.guarded.keep(state.optimizer)
         state.relief.relieve(state.free_count)
@@ -467,19 +486,25 @@ class Trainer:
         path = str(self.run.preview)
         self.on_event({"event": "preview", "path": path, "iteration": state.iteration, "water": water})
 
+    @torch.no_grad()
+    def _scores_on_device(self, images: Sequence[TrainingImage]) -> list[ViewScore]:
+        """Score images where steps have left the Gaussians on a device; empty where they have not, or it failed."""
+        scores = []
+        for image in images:
+            device, name = self.state.on_device, image.camera.name
+            color = device.render(image.camera, self.inputs.settings.sh_degree) if device else None
+            if color is None:
+                return []
+            scores.append(score_image(image, in_8_bits(self.state.effects.apply_to_image(color, name))))
+        return scores
+
     def _scores(self, images: Sequence[TrainingImage], cloud: GaussianCloud) -> list[ViewScore]:
         """Score images; on the CPU where the card has too little memory, with NaN where no memory suffices."""
         state, settings = self.state, self.inputs.settings
         degree, backend = settings.sh_degree, settings.backend
-
-        def color(camera: Camera) -> torch.Tensor:
-            shown = state.on_device.render(camera, degree) if state.on_device else None
-            if shown is None:
-                return render_image(cloud, camera, degree, backend, state.effects)
-            return in_8_bits(state.effects.apply_to_image(shown, camera.name))
-
-        with torch.no_grad():
-            found = none_if_out_of_memory(lambda: [score_image(image, color(image.camera)) for image in images])
+        found = none_if_out_of_memory(
+            lambda: self._scores_on_device(images) or score_views(cloud, images, degree, backend, state.effects)
+        )
         if found is None:
             state.synchronize(PER_GAUSSIAN)
             on_cpu, effects = cloud.to(CPU), deepcopy(state.effects).to(CPU)

@@ -93,6 +93,23 @@ def with_backend_of_run(settings: TrainSettings, resume: bool) -> tuple[TrainSet
     return settings, ""
 
 
+def leave_card(backend: str) -> bool:
+    """Compute on the processor from now on, because the card of the backend "wgpu" has too little memory.
+
+    Args:
+        backend: What computes.
+
+    Returns:
+        Whether a card computed until now.
+    """
+    kernels = KERNELS.get(backend)
+    if not isinstance(kernels, WebGpuKernels) or kernels.failure:
+        return False
+    name = kernels.gpu.adapter_name
+    kernels.fail(WebGpuFailure(f"The graphics card {name} has too little memory for this run."))
+    return True
+
+
 class WebGpuStep:
     """The step through WebGPU of recipes that compare colors only, where `runs_natively` says so.
 

@@ -526,6 +526,31 @@ def test_a_run_that_does_not_fit_the_card_goes_on_with_fewer_gaussians(kernels, 
 
 
 @one_gpu
+@pytest.mark.parametrize("when", ["planning", "training"])
+def test_a_run_that_never_fits_the_card_goes_on_on_the_processor(kernels, gpu, tiny_scene, tmp_path, monkeypatch, when):
+    import wgpu
+
+    def refused(size, usage):
+        raise wgpu.GPUOutOfMemoryError("Not enough memory left.")
+
+    def refuse(trainer):
+        monkeypatch.setattr(gpu.device, "create_buffer", refused)
+
+    settings = replace(FEW, iterations=20)
+    if when == "planning":
+        refuse(None)
+    metrics = train_with(tiny_scene, tmp_path / "run", settings, refuse)["metrics"]
+    expected = train(tiny_scene, tmp_path / "cpu", replace(settings, backend="cpu"))["metrics"]
+    name = gpu.adapter_name
+    sentence = f"The graphics card {name} has too little memory for this run. Training continued on the processor."
+    assert metrics["notes"] == [*expected["notes"], sentence] and metrics["iteration"] == 20
+    if when == "planning":
+        assert metrics["gaussians"] == expected["gaussians"] and metrics["test_psnr"] == expected["test_psnr"]
+    else:  # fewer Gaussians did not help
+        assert metrics["gaussians"] < 0.5 * expected["gaussians"] and metrics["test_psnr"] > 10
+
+
+@one_gpu
 def test_other_recipes_say_where_they_run(kernels, gpu, tiny_scene, tmp_path):
     before = gpu.counters.dispatches
     settings = TrainSettings(recipe="watersplatting", iterations=3, width=32, max_gaussians=100, backend="wgpu")
