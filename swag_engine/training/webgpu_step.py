@@ -138,14 +138,15 @@ class WebGpuStep:
 
     def __call__(self, state: RunState, target: Target, config: StepConfig) -> StepResult:
         """Make one step; see `Step`."""
-        medium = state.effects.medium if config.with_water else None
+        water = state.effects.medium
+        medium = water if config.with_water else None
         native = (
             not self.kernels.failure
             and runs_natively(self.selection.objective(state.recipe), state.effects, target, medium, config.fraction)
             and strategy_of(state.recipe).regularisation(state.cloud, self.inputs.median_range) is None
             and not (state.recipe.undimmed_densification or state.recipe.uses_regions or state.optimizer.fixed)
         )
-        if not native or isinstance(medium, WaterNetwork):
+        if not native or isinstance(water, WaterNetwork) or isinstance(medium, WaterNetwork):
             state.synchronize()
             return self.otherwise(state, target, config)
         try:

@@ -20,7 +20,7 @@ from swag_engine.training.guard import Guard
 from swag_engine.training.native_step import NativeStep
 from swag_engine.training.step import AutogradStep
 from swag_engine.training.trainer import train
-from swag_engine.training.webgpu_step import WebGpuStep
+from swag_engine.training.webgpu_step import RESIDENT, WebGpuStep
 from tests.engine.step_scenes import (
     ALL,
     NO_BACKSCATTER,
@@ -397,7 +397,7 @@ def test_gaussians_cross_the_bus_only_where_something_reads_them(kernels, tiny_s
 
 
 @one_gpu
-def test_a_preview_reads_what_it_shows(make, kernels, gpu):
+def test_a_preview_reads_what_it_shows_and_a_checkpoint_all(make, kernels, gpu):
     trainer = make()
     state, (target, config) = trainer.state, inputs_of_step(trainer)
     steps_of(trainer, kernels)[0](state, target, config)
@@ -406,6 +406,10 @@ def test_a_preview_reads_what_it_shows(make, kernels, gpu):
     effects = 3 * 4 * (40 + len(state.effects.models["exposure"].raw))
     assert gpu.counters.downloaded - before == 4 * 14 * len(state.cloud) + effects and state.on_device
     assert not torch.equal(state.cloud.sh0, written)
+    before = gpu.counters.downloaded
+    state.synchronize()
+    numbers = sum(value[0].numel() for value in (getattr(state.cloud, name) for name in RESIDENT))
+    assert gpu.counters.downloaded - before == 4 * (3 * numbers + 2) * len(state.cloud) + effects
 
 
 @one_gpu
