@@ -307,8 +307,6 @@ class ResidentGaussians:
         """
         found: list[Outcome] = []
         while len(self._reads) > 1 or (wait and (self._reads or self._asked)):
-            if not self._reads:
-                self._begin_to_read()
             rows = self._next_rows()
             found += [self._outcome(step, row) for step, row in rows if not int(row[4]) & OVERFLOW]
             if again := [(step, row) for step, row in rows if int(row[4]) & OVERFLOW]:
@@ -326,7 +324,8 @@ class ResidentGaussians:
 
     def _make_again(self, steps: list[tuple[Queued, Tensor]]) -> None:
         step, row = max(steps, key=lambda pair: int(pair[1][5]) & 0xFFFFFFFF)
-        self._make_room(*(number & 0xFFFFFFFF for number in row[5:7].tolist()), step.view)
+        longest, pairs = (number & 0xFFFFFFFF for number in row[5:7].tolist())
+        self._make_room(longest, pairs, step.view)
         self.gpu.clear(self._shared("flags"))
         for step, _ in steps:
             self._attempt(step)
@@ -478,7 +477,7 @@ class ResidentGaussians:
         return lists
 
     def _make_room(self, most: int, pairs: int, view: View) -> None:
-        """Make lists longer for the pairs in the longest and in all, or more where a binding holds no longer ones."""
+        """Make lists longer, for the pairs of the longest and of all, or more where a binding holds no longer ones."""
         check_pairs(pairs)
         rows, room = TileGrid(view.width, view.height).down, max(self._room, int(SPARE_ROOM * most))
         if room <= self.longest_list:
@@ -573,7 +572,8 @@ class ResidentGaussians:
 
     def _conclude(self, view: View, row: int) -> None:
         squares = self._squares(view) if view.weights[1] else 0
-        call = view.effects | {
+        call = {
+            **view.effects,
             "pixel_rows": sum_groups(view.width * view.height), "gaussian_rows": self._gaussian_rows,
             "squares": squares, "bands": self._lists, "row": row, "mode": view.mode,
         }  # fmt: skip

@@ -156,8 +156,8 @@ class WebGpuStep:
         except WebGpuFailure as failure:
             self._fail(state, failure)
             return self.otherwise(state, target, config)
-        except MemoryError as shortage:
-            self._shortage = shortage
+        except MemoryError as error:
+            self._shortage = error
         if shortage := self._shortage:
             self._forget(state)
             raise shortage

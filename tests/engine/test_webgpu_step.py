@@ -279,22 +279,23 @@ def test_what_gpu_check_times_runs(kernels, monkeypatch):
 @one_gpu
 def test_outcomes_are_read_together_while_later_steps_run(make, kernels, gpu):
     trainer = make()
-    state, (target, config) = trainer.state, inputs_of_step(trainer)
+    state, config = trainer.state, inputs_of_step(trainer)[1]
+    target = trainer.targets.at(state, 0.0)[0]
     step, outcomes = steps_of(trainer, kernels)[0], outcomes_of(trainer.state)
     step(state, target, config)  # is waited for, to be compared with the CPU's
     step._resident._room *= 4
     before, known = replace(gpu.counters), []
-    for _ in range(24):
+    for _ in range(16):
         step(state, target, config)
         known.append(len(outcomes) - 1)
-    assert known == 15 * [0] + 8 * [8] + [16]
-    assert gpu.counters.waits - before.waits == 2 and gpu.counters.uploaded == before.uploaded
-    assert gpu.counters.downloaded - before.downloaded == 24 * 32
+    assert known == 15 * [0] + [8]
+    assert gpu.counters.waits - before.waits == 1 and gpu.counters.uploaded == before.uploaded
+    assert gpu.counters.downloaded - before.downloaded == 16 * 32
     state.synchronize(())
-    assert len(outcomes) == 25 == state.optimizer.steps
+    assert len(outcomes) == 17 == state.optimizer.steps
     # Beside the outcomes: 40 numbers of water, lamp, vignetting and background and one of each image, with two moments.
     numbers = 40 + len(state.effects.models["exposure"].raw)
-    assert gpu.counters.downloaded - before.downloaded == 24 * 32 + 3 * 4 * numbers
+    assert gpu.counters.downloaded - before.downloaded == 16 * 32 + 3 * 4 * numbers
 
 
 @one_gpu
@@ -304,19 +305,20 @@ def test_steps_after_one_whose_lists_are_too_short_are_made_again_in_order(make,
     config = replace(config, learning_rates={name: 0.1 * rate for name, rate in config.learning_rates.items()})
     targets = trainer.targets.at(trainer.state, 0.2)
     outcomes = [outcomes_of(state) for state in states]
-    steps, pairs = steps_of(trainer, kernels), []
-    for i in range(16):
-        if i == 8:  # room for some of the images only
-            short = steps[0]._resident._room = sorted(pairs)[4]
+    steps = steps_of(trainer, kernels)
+    pairs: list[int] = []
+    for i in range(8):
+        if i == 4:  # room for some of the images only
+            short = steps[0]._resident._room = sorted(pairs)[2]
         for step, state in zip(steps, states, strict=True):
-            step(state, targets[i % len(targets)], config)
-        if i < 8:
+            step(state, targets[i % 4], config)
+        if i < 4:
             found = kernels.gpu.read(steps[0]._resident._shared("found"), (1,), torch.int32)
             pairs.append(int(found))
     for state in states:
         state.synchronize()
     assert steps[0]._resident._room > short and min(pairs) < short < max(pairs)
-    assert outcomes[0] == pytest.approx(outcomes[1], abs=1e-5) and states[0].optimizer.steps == 16
+    assert outcomes[0] == pytest.approx(outcomes[1], abs=1e-5) and states[0].optimizer.steps == 8
 
 
 @one_gpu
