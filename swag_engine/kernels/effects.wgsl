@@ -12,6 +12,7 @@ const RAW_VIGNETTING = 34u;  // (3,) of the vignetting
 const RAW_BEHIND = 37u;      // (3,) raw color behind the Gaussians
 const EXPOSURES = 40u;       // (images, channels) log gains
 const MOST_LOG_TAU = 12.0;
+const OUTCOME = 8u;          // numbers of a step's outcome
 
 // Bits of `flags`, as in gaussians.wgsl.
 const LOSS = 32u;
@@ -21,7 +22,7 @@ struct Call {
     rates: vec4f, more_rates: vec4f,  // step sizes of Adam, in the order of `learned`; not updated where below 0
     root: f32, weight1: f32, weight2: f32, epsilon: f32,        // of Adam, as in adam.wgsl
     size: u32, image: u32, images: u32, channels: u32,          // of `learned`; the step's exposure, and how many there are
-    centred: u32, same_beta: u32, mode: u32, row: u32,             // exposures have a mean of 0; beta_B is beta_D; bits of
+    centred: u32, same_beta: u32, mode: u32, row: u32,          // exposures have a mean of 0; beta_B is beta_D; bits of
                                                                 // medium.wgsl; place of the outcome
     medium_range: f32, lamp_range: f32,                         // median ranges, scene units
     center_x: f32, center_y: f32, least: f32, most: f32,        // of the vignetting
@@ -43,7 +44,7 @@ var<workgroup> found: u32;
 
 fn sigmoid(x: f32) -> f32 { return 1.0 / (1.0 + exp(-x)); }
 
-// log(1 + exp(x)); the logarithm by the series of the inverse hyperbolic tangent, since log() is absolutely precise only.
+// log(1 + exp(x)); the logarithm by the series of the inverse hyperbolic tangent: near 1, log() has few correct digits.
 fn softplus(x: f32) -> f32 {
     let u = exp(-abs(x));
     let z = u / (2.0 + u);
@@ -165,7 +166,7 @@ fn conclude(@builtin(local_invocation_index) thread: u32) {
         found |= select(0u, LOSS, bad > 0.0 || !is_finite(similar)) | select(0u, OVERFLOW, overflow);
         flags[0] = found;
         flags[1] = found & OVERFLOW;
-        let at = 8u * call.row;
+        let at = OUTCOME * call.row;
         for (var i = 0u; i < 3u; i++) { outcomes[at + i] = bitcast<u32>(sums[i]); }
         outcomes[at + 3u] = bitcast<u32>(similar);
         outcomes[at + 4u] = found;
