@@ -490,8 +490,8 @@ def fetched_parameters(monkeypatch):
     """Return a list that gets the means each time that a step's Gaussians are read."""
     found, copy_back = [], WebGpuStep._copy_back
 
-    def noted(self, state, parameters_only):
-        copy_back(self, state, parameters_only)
+    def noted(self, state, names):
+        copy_back(self, state, names)
         found.append(state.cloud.means.detach().clone())
 
     monkeypatch.setattr(WebGpuStep, "_copy_back", noted)
