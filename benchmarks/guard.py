@@ -44,7 +44,7 @@ def main() -> None:
         loss.backward()
 
     def check() -> None:
-        guard.record_step(guarded, *step_problem(loss, optimizer.parameters()), "view", "phase")
+        guarded.record_step(*step_problem(loss, optimizer.parameters()), "view", "phase")
 
     def adam() -> None:
         gradients = {name: parameter.grad for name, parameter in optimizer.parameters().items()}

@@ -9,13 +9,12 @@ import torch
 from swag_engine.gaussians.cloud import LOG_SCALE_LIMITS
 from swag_engine.kernels.webgpu_device import WebGpu
 from swag_engine.kernels.webgpu_training import (
+    EXPOSURES,
     GAIN,
     LINEAR,
-    NUMBERS,
     OPEN,
     SIMILARITY,
     WATER,
-    Outcome,
     ResidentGaussians,
     View,
     adam_fields,
@@ -26,6 +25,9 @@ from swag_engine.training.optimizer import BETAS, EPS, MOMENTS
 
 LEARNING_RATE = 1e-9
 """Step size, so small that all steps find the same scene."""
+ADAM = adam_fields(LEARNING_RATE, *BETAS, EPS, 1)
+MEDIAN_RANGE = 4.0
+"""Scene units."""
 
 
 @dataclass
@@ -63,13 +65,14 @@ class WgpuScene:
         """
         count, (width, height) = len(parameters["means"]), size
         sizes = {name: math.prod(values.shape[1:]) for name, values in parameters.items()}
-        resident = ResidentGaussians(gpu, count, sizes)
+        resident = ResidentGaussians(gpu, count, sizes, EXPOSURES + 1)
         for name, values in parameters.items():
             resident.load(name, values)
             for moment in MOMENTS:
                 resident.load(f"{name}.{moment}", torch.zeros_like(values))
-        numbers = np.zeros(NUMBERS, np.float32)
-        numbers[:6], numbers[34], numbers[35:38], numbers[41:] = 0.1, 4, 1, (0.5, 0.5, 0.05, 2)
+        learned = torch.zeros(3, EXPOSURES + 1)
+        learned[0, :6] = -0.7  # beta of 0.1 at the median range below
+        resident.load_effects(learned)
         pixels = np.random.default_rng(0).integers(0, 255, (height, width, 4), dtype=np.uint8)
         pixels[..., 3] = 255
         view = View(
@@ -82,8 +85,20 @@ class WgpuScene:
             sh_degree=3,
             water_degree=2,
             mode=WATER | LINEAR | GAIN | OPEN | SIMILARITY,
-            numbers=numbers,
-            background=(0.0, 0.0, 0.0),
+            effects={
+                "size": EXPOSURES + 1,
+                "images": 1,
+                "channels": 1,
+                "medium_range": MEDIAN_RANGE,
+                "lamp_range": MEDIAN_RANGE,
+                "center_x": 0.5,
+                "center_y": 0.5,
+                "least": 0.05,
+                "most": 2.0,
+                "rates": (LEARNING_RATE,) * 4,
+                "more_rates": (LEARNING_RATE,) * 3,
+            }
+            | {name: value for name, value in ADAM.items() if name != "step_size"},
             dropout=0.0,
             seed=0,
             geometry=True,
@@ -95,7 +110,6 @@ class WgpuScene:
         )
         return cls(resident, view)
 
-    def step(self) -> Outcome:
-        """Make one step of all parameters."""
-        adam = adam_fields(LEARNING_RATE, *BETAS, EPS, 1)
-        return self.resident.step(self.view, dict.fromkeys(self.resident.sizes, adam))
+    def step(self) -> None:
+        """Ask for one step of all parameters."""
+        self.resident.step(None, self.view, dict.fromkeys(self.resident.sizes, ADAM))

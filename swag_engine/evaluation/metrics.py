@@ -115,7 +115,12 @@ def render_image(
     """
     color = render_color(cloud, camera, sh_degree, backend, effects, amount)
     developed = torch.from_numpy(development.apply(color.numpy())).to(color)
-    return (developed.clamp(0, 1) * 255).round() / 255
+    return in_8_bits(developed)
+
+
+def in_8_bits(color: Tensor) -> Tensor:
+    """Return display values as they would be stored, 0..1 in steps of 1/255."""
+    return (color.clamp(0, 1) * 255).round() / 255
 
 
 def mask_invalid(image: TrainingImage, color: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -1,4 +1,4 @@
-// Adam (arXiv 1412.6980), in place; the numbers of a call as in adam.cu.
+// Adam, in place; the numbers of a call as in adam.cu.
 struct Call { count: u32, step_size: f32, root: f32, weight1: f32, weight2: f32, epsilon: f32 }
 @group(0) @binding(0) var<uniform> call: Call;
 @group(0) @binding(1) var<storage, read_write> parameter: array<f32>;
@@ -12,10 +12,9 @@ fn adam_step(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) group
              @builtin(local_invocation_index) thread: u32) {
     let i = group_index(group, groups) * THREADS + thread;
     if (i >= call.count || skipped[0] != 0u) { return; }
-    let g = gradient[i];
-    let m = mean[i] + call.weight1 * (g - mean[i]);
-    let s = square[i] + call.weight2 * (g * g - square[i]);
-    mean[i] = m;
-    square[i] = s;
-    parameter[i] -= call.step_size * m / (sqrt(s) / call.root + call.epsilon);
+    let moved = adam_of(Moved(parameter[i], mean[i], square[i]), gradient[i],
+                        call.step_size, call.root, call.weight1, call.weight2, call.epsilon);
+    parameter[i] = moved.value;
+    mean[i] = moved.mean;
+    square[i] = moved.square;
 }

@@ -1,15 +1,11 @@
-// From the parameters of Gaussians to what the other kernels take, and back, as in gaussians.cpp; what densification
-// goes by; and the outcome of a step.
-const PIXEL_SUMS = 40u;     // as in photo.wgsl
-const GAUSSIAN_SUMS = 34u;  // as in water.wgsl
+// From the parameters of Gaussians to what the other kernels take, and back, as in gaussians.cpp; and what densification
+// goes by.
 
-// Bits of `flags`: whose gradient is not finite, or why else the parameters stay as they are.
+// Bits of `flags`: whose gradient is not finite; effects.wgsl has others.
 const MEANS = 1u;
 const QUATS = 2u;
 const LOG_SCALES = 4u;
 const OPACITY_LOGITS = 8u;
-const LOSS = 32u;       // the loss, or the gradient of an effect
-const OVERFLOW = 64u;   // there are more pairs than their lists hold
 
 struct Call {
     centre: vec4f,            // of the camera, scene units
@@ -20,7 +16,6 @@ struct Call {
     geometry: u32,            // whether means, quats and scales have gradients
     half_width: f32,          // of the image, pixels
     bit: u32,                 // of `flags`, in find_not_finite
-    pixel_rows: u32, gaussian_rows: u32, squares: u32, bands: u32,
 }
 @group(0) @binding(0) var<uniform> call: Call;
 @group(0) @binding(1) var<storage, read> means: array<f32>;
@@ -38,14 +33,7 @@ struct Call {
 @group(0) @binding(13) var<storage, read_write> flags: array<atomic<u32>>;
 @group(0) @binding(14) var<storage, read> radii: array<f32>;
 @group(0) @binding(15) var<storage, read_write> statistics: array<vec2f>;
-@group(0) @binding(16) var<storage, read> pixel_sums: array<f32>;
-@group(0) @binding(17) var<storage, read> gaussian_sums: array<f32>;
-@group(0) @binding(18) var<storage, read> similarity: array<vec2f>;
-@group(0) @binding(19) var<storage, read> pairs: array<vec2u>;  // of each band: how many there are, how many fit
-@group(0) @binding(20) var<storage, read_write> outcome: array<f32>;
-@group(0) @binding(21) var<storage, read> values: array<f32>;
-
-var<workgroup> partial: array<f32, 256>;
+@group(0) @binding(16) var<storage, read> values: array<f32>;
 
 // The factor of an opacity: 0 for Gaussians that are dropped (random numbers: PCG, Jarzynski and Olano 2020).
 fn factor_of(i: u32) -> f32 {
@@ -122,35 +110,4 @@ fn find_not_finite(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups)
                    @builtin(local_invocation_index) thread: u32) {
     let i = group_index(group, groups) * THREADS + thread;
     if (i < call.count) { note(call.bit, !is_finite(values[i])); }
-}
-
-// One group. outcome: the sums over pixels (40) and over Gaussians (34), that of SSIM, and the flags as a number.
-@compute @workgroup_size(256)
-fn conclude(@builtin(local_invocation_index) thread: u32) {
-    var sum = 0.0;
-    if (thread < PIXEL_SUMS) {
-        for (var row = 0u; row < call.pixel_rows; row++) { sum += pixel_sums[row * PIXEL_SUMS + thread]; }
-    } else if (thread < PIXEL_SUMS + GAUSSIAN_SUMS) {
-        let column = thread - PIXEL_SUMS;
-        for (var row = 0u; row < call.gaussian_rows; row++) { sum += gaussian_sums[row * GAUSSIAN_SUMS + column]; }
-    }
-    if (thread < PIXEL_SUMS + GAUSSIAN_SUMS) {
-        outcome[thread] = sum;
-        note(LOSS, !is_finite(sum));
-    }
-    var similar = 0.0;
-    for (var i = thread; i < call.squares; i += THREADS) { similar += similarity[i].y; }
-    partial[thread] = similar;
-    for (var step = THREADS / 2u; step > 0u; step /= 2u) {
-        workgroupBarrier();
-        if (thread < step) { partial[thread] += partial[thread + step]; }
-    }
-    if (thread < call.bands) { note(OVERFLOW, pairs[thread].x > pairs[thread].y); }
-    workgroupBarrier();
-    storageBarrier();
-    if (thread == 0u) {
-        outcome[PIXEL_SUMS + GAUSSIAN_SUMS] = partial[0];
-        note(LOSS, !is_finite(partial[0]));
-        outcome[PIXEL_SUMS + GAUSSIAN_SUMS + 1u] = f32(atomicLoad(&flags[0]));
-    }
 }

@@ -8,6 +8,7 @@ const GAINS = 35u;       // (3,) of the exposure
 const VIGNETTING = 38u;  // (3,) coefficients
 const CENTRE = 41u;      // (2,) principal point, fractions of width and height
 const BOUNDS = 43u;      // (2,) least and most of the vignetting's gain
+const COLOR_BEHIND = 45u;  // (3,) display color behind the Gaussians where there is no open water
 const COEFFICIENTS = 33u;
 
 // Bits of `mode`.

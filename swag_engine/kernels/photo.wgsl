@@ -30,7 +30,7 @@ struct Seen {
     wanted: vec3f, color: vec3f,     // color: before any gain
     light: vec3f, slope: vec3f,      // after the gain; of the photo by the color
     photo: vec3f,
-    water: vec3f, B: vec3f,          // open water as display values, and its light
+    behind: vec3f, B: vec3f,         // what is behind the Gaussians as display values; the light of open water
     squared: f32, polynomial: f32, factor: f32,
 }
 
@@ -52,11 +52,13 @@ fn pixel_seen(at: u32, basis: ptr<function, array<f32, 16>>) -> Seen {
         *basis = basis_at(direction_of(x, y));
         for (var c = 0u; c < 3u; c++) {
             s.B[c] = background_light(basis, (call.degree + 1u) * (call.degree + 1u), c);
-            s.water[c] = s.B[c];
-            if ((call.mode & LINEAR) != 0u) { s.water[c] = to_display(s.B[c]).x; }
+            s.behind[c] = s.B[c];
+            if ((call.mode & LINEAR) != 0u) { s.behind[c] = to_display(s.B[c]).x; }
         }
-        s.color += s.T * s.water;
+    } else {
+        s.behind = vec3f(numbers[COLOR_BEHIND], numbers[COLOR_BEHIND + 1u], numbers[COLOR_BEHIND + 2u]);
     }
+    s.color += s.T * s.behind;
     s.photo = s.color;
     s.slope = vec3f(1.0);
     if ((call.mode & GAIN) != 0u) {
@@ -126,9 +128,8 @@ fn photo_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) 
         }
         for (var c = 0u; c < 3u; c++) { total[9u + c] += by[c] * s.T; }
         by_blended[at] = vec4f(by, 0.0);
-        var through_alpha = 0.0;
+        var through_alpha = -dot(by, s.behind);
         if ((call.mode & OPEN) != 0u) {
-            through_alpha = -dot(by, s.water);
             for (var c = 0u; c < 3u; c++) {
                 var slope = 1.0;
                 if ((call.mode & LINEAR) != 0u) { slope = to_display(s.B[c]).y; }
@@ -136,7 +137,7 @@ fn photo_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) 
                 for (var k = 0u; k < used; k++) { total[12u + 3u * k + c] += by_raw * basis[k]; }
             }
             if (s.valid && call.open > 0.0) {
-                let apart = abs(s.wanted - s.water);
+                let apart = abs(s.wanted - s.behind);
                 let surface = clamp((max(max(apart.x, apart.y), apart.z) - call.least) / (call.most - call.least), 0.0, 1.0);
                 through_alpha -= call.open * surface;
                 total[2] += surface * s.T;

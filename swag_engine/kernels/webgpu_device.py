@@ -8,7 +8,7 @@ import re
 import struct
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
@@ -25,8 +25,9 @@ from .constants import wgsl
 FOLDER = Path(__file__).parent
 """Folder of the sources."""
 STAGES = {
-    **dict.fromkeys(("activate", "activate_backward", "count_views", "find_not_finite", "conclude"), "gaussians"),
-    "adam_step": "adam",
+    **dict.fromkeys(("activate", "activate_backward", "count_views", "find_not_finite"), "gaussians"),
+    **dict.fromkeys(("set_numbers", "conclude"), "medium adam_rule effects"),
+    "adam_step": "adam_rule adam",
     "blend_backward": "splat blend",
     "blend_forward": "splat blend",
     "turn_moments": "splat blend",
@@ -115,13 +116,17 @@ class Counters:
 
     Attributes:
         dispatches: Number of dispatches.
-        uploaded: Bytes written to the device by the host, without those of the calls themselves.
+        called: Bytes of the arguments of dispatches, `CALL_BYTES` each.
+        uploaded: Bytes written to the device by the host, without those of the calls.
         downloaded: Bytes read back.
+        waits: How often the host waited for the device.
     """
 
     dispatches: int = 0
+    called: int = 0
     uploaded: int = 0
     downloaded: int = 0
+    waits: int = 0
 
 
 @dataclass
@@ -199,9 +204,41 @@ class WebGpu:
         if not size:
             return torch.zeros(shape, dtype=dtype)
         self.counters.downloaded += size
+        self.counters.waits += 1
         with self._errors_named():
             data = bytearray(self.device.queue.read_buffer(buffer, 0, size))
         return torch.frombuffer(data, dtype=dtype).view(shape)
+
+    def read_later(self, buffer: Any) -> Callable[[], Tensor]:
+        """Run what is pending and begin to read a buffer, without waiting.
+
+        Args:
+            buffer: The buffer; what is run after this call does not change what is read.
+
+        Returns:
+            A function to be called once, which waits for its numbers where they are not there yet and returns them as
+            int32.
+        """
+        import wgpu
+
+        with self._errors_named():
+            usage = wgpu.BufferUsage.COPY_DST | wgpu.BufferUsage.MAP_READ
+            copied = self.device.create_buffer(size=buffer.size, usage=usage)
+        self.copy(buffer, copied)
+        self.flush()
+        self.counters.downloaded += buffer.size
+        with self._errors_named():
+            mapped = copied.map_async(wgpu.MapMode.READ)
+
+        def wait() -> Tensor:
+            self.counters.waits += 1
+            with self._errors_named():
+                mapped.sync_wait()
+                data = bytearray(copied.read_mapped())
+                copied.destroy()
+            return torch.frombuffer(data, dtype=torch.int32)
+
+        return wait
 
     def write(self, buffer: Any, values: Any) -> None:
         """Overwrite the first numbers of a buffer, after what is pending.
@@ -246,6 +283,7 @@ class WebGpu:
             packed = source.pack(call)
             self._calls += packed + bytes(CALL_BYTES - len(packed))
             self.counters.dispatches += 1
+            self.counters.called += CALL_BYTES
 
     def _bound(self, source: "Source", layout: Any, buffers: Mapping[str, Any]) -> Any:
         import wgpu
@@ -265,9 +303,9 @@ class WebGpu:
             ],
         )
 
-    def clear(self, buffer: Any) -> None:
-        """Set all numbers of a buffer to 0, behind what is pending."""
-        self._pending.append(lambda encoder: encoder.clear_buffer(buffer))
+    def clear(self, buffer: Any, size: int | None = None) -> None:
+        """Set all numbers of a buffer, or its first `size` bytes, to 0, behind what is pending."""
+        self._pending.append(lambda encoder: encoder.clear_buffer(buffer, 0, size))
 
     def copy(self, source: Any, to: Any) -> None:
         """Copy a buffer to another one of its size, behind what is pending."""

@@ -1,16 +1,16 @@
 """Gaussians that stay on a GPU, and one optimisation step on them through WebGPU.
 
-A step is one command buffer. What is read back is a few dozen numbers: the sums that the loss and the gradients of
-water, lamp, gains and background are made of. Arrays with a row per Gaussian are in parts that a binding holds.
+A step is one command buffer. Water, lamp, gains and background are on the GPU too. What is read back is the outcome of
+each step, a few numbers, for several steps together and while later ones run. Arrays with a row per Gaussian are in
+parts that a binding holds.
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -33,14 +33,21 @@ from .webgpu_tiles import (
 
 WATER, LINEAR, LAMP, GAIN, OPEN, SIMILARITY = (1 << bit for bit in range(6))
 """Bits of `mode`, as in medium.wgsl."""
-NUMBERS = 45
-"""Numbers of water, lamp and gains, in the order of medium.wgsl."""
+NUMBERS = 48
+"""Numbers of water, lamp, gains and background, in the order of medium.wgsl."""
+EXPOSURES = 40
+"""Learned numbers of water, lamp, vignetting and background, in the order of effects.wgsl; exposures follow."""
+OUTCOME = 8
+"""Numbers of a step's outcome, as in effects.wgsl."""
+STEPS_READ = 8
+"""Steps whose outcomes are read together. The host is at most twice as many ahead of the device, so that a run that is
+stopped or paused does not have many to wait for."""
 PIXEL_SUMS, GAUSSIAN_SUMS = 40, 34
 """Sums over pixels and over Gaussians, as in photo.wgsl and water.wgsl."""
 GRADIENTS = ("means", "quats", "log_scales", "opacity_logits", "sh0")
 """Parameters by the bits of the flags of gaussians.wgsl."""
 LOSS, OVERFLOW = 32, 64
-"""Flags of gaussians.wgsl: the loss is not finite; there are more pairs than their lists hold."""
+"""Flags of effects.wgsl: the loss or a sum is not finite; there are more pairs than their lists hold."""
 SUM_GROUPS = 256
 """Most groups of threads that sums over pixels, or over the Gaussians of a part, are made by."""
 ALIGNED = 64
@@ -78,8 +85,7 @@ class View:
         sh_degree: Degree of the Gaussians' colors, 0..3.
         water_degree: Degree of the background light, 0..2.
         mode: What is modelled, as bits.
-        numbers: (NUMBERS,) of water, lamp and gains.
-        background: (3,) color behind the Gaussians.
+        effects: Fields of `Call` in effects.wgsl that say how water, lamp, gains and background act and are learned.
         dropout: Fraction of the Gaussians that is dropped.
         seed: Random numbers of the iteration, 32 bits.
         geometry: Whether means, quats and log_scales have gradients.
@@ -99,8 +105,7 @@ class View:
     sh_degree: int
     water_degree: int
     mode: int
-    numbers: np.ndarray
-    background: tuple[float, float, float]
+    effects: Mapping[str, Any]
     dropout: float
     seed: int
     geometry: bool
@@ -116,20 +121,23 @@ class Outcome:
     """Outcome of one step.
 
     Attributes:
+        label: What the caller called the step.
         loss: The loss.
         problem: What was not finite, as a clause; then nothing has changed. Empty where the step was made.
-        by_coefficients: (33,) gradient by the coefficients of the water.
-        by_tau: Gradient by the lamp's tau.
-        by_gain: (6,) gradients by the log gains of the channels and by the coefficients of the vignetting.
-        by_background: (3,) gradient by the background color.
     """
 
+    label: Any
     loss: float
     problem: str
-    by_coefficients: Tensor
-    by_tau: Tensor
-    by_gain: Tensor
-    by_background: Tensor
+
+
+@dataclass(frozen=True)
+class Queued:
+    """A step that was asked for and whose outcome is not known; arguments as of `ResidentGaussians.step`."""
+
+    label: Any
+    view: View
+    adam: Mapping[str, Mapping[str, float]]
 
 
 @dataclass
@@ -164,20 +172,33 @@ class ResidentGaussians:
         gpu: The device.
         count: N.
         sizes: Numbers of a Gaussian by parameter name.
-        longest_list: Most pairs of a Gaussian and a tile in one list.
+        learned: Learned numbers of water, lamp, gains and background.
+        pairs_guessed: Pairs of a Gaussian and a tile that there is room for at first, for each Gaussian.
+        longest_list: Most pairs in one list.
     """
 
     gpu: WebGpu
     count: int
     sizes: dict[str, int]
+    learned: int
+    pairs_guessed: float = PAIRS_GUESSED
     _arrays: dict[str, list[Any]] = field(default_factory=dict)
     _room: int = 0
     _lists: int = 1
+    _asked: list[Queued] = field(default_factory=list)
+    _reads: list[tuple[list[Queued], Callable[[], Tensor]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.space = Workspace(self.gpu, keeps=True)
+        self._effects = self.gpu.empty(3 * self.learned)
+        self._good_effects = self.gpu.empty(3 * self.learned)
         self.longest_list = self.gpu.largest_binding // 4
-        self._room = max(BLOCK, PAIRS_GUESSED * self.count)
+        self._room = min(max(BLOCK, int(self.pairs_guessed * self.count)), self.longest_list)
+
+    @property
+    def pairs_a_gaussian(self) -> float:
+        """Pairs of a Gaussian and a tile that there is room for now, for each Gaussian."""
+        return self._lists * self._room / self.count
 
     @cached_property
     def chunks(self) -> list[Chunk]:
@@ -219,8 +240,17 @@ class ResidentGaussians:
             self.gpu.clear(buffer)
         return values
 
+    def load_effects(self, values: Tensor) -> None:
+        """Send (3, learned) learned numbers of the effects and their moments, in the order of effects.wgsl."""
+        self.gpu.write(self._effects, values.numpy())
+
+    def fetch_effects(self, good: bool = False) -> Tensor:
+        """Read what `load_effects` sent and steps have changed, or as `keep` kept it."""
+        return self.gpu.read(self._good_effects if good else self._effects, (3, self.learned))
+
     def keep(self, names: Iterable[str]) -> None:
-        """Copy arrays on the device, to `good.NAME`."""
+        """Copy arrays on the device, to `good.NAME`, and the learned numbers of the effects."""
+        self.gpu.copy(self._effects, self._good_effects)
         for name in names:
             copies = self._array(f"good.{name}", self.sizes[name])
             for source, to in zip(self._arrays[name], copies, strict=True):
@@ -230,60 +260,128 @@ class ResidentGaussians:
         """Find an array with numbers that are not finite.
 
         Args:
-            arrays: Numbers per Gaussian by the names of the arrays, at most 32.
+            arrays: Numbers per Gaussian by the names of the arrays, at most 31.
 
         Returns:
-            Its name, empty where there is none.
+            Its name, or that of the effects' parameters; empty where there is none.
         """
         flags = self.space.empty("not_finite", 1)
         self.gpu.clear(flags)
+        call = {"count": 3 * self.learned, "bit": 1 << len(arrays)}
+        self.space.run("find_not_finite", -(-call["count"] // THREADS), call, values=self._effects, flags=flags)
         for chunk in self.chunks:
             for place, (name, size) in enumerate(arrays.items()):
                 call, values = {"count": size * chunk.count, "bit": 1 << place}, self._array(name, size)[chunk.number]
                 self.space.run("find_not_finite", -(-size * chunk.count // THREADS), call, values=values, flags=flags)
         found = int(self.gpu.read(flags, (1,), torch.int32))
-        return next((name for place, name in enumerate(arrays) if found >> place & 1), "")
+        named = (*arrays, "a parameter of the effects")
+        return next((name for place, name in enumerate(named) if found >> place & 1), "")
 
-    def step(self, view: View, adam: Mapping[str, Mapping[str, float]]) -> Outcome:
-        """Make one step of all parameters that `adam` has.
+    def step(self, label: Any, view: View, adam: Mapping[str, Mapping[str, float]]) -> None:
+        """Ask for one step of all parameters that `adam` has; `outcomes` tells what came of it.
 
         Args:
+            label: What the outcome is called.
             view: What is compared, and how.
             adam: The fields of `Call` in adam.wgsl by parameter name.
 
-        Returns:
-            The outcome.
+        Raises:
+            MemoryError: The device has too little memory, or reads too little at once.
+            WebGpuFailure: The device failed.
+        """
+        self._attempt(Queued(label, view, adam))
+
+    def outcomes(self, wait: bool) -> list[Outcome]:
+        """Return the outcomes that are known by now and have not been returned.
+
+        Where the lists of pairs were too short for a step, it and those after it have changed nothing; they are made
+        again with longer ones.
+
+        Args:
+            wait: Whether to wait for all steps.
 
         Raises:
             TooManyPairs: The Gaussians meet too many tiles.
             MemoryError: The device has too little memory, or reads too little at once.
             WebGpuFailure: The device failed.
         """
-        while True:
-            sums, flags = self._attempt(view, adam)
-            if not flags & OVERFLOW:
-                return self._outcome(view, sums, flags)
-            self._make_room(view)
+        found: list[Outcome] = []
+        while len(self._reads) > 1 or (wait and (self._reads or self._asked)):
+            rows = self._next_rows()
+            found += [self._outcome(step, row) for step, row in rows if not int(row[4]) & OVERFLOW]
+            if again := [(step, row) for step, row in rows if int(row[4]) & OVERFLOW]:
+                while self._reads or self._asked:
+                    again += self._next_rows()
+                self._make_again(again)
+        return found
 
-    def _attempt(self, view: View, adam: Mapping[str, Mapping[str, float]]) -> tuple[Tensor, int]:
-        n, grid = self.count, TileGrid(view.width, view.height)
-        self.gpu.write(self._numbers, view.numbers)
-        for name in ("flags", "gradients", "ranges"):
+    def _next_rows(self) -> list[tuple[Queued, Tensor]]:
+        """Wait for the outcomes of the first steps of which none is known; return steps and outcomes."""
+        if not self._reads:
+            self._begin_to_read()
+        steps, read = self._reads.pop(0)
+        return list(zip(steps, read().view(-1, OUTCOME)[: len(steps)], strict=True))
+
+    def _make_again(self, steps: list[tuple[Queued, Tensor]]) -> None:
+        step, row = max(steps, key=lambda pair: int(pair[1][5]) & 0xFFFFFFFF)
+        longest, pairs = (number & 0xFFFFFFFF for number in row[5:7].tolist())
+        self._make_room(longest, pairs, step.view)
+        self.gpu.clear(self._shared("flags"))
+        for step, _ in steps:
+            self._attempt(step)
+
+    def _begin_to_read(self) -> None:
+        asked, self._asked = self._asked, []
+        self._reads.append((asked, self.gpu.read_later(self._shared("outcomes"))))
+
+    def _attempt(self, step: Queued) -> None:
+        view, grid = step.view, TileGrid(step.view.width, step.view.height)
+        self.gpu.clear(self._shared("flags"), 4)
+        for name in ("gradients", "ranges"):
             self.gpu.clear(self._shared(name, grid))
-        for chunk in self.chunks:
-            self._project(chunk, view)
-        order = depth_order(self.space, self._shared("splats"), self._shared("keys"), self._shared("ids"), n)
-        lists = self._list(grid, order)
-        self._blend("blend_forward", view, grid, lists)
+        lists = self._show(view, grid)
         self._compare(view)
         self._blend("blend_backward", view, grid, lists)
         for chunk in self.chunks:
             self._backward(chunk, view)
-        self._conclude(view)
+        self._conclude(view, len(self._asked))
         for chunk in self.chunks:
-            self._update(chunk, view, adam)
-        found = self.gpu.read(self._shared("outcome"), (PIXEL_SUMS + GAUSSIAN_SUMS + 2,))
-        return found[:-1].double(), int(found[-1])
+            self._update(chunk, view, step.adam)
+        self.gpu.flush()
+        self._asked.append(step)
+        if len(self._asked) == STEPS_READ:
+            self._begin_to_read()
+
+    def _show(self, view: View, grid: TileGrid) -> list[tuple[TileRows, Any]]:
+        """Blend the Gaussians; return the lists of the tiles."""
+        self.space.run("set_numbers", 1, view.effects, learned=self._effects, numbers_out=self._numbers)
+        for chunk in self.chunks:
+            self._project(chunk, view)
+        splats, keys, ids = (self._shared(name) for name in ("splats", "keys", "ids"))
+        lists = self._list(grid, depth_order(self.space, splats, keys, ids, self.count))
+        self._blend("blend_forward", view, grid, lists)
+        return lists
+
+    def render(self, view: View) -> tuple[Tensor, Tensor]:
+        """Render a view; errors as of `outcomes`.
+
+        Args:
+            view: The view; what it compares with does not count.
+
+        Returns:
+            (height, width, 3) display values of the Gaussians over black, and (height, width) transmittance.
+        """
+        grid, size = TileGrid(view.width, view.height), (view.height, view.width)
+        while True:
+            self.gpu.clear(self._shared("ranges", grid))
+            self._show(view, grid)
+            found = self.gpu.read(self._shared("found"), (self._lists, 2), torch.int32).long() & 0xFFFFFFFF
+            if bool((found[:, 0] <= found[:, 1]).all()):
+                break
+            self._make_room(int(found[:, 0].max()), int(found[:, 0].sum()), view)
+        blended = self.gpu.read(self._image("blended", view, GROUP), (*size, GROUP))
+        endings = self.gpu.read(self._image("endings", view, 2), (*size, 2))
+        return blended[..., :3], endings[..., 0]
 
     # -- arrays -------------------------------------------------------------------------------------------------------
 
@@ -302,8 +400,8 @@ class ResidentGaussians:
         tiles = grid.tiles if grid else 0
         sizes = {
             "splats": SPLAT_NUMBERS * self.count, "keys": self.count, "ids": self.count, "channels": GROUP * self.count,
-            "gradients": (MOMENTS + GROUP) * self.count, "ranges": 2 * tiles, "flags": 1, "found": 2 * self._lists,
-            "outcome": PIXEL_SUMS + GAUSSIAN_SUMS + 2, "gaussian_sums": GAUSSIAN_SUMS * self._gaussian_rows,
+            "gradients": (MOMENTS + GROUP) * self.count, "ranges": 2 * tiles, "flags": 2, "found": 2 * self._lists,
+            "outcomes": OUTCOME * STEPS_READ, "gaussian_sums": GAUSSIAN_SUMS * self._gaussian_rows,
         }  # fmt: skip
         return self.space.empty(name, sizes[name])
 
@@ -378,12 +476,10 @@ class ResidentGaussians:
             lists.append((rows, ids))
         return lists
 
-    def _make_room(self, view: View) -> None:
-        """Make the lists of pairs longer, or more where a binding holds no longer ones."""
-        found = self.gpu.read(self._shared("found"), (self._lists, 2), torch.int32)[:, 0]
-        check_pairs(int(found.long().sum()))
-        most, rows = int(found.max()), TileGrid(view.width, view.height).down
-        room = int(SPARE_ROOM * most)
+    def _make_room(self, most: int, pairs: int, view: View) -> None:
+        """Make lists longer, for the pairs of the longest and of all, or more where a binding holds no longer ones."""
+        check_pairs(pairs)
+        rows, room = TileGrid(view.width, view.height).down, max(self._room, int(SPARE_ROOM * most))
         if room <= self.longest_list:
             self._room = room
         elif self._lists < rows:
@@ -405,10 +501,7 @@ class ResidentGaussians:
                 "endings": endings, "by_image": self._image("by_blended", view, GROUP),
                 "by_alpha": self._image("by_alpha", view, 1), "gradients": self._shared("gradients"),
             }  # fmt: skip
-        call = {
-            "background": view.background, "width": view.width, "height": view.height, "row": MOMENTS + GROUP,
-            "count": self.count,
-        }  # fmt: skip
+        call = {"width": view.width, "height": view.height, "row": MOMENTS + GROUP, "count": self.count}
         for rows, ids in lists:
             tiles = {"first_tile": rows.first * grid.across, "end_tile": rows.end * grid.across}
             self.space.run(kernel, (rows.end - rows.first) * grid.across, call | tiles, **shared, ids=ids)
@@ -477,15 +570,17 @@ class ResidentGaussians:
         made = of(chunk, **own, **by, **outputs)
         run("activate_backward", groups, self._activation(chunk, view), **geometry, **made, flags=flags)
 
-    def _conclude(self, view: View) -> None:
+    def _conclude(self, view: View, row: int) -> None:
         squares = self._squares(view) if view.weights[1] else 0
         call = {
+            **view.effects,
             "pixel_rows": sum_groups(view.width * view.height), "gaussian_rows": self._gaussian_rows,
-            "squares": squares, "bands": self._lists,
+            "squares": squares, "bands": self._lists, "row": row, "mode": view.mode,
         }  # fmt: skip
         sums = {"similarity": self.space.empty("similarity", 2 * self._squares(view)), "pairs": self._shared("found")}
-        shared = {name: self._shared(name) for name in ("gaussian_sums", "flags", "outcome")}
-        self.space.run("conclude", 1, call, **sums, pixel_sums=self._pixel_sums(view), **shared)
+        shared = {name: self._shared(name) for name in ("gaussian_sums", "flags", "outcomes")}
+        shared |= sums | {"learned": self._effects, "pixel_sums": self._pixel_sums(view)}
+        self.space.run("conclude", 1, call, **shared)
 
     def _update(self, chunk: Chunk, view: View, adam: Mapping[str, Mapping[str, float]]) -> None:
         flags = self._shared("flags")
@@ -504,24 +599,14 @@ class ResidentGaussians:
             call = {**fields, "count": numbers}
             self.space.run("adam_step", -(-numbers // THREADS), call, **buffers, skipped=flags)
 
-    def _outcome(self, view: View, sums: Tensor, flags: int) -> Outcome:
-        l1, ssim, l2, coverage = view.weights
-        pixels = view.width * view.height
-        over_pixels, over_gaussians, similar = sums[:PIXEL_SUMS], sums[PIXEL_SUMS:-1], float(sums[-1])
-        absolute, square, uncovered = over_pixels[:3].tolist()
+    @staticmethod
+    def _outcome(step: Queued, row: Tensor) -> Outcome:
+        l1, ssim, l2, coverage = step.view.weights
+        pixels, flags = step.view.width * step.view.height, int(row[4])
+        absolute, square, uncovered, similar = row[:4].view(torch.float32).tolist()
         loss = (l1 * absolute + l2 * square) / (3 * pixels) + coverage * uncovered / pixels
         if ssim:
             loss += ssim * (1 - similar / (3 * pixels))
-        by_coefficients = over_gaussians[:33].clone()
-        if view.mode & OPEN:
-            by_coefficients[6:] += over_pixels[12:39]
         bad = [f"the gradient of {name}" for bit, name in enumerate(GRADIENTS) if flags & 1 << bit]
         bad += ["the loss"] if flags & LOSS else []
-        return Outcome(
-            loss,
-            f"{bad[0]} is not finite" if bad else "",
-            by_coefficients.float(),
-            over_gaussians[33].float(),
-            over_pixels[3:9].float(),
-            over_pixels[9:12].float(),
-        )
+        return Outcome(step.label, loss, f"{bad[0]} is not finite" if bad else "")

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.densify import PER_GAUSSIAN
+from ..scene.cameras import Camera
 from .optimizer import Optimizer
 
 CHECKS = 50
@@ -97,51 +98,16 @@ class GuardedState:
         """Take the optimiser's parameters as the last good ones."""
         self.last_good = copies(optimizer)
 
-
-class OnDevice(Protocol):
-    """Gaussians that steps have left on a device.
-
-    Attributes:
-        names: Parameters of the cloud that are there, with their moments.
-    """
-
-    names: Collection[str]
-
-    def fetch(self, parameters_only: bool = False) -> None:
-        """Bring the state's tensors up to date, those of the last good parameters too.
-
-        Args:
-            parameters_only: Leave moments, statistics and the last good parameters as they are.
-        """
-
-    def not_finite(self) -> str:
-        """Name a parameter or moment with values that are not finite, as a clause; empty where none is."""
-
-    def keep(self) -> None:
-        """Take the parameters as the last good ones."""
-
-
-class Guard:
-    """Decides which steps are accepted and when parameters are rolled back.
-
-    Args:
-        iterations: Planned iterations of the run.
-    """
-
-    def __init__(self, iterations: int) -> None:
-        self.interval = min(max(iterations // CHECKS, LEAST_INTERVAL), MOST_INTERVAL)
-
-    def record_step(self, guarded: GuardedState, loss: float, problem: str, image: str, phase: str) -> None:
+    def record_step(self, loss: float, problem: str, image: str, phase: str) -> None:
         """Record the outcome of one step.
 
         Args:
-            guarded: The guard's part of the run's state.
             loss: Loss of the step.
             problem: What was not finite, empty where the step was accepted.
             image: Name of the training image.
             phase: What the loss is made of; only losses of one phase are compared, and those of phase "" not at all.
         """
-        record = guarded.record
+        record = self.record
         if problem:
             record.finding = f"{problem} at the image {image}"
             record.skipped += 1
@@ -157,6 +123,51 @@ class Guard:
         record.losses += loss
         record.count += 1
 
+
+class OnDevice(Protocol):
+    """Parameters that steps have left on a device, and steps whose outcome the guard has not recorded.
+
+    Attributes:
+        names: Parameters that are there, with their moments.
+    """
+
+    names: Collection[str]
+
+    def fetch(self, names: Collection[str] | None = None) -> None:
+        """Wait for all steps and bring the state's tensors up to date, those of the last good parameters too.
+
+        Args:
+            names: Bring only these parameters of the Gaussians, and those of the effects.
+        """
+
+    def not_finite(self) -> str:
+        """Wait for all steps; name a parameter or moment that is not finite, as a clause, empty where none is."""
+
+    def keep(self) -> None:
+        """Take the parameters as the last good ones."""
+
+    def render(self, camera: Camera, sh_degree: int) -> Tensor | None:
+        """Render a view without image effects, while the state's effects are up to date.
+
+        Args:
+            camera: The camera.
+            sh_degree: Degree of the spherical harmonics.
+
+        Returns:
+            (H, W, 3) display values on the CPU; None where the device failed.
+        """
+
+
+class Guard:
+    """Decides which steps are accepted and when parameters are rolled back.
+
+    Args:
+        iterations: Planned iterations of the run.
+    """
+
+    def __init__(self, iterations: int) -> None:
+        self.interval = min(max(iterations // CHECKS, LEAST_INTERVAL), MOST_INTERVAL)
+
     def roll_back_if_bad(
         self, guarded: GuardedState, optimizer: Optimizer, iteration: int, on_device: OnDevice | None = None
     ) -> bool:
@@ -166,7 +177,7 @@ class Guard:
             guarded: The guard's part of the run's state.
             optimizer: Holds the parameters and moments to check.
             iteration: Iterations done.
-            on_device: The Gaussians, where they are on a device.
+            on_device: The parameters, where they are on a device.
 
         Returns:
             Whether the parameters were rolled back.
@@ -175,11 +186,11 @@ class Guard:
         stuck = record.in_a_row >= MOST_SKIPPED
         if not stuck and iteration % self.interval:
             return False
+        elsewhere = on_device.not_finite() if on_device else ""
         mean = record.losses / max(record.count, 1)
-        tensors, elsewhere = optimizer.parameters() | optimizer.state_tensors(), ""
+        tensors = optimizer.parameters() | optimizer.state_tensors()
         if on_device:
             tensors = without(tensors, on_device.names)
-            elsewhere = on_device.not_finite()
         finding = elsewhere or not_finite(tensors)
         if not finding and mean > DIVERGED_FACTOR * record.best + DIVERGED_OFFSET:
             finding = f"the loss rose from {record.best:.3g} to {mean:.3g}"
@@ -256,8 +267,8 @@ def copies(optimizer: Optimizer) -> dict[str, Tensor]:
 
 
 def without(tensors: Mapping[str, Tensor], names: Collection[str]) -> dict[str, Tensor]:
-    """Return the tensors that belong to none of some parameters of the cloud, by name."""
-    return {name: tensor for name, tensor in tensors.items() if not set(name.split(".")).intersection(names)}
+    """Return the tensors that belong to none of some parameters, by name."""
+    return {name: tensor for name, tensor in tensors.items() if not any(f".{own}." in f".{name}." for own in names)}
 
 
 def not_finite(tensors: Mapping[str, Tensor]) -> str:

@@ -14,7 +14,7 @@ from ..gaussians.cloud import GaussianCloud
 from ..scene.images import TrainingImage
 
 SEARCHED_AT = (0.3, 0.6)
-"""Fractions of the run at which moving objects are searched for."""
+"""Fractions of the run after which the next densification searches for moving objects."""
 STORED = "moved."
 """Prefix of the masks in a checkpoint."""
 

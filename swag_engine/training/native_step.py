@@ -75,7 +75,7 @@ class NativeStep:
                 if guided.requires_grad:
                     guided.backward()  # by the features alone
                 loss = loss + guided.detach()
-        return update_parameters(state, loss, by_means2d, image.radii, medium, image.offsets, config)
+        return update_parameters(state, loss, by_means2d, image.radii, medium, image.offsets, target, config)
 
 
 def runs_natively(

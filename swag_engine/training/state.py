@@ -1,6 +1,6 @@
 """State of one training run: all that is learned and all that decides how the run continues."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -46,7 +46,7 @@ class RunState:
         psnr: Last validation PSNR, dB.
         ssim: Last validation SSIM.
         dropout: Fraction of the Gaussians that each iteration drops.
-        on_device: Gaussians, moments and statistics that steps have left on a device; None where they are up to date.
+        on_device: Parameters, moments and statistics that steps have left on a device; None where they are up to date.
     """
 
     optimizer: Optimizer
@@ -68,14 +68,14 @@ class RunState:
     dropout: float = 0.0
     on_device: OnDevice | None = None
 
-    def synchronize(self, parameters_only: bool = False) -> None:
-        """Bring Gaussians, moments and statistics up to date, in place; to be called before they are read.
+    def synchronize(self, names: Collection[str] | None = None) -> None:
+        """Bring parameters, moments and statistics up to date, in place; to be called before they are read.
 
         Args:
-            parameters_only: Only the parameters will be read.
+            names: Parameters of the Gaussians that will be read, beside those of the effects; None for all there is.
         """
         if self.on_device:
-            self.on_device.fetch(parameters_only)
+            self.on_device.fetch(names)
 
     @classmethod
     def initial(

@@ -35,6 +35,7 @@ class StepConfig:
         with_water: Whether the water is modelled already.
         stage_two: Whether geometry and water are frozen.
         learning_rates: Adam's step size by parameter name.
+        phase: What the loss is made of, as in `GuardedState.record_step`.
     """
 
     fraction: float
@@ -43,6 +44,7 @@ class StepConfig:
     with_water: bool
     stage_two: bool
     learning_rates: dict[str, float]
+    phase: str = ""
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,8 @@ class StepResult:
     """Outcome of one step.
 
     Attributes:
-        loss: The loss.
-        problem: What was not finite; then the parameters are as before. Empty where the step was made.
+        loss: The loss; where a device tells it late, that of the last step of which it is known.
+        problem: What was not finite; then the parameters are as before. Empty where the step was made, or is under way.
         means2d_gradient: (N, 2) gradient of the loss with respect to the projected centres, per pixel; None where
             there is none, or where the step counts views itself.
         radii: (N,) extent on screen in pixels, 0 where a Gaussian is not visible; None where means2d_gradient may be.
@@ -70,8 +72,8 @@ class Step(Protocol):
         """Make one step.
 
         Args:
-            state: State of the run; its parameters and moments are updated in place, or by `RunState.synchronize`
-                where the step leaves them on a device.
+            state: State of the run; its parameters and moments are updated in place and the guard records the outcome,
+                or `RunState.synchronize` does so where the step leaves them on a device.
             target: What is compared with.
             config: What the schedule says about this iteration.
 
@@ -131,7 +133,9 @@ class AutogradStep:
         with part("backward between kernels"):
             loss.backward()
         gradient = picture.rendering.means2d.grad
-        return update_parameters(state, loss, gradient, picture.rendering.radii, medium, picture.offsets, config)
+        return update_parameters(
+            state, loss, gradient, picture.rendering.radii, medium, picture.offsets, target, config
+        )
 
 
 def update_parameters(
@@ -141,9 +145,10 @@ def update_parameters(
     radii: Tensor,
     medium: Medium | WaterNetwork | None,
     offsets: Tensor,
+    target: Target,
     config: StepConfig,
 ) -> StepResult:
-    """Update the parameters by their gradients, unless one is not finite.
+    """Update the parameters by their gradients, unless one is not finite, and record the outcome.
 
     Args:
         state: State of the run, whose parameters have their gradients; they are cleared.
@@ -152,12 +157,14 @@ def update_parameters(
         radii: (N,) extent on screen, pixels.
         medium: The water, None without.
         offsets: (N, 3) from the camera to the Gaussians, scene units.
+        target: What was compared with.
         config: What the schedule says about this iteration.
 
     Returns:
         The outcome of the step.
     """
     value, problem = step_problem(loss, state.optimizer.parameters())
+    state.guarded.record_step(value, problem, target.camera.name, config.phase)
     if problem:
         state.optimizer.clear_gradients()
     else:

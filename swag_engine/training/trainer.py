@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -13,11 +14,19 @@ import torch
 from ..base.errors import InputError
 from ..base.files import locked_folder
 from ..base.timing import Ledger
-from ..evaluation.metrics import ViewScore, mean_score, median_image_psnr, score_views
+from ..evaluation.metrics import (
+    ViewScore,
+    in_8_bits,
+    mean_score,
+    median_image_psnr,
+    score_image,
+    score_views,
+)
 from ..evidence.noise import estimate_noise
 from ..formats.ply import write_ply
 from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud, to_numpy
+from ..gaussians.densify import PER_GAUSSIAN
 from ..gaussians.init import gaussians_from_points
 from ..kernels.backends import KERNELS, device_for
 from ..kernels.webgpu import WebGpuKernels
@@ -42,7 +51,7 @@ from .native_step import NativeStep
 from .network_priors import depth_of_images, interpolated_frames
 from .pacing.budget import Budget, fit_budget
 from .pacing.clock import FLAT_DB, FLAT_FRACTION, Clock, is_flat, next_minute
-from .pacing.memory import TOO_LITTLE, fit_memory, free_memory, none_if_out_of_memory, reduced
+from .pacing.memory import TOO_LITTLE, Relief, fit_memory, free_memory, none_if_out_of_memory, reduced
 from .pacing.pacer import Pacer
 from .pacing.preset_size import fit_preset
 from .pacing.speed import Extent
@@ -52,11 +61,14 @@ from .state import CPU, RunState
 from .step import GEOMETRY, AutogradStep, Step, StepConfig
 from .target_cache import Targets
 from .trials import run_trials, trials_due
-from .webgpu_step import WebGpuStep, with_backend_of_run
+from .webgpu_step import WebGpuStep, leave_card, with_backend_of_run
 from .whole import Whole
 
+T = TypeVar("T")
 InitialCloud = Callable[[Points, int, int, int, np.ndarray], GaussianCloud]
 
+PREVIEWED = ("means", "quats", "log_scales", "opacity_logits", "sh0")
+"""Parameters of the Gaussians that a preview shows."""
 PROGRESS_SECONDS = 0.2
 """Seconds between two `progress` events."""
 
@@ -130,15 +142,22 @@ def make_trainer(
     scene = part or load_scene(scene_folder)
     if not resume:
         settings = with_scale_of(scene, settings)
-    settings, budget = fit_budget(scene, fit_preset(scene, settings), started, schedule.closing_seconds)
+    asked = fit_preset(scene, settings)
+    fitted = _or_on_cpu(asked.backend, lambda: fit_budget(scene, asked, started, schedule.closing_seconds))
+    if not fitted:
+        raise InputError(TOO_LITTLE)
+    settings, budget = fitted
     note = ""
     if not resume:
         settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
     run.write_config(scene.folder, settings, scene.up.tolist())
     settings, backend_note = with_backend_of_run(settings, resume)
     try:
-        trainer = none_if_out_of_memory(
-            lambda: Trainer(scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud, whole)
+        trainer = _or_on_cpu(
+            settings.backend,
+            lambda: Trainer(
+                scene, run, settings, on_event, weights_dir, budget, resume, schedule, initial_cloud, whole
+            ),
         )
         if not trainer:
             raise InputError(TOO_LITTLE)
@@ -150,6 +169,12 @@ def make_trainer(
     if resume:
         trainer.resume(longer)
     return trainer
+
+
+def _or_on_cpu(backend: str, compute: Callable[[], T]) -> T | None:
+    """Return what `compute` returns, without the card where that has too little memory; None where memory runs out."""
+    found = none_if_out_of_memory(compute)
+    return none_if_out_of_memory(compute) if found is None and leave_card(backend) else found
 
 
 def with_scale_of(scene: Scene, settings: TrainSettings) -> TrainSettings:
@@ -307,11 +332,17 @@ class Trainer:
         return self._finish(loss, interrupted, limit)
 
     def iterate(self) -> float:
-        """Make one iteration and return its loss; one that runs out of memory is abandoned and the run reduced."""
+        """Make one iteration and return its loss; one that runs out of memory is abandoned and the run reduced.
+
+        A run on a card that cannot be reduced any further continues on the processor, with images of full size.
+        """
         if (loss := none_if_out_of_memory(self._iterate)) is not None:
             return loss
         state = self.state
         state.optimizer.restart(state.guarded.last_good)
+        if state.relief.exhausted and leave_card(self.inputs.settings.backend):
+            state.relief = Relief()
+            return math.nan
         state.replace_free(*reduced(state.free_cloud))
         state.guarded.keep(state.optimizer)
         state.relief.relieve(state.free_count)
@@ -322,14 +353,13 @@ class Trainer:
         state = self.state
         config = self.step_config()
         target = self.targets.next(state, config.fraction)
-        result = self.step(state, target, config)
-        state.iteration += 1
-        state.clock.advance(state.iteration)
         with_water = config.with_water and state.effects.medium is not None
         phase = f"[{self.targets.factor}] {with_water} {config.stage_two} {state.dropout > 0}"
-        phase = "" if target.interpolated else phase
-        self.guard.record_step(state.guarded, result.loss, result.problem, target.camera.name, phase)
-        if not config.stage_two and self.densification.due(state):
+        result = self.step(state, target, replace(config, phase="" if target.interpolated else phase))
+        state.iteration += 1
+        state.clock.advance(state.iteration)
+        densifies = not config.stage_two and self.densification.due(state)
+        if densifies:
             state.synchronize()
         if not result.problem:
             if result.means2d_gradient is not None and result.radii is not None and not target.interpolated:
@@ -337,7 +367,8 @@ class Trainer:
             if not config.stage_two:
                 rate, fraction = config.learning_rates["means"], state.clock.fraction
                 self.densification.after_step(state, rate, self._sh_degree(fraction), self._water_degree(fraction))
-                if "moving_objects" in state.recipe.effects and state.motion.search_due(fraction):
+                # With densification, so that Gaussians on a device are read for both at once.
+                if densifies and "moving_objects" in state.recipe.effects and state.motion.search_due(fraction):
                     self._mask_motion()
         if self.guard.roll_back_if_bad(state.guarded, state.optimizer, state.iteration, state.on_device):
             state.reset_statistics()
@@ -380,7 +411,6 @@ class Trainer:
         return {name: state.guarded.record.rate_factor * rate for name, rate in rates.items()}
 
     def _mask_motion(self) -> None:
-        self.state.synchronize(parameters_only=True)
         state, settings = self.state, self.inputs.settings
         masks = find_motion(state.cloud, state.effects, self.inputs.training, settings.sh_degree, settings.backend)
         state.motion = MotionMasks(masks, state.motion.searches + 1)
@@ -397,7 +427,7 @@ class Trainer:
                 if should_stop():
                     return None
                 self.iterate()
-            fork.synchronize(parameters_only=True)
+            fork.synchronize(())
             return self._scores(self.inputs.validation, fork.cloud)
 
         best = run_trials(before, due, self._copied, self.selection.switch, score_after)
@@ -449,19 +479,34 @@ class Trainer:
         }
 
     def _write_preview(self) -> None:
-        self.state.synchronize(parameters_only=True)
+        self.state.synchronize(PREVIEWED)
         state = self.state
         write_ply(self.run.preview, state.free_cloud.to_splats(sh_degree=0))
         water = state.effects.medium.to_json() if state.effects.medium else None  # per scene unit
         path = str(self.run.preview)
         self.on_event({"event": "preview", "path": path, "iteration": state.iteration, "water": water})
 
+    @torch.no_grad()
+    def _scores_on_device(self, images: Sequence[TrainingImage]) -> list[ViewScore]:
+        """Score images where steps have left the Gaussians on a device; empty where they have not, or it failed."""
+        scores = []
+        for image in images:
+            device, name = self.state.on_device, image.camera.name
+            color = device.render(image.camera, self.inputs.settings.sh_degree) if device else None
+            if color is None:
+                return []
+            scores.append(score_image(image, in_8_bits(self.state.effects.apply_to_image(color, name))))
+        return scores
+
     def _scores(self, images: Sequence[TrainingImage], cloud: GaussianCloud) -> list[ViewScore]:
         """Score images; on the CPU where the card has too little memory, with NaN where no memory suffices."""
         state, settings = self.state, self.inputs.settings
         degree, backend = settings.sh_degree, settings.backend
-        found = none_if_out_of_memory(lambda: score_views(cloud, images, degree, backend, state.effects))
+        found = none_if_out_of_memory(
+            lambda: self._scores_on_device(images) or score_views(cloud, images, degree, backend, state.effects)
+        )
         if found is None:
+            state.synchronize(PER_GAUSSIAN)
             on_cpu, effects = cloud.to(CPU), deepcopy(state.effects).to(CPU)
             found = none_if_out_of_memory(lambda: score_views(on_cpu, images, degree, "auto", effects))
         state.relief.unscored |= found is None
@@ -469,7 +514,7 @@ class Trainer:
 
     def _validate(self, loss: float) -> None:
         """Score the validation images and log the result. Test images are never scored here."""
-        self.state.synchronize(parameters_only=True)
+        self.state.synchronize(())
         state, inputs = self.state, self.inputs
         started, seconds = time.monotonic(), self.pacer.seconds
         state.psnr, state.ssim = mean_score(self._scores(inputs.validation, state.cloud))

@@ -7,6 +7,8 @@ import pytest
 import torch
 
 from benchmarks import gpu_check
+from swag_engine.effects.scene_effects import SceneEffects
+from swag_engine.evaluation.metrics import render_color
 from swag_engine.gaussians.densify import PER_GAUSSIAN
 from swag_engine.kernels.backends import CPU, KERNELS
 from swag_engine.kernels.webgpu import WebGpuKernels
@@ -18,7 +20,7 @@ from swag_engine.training.guard import Guard
 from swag_engine.training.native_step import NativeStep
 from swag_engine.training.step import AutogradStep
 from swag_engine.training.trainer import train
-from swag_engine.training.webgpu_step import WebGpuStep
+from swag_engine.training.webgpu_step import RESIDENT, WebGpuStep
 from tests.engine.step_scenes import (
     ALL,
     NO_BACKSCATTER,
@@ -59,6 +61,13 @@ def steps_of(trainer, kernels):
     refusing = Refusing(trainer.inputs, trainer.selection, None)
     on_gpu = WebGpuStep(trainer.inputs, trainer.selection, refusing, kernels)
     return on_gpu, NativeStep(trainer.inputs, trainer.selection, refusing)
+
+
+def outcomes_of(state):
+    """Return a list that gets the loss of each step of a state when the guard records it."""
+    found: list[float] = []
+    state.guarded.record_step = lambda loss, problem, image, phase: found.append(loss)
+    return found
 
 
 def relative(got, expected):
@@ -129,12 +138,12 @@ def test_100_steps_follow_those_of_the_cpu(make, kernels):
     trainer = make()
     states = trainer.state, trainer._copied(trainer.state)
     config, targets = inputs_of_step(trainer)[1], trainer.targets.at(trainer.state, 0.2)
-    steps = steps_of(trainer, kernels)
-    got, expected = (
-        torch.tensor([step(state, targets[i % len(targets)], config).loss for i in range(100)])
-        for step, state in zip(steps, states, strict=True)
-    )
-    states[0].synchronize()
+    outcomes = [outcomes_of(state) for state in states]
+    for step, state in zip(steps_of(trainer, kernels), states, strict=True):
+        for i in range(100):
+            step(state, targets[i % len(targets)], config)
+        state.synchronize()
+    got, expected = (torch.tensor(losses) for losses in outcomes)
     assert expected[-8:].mean() < 0.5 * expected[:8].mean()
     assert (got - expected).abs().max() < 1e-3  # measured: 2e-4
     for name, value in states[1].optimizer.parameters().items():
@@ -150,9 +159,11 @@ def test_a_step_that_is_not_finite_changes_nothing(make, kernels, name):
         state.optimizer.parameters()[name][0] = torch.nan
     before = {name: p.detach().clone() for name, p in state.optimizer.parameters().items()}
     step = steps_of(trainer, kernels)[0]
-    problem = step(state, target, config).problem
+    step(state, target, config)
     state.synchronize()
-    assert problem.endswith("is not finite") and (name != "opacity_logits" or name in problem)
+    record = state.guarded.record
+    assert record.skipped == 1 and "is not finite at the image" in record.finding
+    assert name != "opacity_logits" or name in record.finding
     for name, parameter in state.optimizer.parameters().items():
         assert parameter.grad is None and torch.equal(parameter.nan_to_num(9), before[name].nan_to_num(9)), name
     assert all(not moment.any() for pair in state.optimizer.moments.values() for moment in pair)
@@ -187,7 +198,7 @@ def test_what_the_cpu_changes_between_steps_counts(make, kernels):
     trainer = make()
     states = trainer.state, trainer._copied(trainer.state)
     target, config = inputs_of_step(trainer)
-    losses = []
+    outcomes = [outcomes_of(state) for state in states]
     for step, state in zip(steps_of(trainer, kernels), states, strict=True):
         step(state, target, config)
         state.synchronize()
@@ -202,8 +213,10 @@ def test_what_the_cpu_changes_between_steps_counts(make, kernels):
             ),
             torch.arange(0, len(state.cloud), 2),
         )
-        losses.append(step(state, target, config).loss)
-    assert losses[0] == pytest.approx(losses[1], rel=1e-4)
+        step(state, target, config)
+        state.synchronize()
+    (*_, got), (*_, expected) = outcomes
+    assert len(outcomes[0]) == 3 and got == pytest.approx(expected, rel=1e-4)
 
 
 def check_step(trainer, kernels, target, config, prepare=lambda step: None):
@@ -254,12 +267,76 @@ def test_pairs_are_in_several_lists_where_one_would_be_too_long(make, kernels):
 def test_what_gpu_check_times_runs(kernels, monkeypatch):
     monkeypatch.setattr(gpu_check, "DEVICE", torch.device("cpu"))
     monkeypatch.setattr(gpu_check, "SIZE", (64, 48))
-    monkeypatch.setattr(gpu_check, "ROUNDS", 2)
+    monkeypatch.setattr(gpu_check, "ROUNDS", 8)
     found = gpu_check.wgpu_timings(kernels, 300)
-    # Forward 5, sort by depth 8 x 4, list 1 + 2 + 1 + 1 x 4 + 1, blend 2, compare 4, backward 5, sums 1, views and
-    # Adam 7; of numbers, those of water, lamp and gains go in, sums and flags come out.
-    assert found["dispatches a step"] == 5 + 32 + 9 + 2 + 4 + 5 + 1 + 7
-    assert found["uploaded a step"] == 4 * 45 and found["downloaded a step"] == 4 * 76
+    # Water, lamp, gains 1, forward 5, sort by depth 8 x 4, list 1 + 2 + 1 + 1 x 4 + 1, blend 2, compare 4, backward 5,
+    # outcome 1, views and Adam 7. What comes out is the outcome; calls are all that goes in.
+    dispatches = 1 + 5 + 32 + 9 + 2 + 4 + 5 + 1 + 7
+    assert found["dispatches a step"] == dispatches and found["called a step"] == 256 * dispatches
+    assert found["uploaded a step"] == 0 and found["downloaded a step"] == 4 * 8 and found["waits a step"] == 1 / 8
+
+
+@one_gpu
+def test_outcomes_are_read_together_while_later_steps_run(make, kernels, gpu):
+    trainer = make()
+    state, config = trainer.state, inputs_of_step(trainer)[1]
+    target = trainer.targets.at(state, 0.0)[0]
+    step, outcomes = steps_of(trainer, kernels)[0], outcomes_of(trainer.state)
+    step(state, target, config)  # is waited for, to be compared with the CPU's
+    step._resident._room *= 4
+    before, known = replace(gpu.counters), []
+    for _ in range(16):
+        step(state, target, config)
+        known.append(len(outcomes) - 1)
+    assert known == 15 * [0] + [8]
+    assert gpu.counters.waits - before.waits == 1 and gpu.counters.uploaded == before.uploaded
+    assert gpu.counters.downloaded - before.downloaded == 16 * 32
+    state.synchronize(())
+    assert len(outcomes) == 17 == state.optimizer.steps
+    # Beside the outcomes: 40 numbers of water, lamp, vignetting and background and one of each image, with two moments.
+    numbers = 40 + len(state.effects.models["exposure"].raw)
+    assert gpu.counters.downloaded - before.downloaded == 16 * 32 + 3 * 4 * numbers
+
+
+@one_gpu
+def test_steps_after_one_whose_lists_are_too_short_are_made_again_in_order(make, kernels):
+    trainer = make()
+    states, config = (trainer.state, trainer._copied(trainer.state)), inputs_of_step(trainer)[1]
+    config = replace(config, learning_rates={name: 0.1 * rate for name, rate in config.learning_rates.items()})
+    targets = trainer.targets.at(trainer.state, 0.2)
+    outcomes = [outcomes_of(state) for state in states]
+    steps = steps_of(trainer, kernels)
+    pairs: list[int] = []
+    for i in range(8):
+        if i == 4:  # room for some of the images only
+            short = steps[0]._resident._room = sorted(pairs)[2]
+        for step, state in zip(steps, states, strict=True):
+            step(state, targets[i % 4], config)
+        if i < 4:
+            found = kernels.gpu.read(steps[0]._resident._shared("found"), (1,), torch.int32)
+            pairs.append(int(found))
+    for state in states:
+        state.synchronize()
+    assert steps[0]._resident._room > short and min(pairs) < short < max(pairs)
+    assert outcomes[0] == pytest.approx(outcomes[1], abs=1e-5) and states[0].optimizer.steps == 8
+
+
+@one_gpu
+@pytest.mark.parametrize("case", ["3dgs", "all effects", "no backscatter"])
+def test_a_view_is_rendered_from_what_is_on_the_card(make, kernels, gpu, case):
+    trainer = make(*CASES[case][:2])
+    state, (target, config) = trainer.state, inputs_of_step(trainer)
+    step = steps_of(trainer, kernels)[0]
+    for _ in range(3):
+        step(state, target, config)
+    state.synchronize(())
+    before = gpu.counters.downloaded
+    got = state.on_device.render(target.camera, 3)
+    assert gpu.counters.downloaded - before == target.camera.width * target.camera.height * 4 * (4 + 2) + 8
+    state.synchronize()
+    on_gaussians = {key: model for key, model in state.effects.models.items() if key in ("medium", "lamp")}
+    expected = render_color(state.cloud, target.camera, 3, "cpu", SceneEffects(on_gaussians))
+    assert (got - expected).abs().max() < 1e-4
 
 
 # -- runs --------------------------------------------------------------------------------------------------------------
@@ -316,16 +393,32 @@ def test_gaussians_cross_the_bus_only_where_something_reads_them(kernels, tiny_s
     fetched = []
     fetch = WebGpuStep.fetch
 
-    def counted(self, state, parameters_only):
-        fetched.append((state.iteration, parameters_only))
-        fetch(self, state, parameters_only)
+    def counted(self, state, names):
+        fetched.append((state.iteration, names))
+        fetch(self, state, names)
 
     monkeypatch.setattr(WebGpuStep, "fetch", counted)
     train(tiny_scene, tmp_path / "run", FEW)
-    # Parameters at validations; all at a densification, at the end of stage one and at that of the run, not at the
-    # checks of every fifth iteration.
-    assert [iteration for iteration, parameters_only in fetched if not parameters_only] == [50, 54, 60], fetched
-    assert len(fetched) <= 3 + 10
+    # All at a densification, at the end of stage one and at that of the run; none at the checks of every fifth
+    # iteration, nor at validations, for which the effects alone are read.
+    assert [iteration for iteration, names in fetched if names is None] == [50, 54, 60], fetched
+    assert {names for _, names in fetched} == {None, ()} and len(fetched) <= 3 + 10
+
+
+@one_gpu
+def test_a_preview_reads_what_it_shows_and_a_checkpoint_all(make, kernels, gpu):
+    trainer = make()
+    state, (target, config) = trainer.state, inputs_of_step(trainer)
+    steps_of(trainer, kernels)[0](state, target, config)
+    before, written = gpu.counters.downloaded, state.cloud.sh0.detach().clone()
+    trainer._write_preview()
+    effects = 3 * 4 * (40 + len(state.effects.models["exposure"].raw))
+    assert gpu.counters.downloaded - before == 4 * 14 * len(state.cloud) + effects and state.on_device
+    assert not torch.equal(state.cloud.sh0, written)
+    before = gpu.counters.downloaded
+    state.synchronize()
+    numbers = sum(value[0].numel() for value in (getattr(state.cloud, name) for name in RESIDENT))
+    assert gpu.counters.downloaded - before == 4 * (3 * numbers + 2) * len(state.cloud) + effects
 
 
 @one_gpu
@@ -336,7 +429,7 @@ def test_the_guard_rolls_back_what_is_on_the_card(make, kernels):
     step = steps_of(trainer, kernels)[0]
 
     def check():
-        guard.record_step(state.guarded, step(state, target, config).loss, "", "image", "phase")
+        state.guarded.record_step(step(state, target, config).loss, "", "image", "phase")
         return guard.roll_back_if_bad(state.guarded, state.optimizer, guard.interval, state.on_device)
 
     state.guarded.record.best, before = 1.0, state.cloud.means.detach().clone()
@@ -397,8 +490,8 @@ def fetched_parameters(monkeypatch):
     """Return a list that gets the means each time that a step's Gaussians are read."""
     found, copy_back = [], WebGpuStep._copy_back
 
-    def noted(self, state, parameters_only):
-        copy_back(self, state, parameters_only)
+    def noted(self, state, names):
+        copy_back(self, state, names)
         found.append(state.cloud.means.detach().clone())
 
     monkeypatch.setattr(WebGpuStep, "_copy_back", noted)
@@ -443,6 +536,31 @@ def test_a_run_that_does_not_fit_the_card_goes_on_with_fewer_gaussians(kernels, 
     metrics = train_with(tiny_scene, tmp_path / "run", replace(FEW, iterations=20), limit)["metrics"]
     assert metrics["gaussians"] < 160 and any(note.startswith("Memory ran out 1 times") for note in metrics["notes"])
     assert not kernels.failure and gpu.counters.dispatches
+
+
+@one_gpu
+@pytest.mark.parametrize("when", ["planning", "training"])
+def test_a_run_that_never_fits_the_card_goes_on_on_the_processor(kernels, gpu, tiny_scene, tmp_path, monkeypatch, when):
+    import wgpu
+
+    def refused(size, usage):
+        raise wgpu.GPUOutOfMemoryError("Not enough memory left.")
+
+    def refuse(trainer):
+        monkeypatch.setattr(gpu.device, "create_buffer", refused)
+
+    settings = replace(FEW, iterations=20)
+    if when == "planning":
+        refuse(None)
+    metrics = train_with(tiny_scene, tmp_path / "run", settings, refuse)["metrics"]
+    expected = train(tiny_scene, tmp_path / "cpu", replace(settings, backend="cpu"))["metrics"]
+    name = gpu.adapter_name
+    sentence = f"The graphics card {name} has too little memory for this run. Training continued on the processor."
+    assert metrics["notes"] == [*expected["notes"], sentence] and metrics["iteration"] == 20
+    if when == "planning":
+        assert metrics["gaussians"] == expected["gaussians"] and metrics["test_psnr"] == expected["test_psnr"]
+    else:  # fewer Gaussians did not help
+        assert metrics["gaussians"] < 0.5 * expected["gaussians"] and metrics["test_psnr"] > 10
 
 
 @one_gpu

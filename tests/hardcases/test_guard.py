@@ -149,7 +149,7 @@ def test_a_gradient_that_is_not_finite_is_named_with_its_gaussians(optimizer, gu
     if name != "background":
         gradient[7:17] = value
     loss, problem = step_problem(torch.tensor(0.5), optimizer.parameters())
-    Guard(100).record_step(guarded, loss, problem, "reef.jpg", "a")
+    guarded.record_step(loss, problem, "reef.jpg", "a")
     where = f"{name} of 11 Gaussians (number 2, 7, 8, 9, 10, ...)" if name != "background" else "background"
     assert guarded.record.finding == f"the gradient of {where} is not finite at the image reef.jpg"
     assert guarded.record.skipped == 1
@@ -181,7 +181,7 @@ def test_many_skipped_steps_in_a_row_roll_the_parameters_back(optimizer, guarded
     with torch.no_grad():
         optimizer.cloud.means += 1
     for step in range(1, MOST_SKIPPED + 1):
-        guard.record_step(guarded, float("nan"), "the loss is not finite", "a", "a")
+        guarded.record_step(float("nan"), "the loss is not finite", "a", "a")
         assert guard.roll_back_if_bad(guarded, optimizer, step) == (step == MOST_SKIPPED)
     assert not guarded.training_failed
 
@@ -191,7 +191,7 @@ def test_a_loss_that_another_phase_makes_larger_is_no_failure(optimizer, guarded
     losses = [(0.3, "a"), (0.01, "a"), (0.2, "b"), (0.9, "b")]
     for window, (loss, phase) in enumerate(losses, 1):
         for _ in range(3):
-            guard.record_step(guarded, loss, "", "a", phase)
+            guarded.record_step(loss, "", "a", phase)
         assert guard.roll_back_if_bad(guarded, optimizer, window * guard.interval) == (loss == 0.9)
     assert "the loss rose from 0.2 to 0.9" in guarded.record.finding
 
@@ -202,7 +202,7 @@ def test_a_first_image_of_small_loss_sets_no_limit(optimizer, guarded, weak_phas
     guard = Guard(250)
     for step in range(1, 11):
         weak = step % 5 == 1
-        guard.record_step(guarded, 0.01 if weak else 0.2, "", "a", weak_phase if weak else "first")
+        guarded.record_step(0.01 if weak else 0.2, "", "a", weak_phase if weak else "first")
         assert not guard.roll_back_if_bad(guarded, optimizer, step), guarded.record.finding
 
 

@@ -127,6 +127,11 @@ class Relief:
     times: int = 0
     unscored: bool = False
 
+    @property
+    def exhausted(self) -> bool:
+        """Whether the run cannot be reduced any further."""
+        return bool(self.times) and 2 * self.shrink > MOST_SHRINK
+
     def relieve(self, gaussians: int) -> None:
         """Reduce the run again: no more than so many Gaussians, then smaller images too.
 
@@ -136,10 +141,10 @@ class Relief:
         Raises:
             InputError: If the run cannot be reduced any further.
         """
+        if self.exhausted:
+            raise InputError(TOO_LITTLE)
         if self.times:
             self.shrink *= 2
-        if self.shrink > MOST_SHRINK:
-            raise InputError(TOO_LITTLE)
         self.most, self.times = gaussians, self.times + 1
 
     @property
