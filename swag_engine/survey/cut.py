@@ -233,10 +233,11 @@ class Cutter:
         kept = (fractions >= MOSTLY) | inside(core, self.places.cameras[images])
         expected = np.count_nonzero(kept) + fractions[~kept].sum()
         chosen = np.ones(len(images), bool)
-        if expected <= self.block_images < len(images):
+        most = max(self.block_images, int(np.ceil(expected)))
+        if most < len(images):
             # Each image that sees mostly elsewhere is wanted as much as its fraction is large.
             rest = np.flatnonzero(~kept)
-            count = self.block_images - np.count_nonzero(kept)
+            count = most - np.count_nonzero(kept)
             random = np.random.default_rng((self.seed, path))
             chosen = kept.copy()
             chosen[random.choice(rest, count, replace=False, p=fractions[rest] / fractions[rest].sum())] = True

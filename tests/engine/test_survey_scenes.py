@@ -143,8 +143,9 @@ def test_each_place_of_a_reef_is_seen_by_as_many(images: int) -> None:
 
 def test_each_facade_of_a_street_is_seen_by_several() -> None:
     poses = np.array(street_poses(300))
-    places = np.stack(np.meshgrid(np.linspace(-30, 30, 30), [-5, 5], [0.5, 2.5]), -1)
-    assert seen_by(poses, places.reshape(-1, 3), 15.0).min() >= 8
+    places = np.stack(np.meshgrid(np.linspace(-100, 100, 100), [-5, 5], [0.5, 2.5]), -1)
+    counts = seen_by(poses, places.reshape(-1, 3), 15.0)
+    assert counts.min() >= 2 and np.median(counts) >= 4
 
 
 def seen_by(poses: np.ndarray, places: np.ndarray, farthest: float) -> np.ndarray:

@@ -5,7 +5,7 @@
     python tests/scenes/survey_scenes.py --out DIR --kind model --images 5000 --points 5000000
 
 More images make a longer place, so that each part of it is seen by as many. A reef of 300 images is 60 m long, a street
-75 m. The scene model's unit is the metre, z is up, x is along the place.
+240 m. The scene model's unit is the metre, z is up, x is along the place.
 
 Files in DIR:
     images/NAME.jpg       the photos
@@ -128,9 +128,13 @@ def reef_poses(images: int, lanes: Lanes = SURVEY) -> list[np.ndarray]:
     return [_held(*place, k) for k, place in enumerate(zip(centres, targets, ups, strict=True))]
 
 
+STREET_LENGTH = 0.8
+"""Metres of a street for each image: blocks of a shorter one would nearly all see each other."""
+
+
 def street_poses(images: int) -> list[np.ndarray]:
     """Return world_to_camera (4, 4) of four passes along a street: to either side, ahead, and back."""
-    length, poses = images / 4, []
+    length, poses = STREET_LENGTH * images, []
     for k in range(images):
         line = k * 4 // images
         first, last = (-(-at * images // 4) for at in (line, line + 1))
@@ -242,7 +246,7 @@ def reef(
 
 def street(folder: Path, images: int = 300, width: int = WIDTH, seed: int = 0) -> Path:
     """Write a survey of a street to a new folder, and return the folder."""
-    place = street_place(images / 4, seed)
+    place = street_place(STREET_LENGTH * images, seed)
 
     def passes(pose: np.ndarray, *size: float) -> Passes:
         return passes_of(place, pose, *size)  # type: ignore[arg-type]
