@@ -160,7 +160,7 @@ def test_images_that_see_mostly_elsewhere_are_chosen_by_their_fraction():
     rates = np.mean(chosen, axis=0)
     assert rates[70:].mean() > 1.4 * rates[41:70].mean() > 0.2
     assert len(joined(crowd, core, block_images=100, distance=0.5)) == 100
-    # A part that is larger than asked, and may stay so, has as many as its share of the others: 41 + 29 / 5 + 30 * 2 / 5.
+    # A part that stays larger than asked takes its share of the others: 41 + 29 / 5 + 30 * 2 / 5.
     assert len(joined(crowd, core, block_images=30, distance=0.5)) == 59
 
 
