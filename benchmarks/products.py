@@ -116,7 +116,7 @@ def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> 
     rows = {row["name"]: row for row in areas["labels"]}
     margin = round(MARGIN / CELL)
     cells = [field[margin:-margin, margin:-margin] for field in bed.fields[:2]]
-    slopes = gradients(cells[0].astype(np.float64), CELL, cells[1])
+    slopes = gradients(cells[0].astype(np.float64), CELL, 1, cells[1])
     surface = np.nan_to_num(np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2), nan=1.0)
     figures: dict[str, Any] = {
         "scale_error": scale["metres_per_unit"] / METRES_PER_UNIT - 1,

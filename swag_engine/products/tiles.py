@@ -11,7 +11,7 @@ from ..kernels.backends import device_for
 from ..rasterize.api import contributions, rasterize
 from ..splats.splats import Splats
 from ..splats.transform import covariances
-from .grid import MapGrid
+from .grid import MapGrid, splat_size
 
 Progress = Callable[[str, float], None]
 """Called with the stage of the work and its fraction, 0 to 1; what it raises ends the work."""
@@ -80,8 +80,7 @@ class TileRenderer:
     def __init__(self, splats: Splats, grid: MapGrid, backend: str = "auto", seen: float = SEEN) -> None:
         self.splats, self.grid, self.backend, self.seen = splats, grid, backend, seen
         self.device = device_for(backend)
-        size = float(np.median(splats.scales.max(axis=1)))
-        self.supersampling = int(np.clip(np.ceil(grid.pixel / max(size, 1e-30)), 1, MOST_SUPERSAMPLING))
+        self.supersampling = int(np.clip(np.ceil(grid.pixel / max(splat_size(splats), 1e-30)), 1, MOST_SUPERSAMPLING))
         covariance = covariances(splats)
         widening = BLUR * (grid.pixel / self.supersampling) ** 2
         self._reach = REACH * np.sqrt(covariance[:, [0, 1], [0, 1]] + widening).astype(np.float32)
