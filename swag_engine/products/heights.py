@@ -23,7 +23,7 @@ SMOOTHING = 5
 """Edge of the median filter before surfaces are measured, heights: noise counts as surface. At a pixel of 1 cm it makes
 a surplus of 18 to 50 % on the sand of trained surveys one of 10 to 14 % (benchmarks/products.py)."""
 MOST_STEP = 64
-"""Largest distance between the heights that a surface is measured from, pixels: tiles are read with a margin of it."""
+"""Largest size of splats at which a surface is measured, pixels: tiles are read with a margin of three sizes."""
 EDGE = 256
 """Edge of the tiles in which heights are found, pixels: 4 LAYERS channels are blended at once."""
 
@@ -90,7 +90,7 @@ def tile_heights(renderer: TileRenderer, tile: Tile) -> TileHeights:
 
 
 def surface_step(splats: Splats, pixel: float) -> int:
-    """Return the distance between the heights that a surface is measured from, pixels: the size of the splats.
+    """Return the size of the splats in pixels, at which surfaces are measured whatever the pixel is.
 
     Nearer heights are of the same splats and differ by noise, which would count as more surface the smaller pixels are.
     """
@@ -105,7 +105,8 @@ def surface_margin(step: int) -> int:
 def surface_factor(heights: np.ndarray, pixel: float, step: int = 1, regions: np.ndarray | None = None) -> np.ndarray:
     """Return surface area over planar area of each pixel, sqrt(1 + |gradient|^2), NaN where it is not known.
 
-    Heights are smoothed before: each pixel depends on `surface_margin(step)` pixels around it.
+    Heights are smoothed, and slopes are differences over a splat: each pixel depends on `surface_margin(step)`
+    pixels around it.
 
     Args:
         heights: (H, W), NaN where nothing was seen.
@@ -113,7 +114,7 @@ def surface_factor(heights: np.ndarray, pixel: float, step: int = 1, regions: np
         step: As `surface_step` returns it.
         regions: (H, W) numbers; steps between regions are not slopes of either.
     """
-    down, right = gradients(smoothed(heights, step), pixel, step, regions)
+    down, right = gradients(smoothed(heights, step), pixel, (step + 1) // 2, regions)
     return np.sqrt(1 + down * down + right * right)
 
 

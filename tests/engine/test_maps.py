@@ -343,7 +343,7 @@ def test_the_surface_does_not_grow_with_smaller_pixels(tmp_path):
             assert dataset.read(1).mean() == pytest.approx(made["rugosity"], abs=0.01)
         found.append(made["rugosity"])
     heights = read_heights(tmp_path / "dem.tif")
-    assert surface_factor(heights, 0.0025).mean() > 1.1 > 1.03 > max(found), found
+    assert surface_factor(heights, 0.0025).mean() > 1.1 > 1.05 > max(found), found
 
 
 # -- what cannot be mapped --------------------------------------------------------------------------------------------
