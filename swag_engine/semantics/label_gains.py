@@ -13,7 +13,7 @@ from .regions import SceneRegions
 
 MAX_GAIN = 4.0
 """Largest gain of a label, and the inverse of the smallest: regions that disagree between images must not move borders
-without limit. Gains of the surveys of benchmarks/products.py are 0.4 to 1.6."""
+without limit. Gains of the surveys of benchmarks/products.py are 0.5 to 1.9."""
 ROUNDS = 10
 """Rounds over the labels, whose gains are found one after another."""
 MOST_PIXELS = 2_000_000
