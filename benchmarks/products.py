@@ -63,6 +63,8 @@ LEAST_PATCH = 400
 """Pixels of the smallest patch whose area is compared."""
 LEAST_CHANGE = 20
 """Pixels of the smallest change that must be found."""
+DIGITS = 4
+"""Decimal places of written figures."""
 SLACK = 3
 """Pixels around a true change within which a found one belongs to it."""
 PAIRS: dict[str, dict[str, Any]] = {
@@ -100,7 +102,8 @@ def truth(bed: Seabed, grid: MapGrid) -> tuple[np.ndarray, np.ndarray]:
 def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> dict[str, Any]:
     """Compare scale, heights and areas of a survey with the truth.
 
-    True areas are those of the cells of the seabed, which are smaller than the pixels of the map.
+    True areas are those of the cells of the seabed, which are smaller than the pixels of the map. Each patch has its
+    label, its true number of pixels, and the relative error of its area.
     """
     dem = make_dem(run, out / "dem.tif", PIXEL, BOX)
     areas = make_areas(run, out / "areas", PIXEL, BOX)
@@ -148,9 +151,7 @@ def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> 
                 near = cv2.dilate((parts == part).astype(np.uint8), np.ones((31, 31)))
                 near = cv2.resize(near, found.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
                 pixels = int(((found == number) & near).sum())
-                figures["patches"].append(
-                    {"label": LABELS[number - 1], "pixels": round(size), "error": pixels / size - 1}
-                )
+                figures["patches"].append([LABELS[number - 1], round(size), pixels / size - 1])
     return figures
 
 
@@ -246,8 +247,8 @@ def main() -> None:
         for kind, name, figures in compare(options.folder / f"seed-{seed}", seed, settings, options.only):
             document = json.loads((RESULTS / "products.json").read_text())  # other parts may run at the same time
             found = document["seeds"].setdefault(str(seed), {"surveys": {}, "changes": {}})[kind]
-            found[name] = figures
-            print(seed, name, json.dumps(figures), flush=True)
+            found[name] = json.loads(json.dumps(figures), parse_float=lambda text: round(float(text), DIGITS))
+            print(seed, name, json.dumps(found[name]), flush=True)
             write_results("products", document | {"settings": settings.to_json(), "pixel": PIXEL})
 
 
