@@ -1,20 +1,24 @@
 """Compare maps and changes of trained surveys with the known seabed that they show.
 
-Run: `python benchmarks/products.py FOLDER [--iterations 1500] [--seeds 0 1 2]`
+Run: `python benchmarks/products.py FOLDER [--iterations 1500] [--seeds 0 1 2] [--only air "same water and path"]`
 Results: benchmarks/results/products.json
 
 For each seed, photos of a seabed of known heights, labels and scale (tests/scenes/seabed.py) are written to FOLDER in
-four kinds of water and trained there, unless they are there already. The scale is measured from the coded targets, the
-axes from the places of their middles. Labels are learned from masks of the training photos. Later surveys, in which
-three corals are gone, one has grown by 10 % and a bank of sand has moved, are compared with the survey in ocean water.
-Seed 0 is the seabed of the documentation; others move what lies on it and have another texture, other noise and other
-initial values.
+four kinds of water and trained there. The scale is measured from the coded targets, the axes from the places of their
+middles. Labels are learned from masks of the training photos. Later surveys, in which three corals are gone, one has
+grown by 10 % and a bank of sand has moved, are compared with the survey in ocean water. Seed 0 is the seabed of the
+documentation; others move what lies on it and have another texture, other noise and other initial values.
+
+The run can be stopped at any time and started again with the same FOLDER: a training continues from its newest
+checkpoint, and what is trained and labelled is not made again. Figures replace those of the same seed and name in the
+results, so that seeds and surveys can be run one at a time.
 """
 
 import json
+import shutil
 import sys
 from argparse import ArgumentParser
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +29,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.common import write_results
+from benchmarks.common import RESULTS, write_results
 from swag_engine.experiments.label_run import label_run
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.georeference.measure import Measurements, scale_scene
@@ -34,10 +38,23 @@ from swag_engine.products.change import make_change
 from swag_engine.products.dem import make_dem, read_heights
 from swag_engine.products.geotiff import read_map
 from swag_engine.products.grid import MapGrid
-from swag_engine.products.heights import surface_factor
+from swag_engine.products.heights import gradients
+from swag_engine.semantics.labels import read_labels
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
-from tests.scenes.seabed import COAST, EXTENT, LABELS, METRES_PER_UNIT, OCEAN, TARGET_SIZE, WATERS, Seabed, write_survey
+from tests.scenes.seabed import (
+    CELL,
+    COAST,
+    EXTENT,
+    LABELS,
+    MARGIN,
+    METRES_PER_UNIT,
+    OCEAN,
+    TARGET_SIZE,
+    WATERS,
+    Seabed,
+    write_survey,
+)
 
 PIXEL = 0.01
 """Edge of a pixel, metres."""
@@ -46,6 +63,8 @@ LEAST_PATCH = 400
 """Pixels of the smallest patch whose area is compared."""
 LEAST_CHANGE = 20
 """Pixels of the smallest change that must be found."""
+DIGITS = 4
+"""Decimal places of written figures."""
 SLACK = 3
 """Pixels around a true change within which a found one belongs to it."""
 PAIRS: dict[str, dict[str, Any]] = {
@@ -56,14 +75,17 @@ PAIRS: dict[str, dict[str, Any]] = {
 
 
 def trained(folder: Path, bed: Seabed, settings: TrainSettings, **options: Any) -> tuple[Path, dict[str, Any]]:
-    """Write, measure, train and label a survey that is not there yet; return its run and the document of its scale."""
+    """Do what is left of writing, measuring, training and labelling a survey; return its run and its scale document."""
     scene, run = folder / "scene", folder / "run"
-    if not (run / "labels.json").exists():
-        if not (scene / "points.csv").exists():
-            write_survey(scene, bed, **options)
+    if not (scene / "points.csv").exists():  # the last file of a survey
+        shutil.rmtree(scene, ignore_errors=True)
+        write_survey(scene, bed, **options)
+    if not (scene / "scale.json").exists():
         known = Measurements(targets="aruco_4x4_50", size=TARGET_SIZE, points=scene / "points.csv")
         scale_scene(scene, known)
-        train(scene, run, settings)
+    if not RunFolder(run).finished():
+        train(scene, run, settings, resume=run.exists())
+    if not (run / "labels.json").exists():
         label_run(run, (), scene / "labels")
     return run, json.loads((scene / "scale.json").read_text())
 
@@ -78,16 +100,27 @@ def truth(bed: Seabed, grid: MapGrid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> dict[str, Any]:
-    """Compare scale, heights and areas of a survey with the truth."""
+    """Compare scale, heights and areas of a survey with the truth.
+
+    True areas are those of the cells of the seabed, which are smaller than the pixels of the map. Each patch has its
+    label, its true number of pixels, and the relative error of its area.
+    """
     dem = make_dem(run, out / "dem.tif", PIXEL, BOX)
     areas = make_areas(run, out / "areas", PIXEL, BOX)
     grid = MapGrid(**areas["grid"])
     heights, labels = truth(bed, grid)
-    surface = surface_factor(heights, PIXEL, labels)
     errors = read_heights(out / "dem.tif") - heights
     errors = errors[np.isfinite(errors)]
-    found = read_map(out / "areas" / "labels.tif").values
+    numbers = {entry["name"]: entry["id"] for entry in read_labels(run)}
+    mapped = read_map(out / "areas" / "labels.tif").values
+    found = np.zeros_like(mapped)
+    for number, name in enumerate(LABELS, start=1):
+        found[mapped == numbers[name]] = number
     rows = {row["name"]: row for row in areas["labels"]}
+    margin = round(MARGIN / CELL)
+    cells = [field[margin:-margin, margin:-margin] for field in bed.fields[:2]]
+    slopes = gradients(cells[0].astype(np.float64), CELL, 1, cells[1])
+    surface = np.nan_to_num(np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2), nan=1.0)
     figures: dict[str, Any] = {
         "scale_error": scale["metres_per_unit"] / METRES_PER_UNIT - 1,
         "stated_scale_error": scale["error"],
@@ -100,23 +133,25 @@ def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> 
         "patches": [],
     }
     for number, name in enumerate(LABELS, start=1):
-        true = int((labels == number).sum()) * PIXEL**2
+        mine = cells[1] == number
+        true = int(mine.sum()) * CELL**2
         row = rows[name]
         figures["areas"][name] = {
             "true": true,
             "error": row["planar_area"] / true - 1,
-            "surface_error": row["surface_area"] / (float(np.nansum(surface[labels == number])) * PIXEL**2) - 1,
+            "surface_error": row["surface_area"] / (float(surface[mine].sum()) * CELL**2) - 1,
             "corrected_error": row["planar_corrected"] / true - 1,
             "in_interval": bool(row["planar_low"] <= true <= row["planar_high"]),
         }
     for number in range(2, len(LABELS) + 1):
-        count, parts, stats, _ = cv2.connectedComponentsWithStats((labels == number).astype(np.uint8))
+        count, parts, stats, _ = cv2.connectedComponentsWithStats((cells[1] == number).astype(np.uint8))
         for part in range(1, count):
-            size = int(stats[part, cv2.CC_STAT_AREA])
+            size = int(stats[part, cv2.CC_STAT_AREA]) * (CELL / PIXEL) ** 2
             if size > LEAST_PATCH:
-                near = cv2.dilate((parts == part).astype(np.uint8), np.ones((15, 15))) > 0
-                mine = int(((found == number) & near).sum())
-                figures["patches"].append({"label": LABELS[number - 1], "pixels": size, "error": mine / size - 1})
+                near = cv2.dilate((parts == part).astype(np.uint8), np.ones((31, 31)))
+                near = cv2.resize(near, found.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
+                pixels = int(((found == number) & near).sum())
+                figures["patches"].append([LABELS[number - 1], round(size), pixels / size - 1])
     return figures
 
 
@@ -174,39 +209,47 @@ def change_figures(first: Path, second: Path, before: Seabed, after: Seabed, out
     }
 
 
-def compare(folder: Path, seed: int, settings: TrainSettings) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def compare(
+    folder: Path, seed: int, settings: TrainSettings, only: Sequence[str]
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Write, train and compare the surveys of a seed; yield `surveys` or `changes`, a name, and the figures."""
     bed = Seabed.scattered(seed) if seed else Seabed()
-    later, runs = bed.changed(), {}
-    for name, water in WATERS.items():
-        run, scale = trained(folder / name, bed, replace(settings, seed=seed), water=water, seed=10 * seed)
-        metrics = json.loads(RunFolder(run).metrics.read_text())
-        runs[name] = run
-        figures = survey_figures(run, scale, bed, folder / name / "maps")
-        yield "surveys", name, {"test_psnr": metrics["test_psnr"]} | figures
+
+    def survey(name: str) -> tuple[Path, dict[str, Any]]:
+        return trained(folder / name, bed, replace(settings, seed=seed), water=WATERS[name], seed=10 * seed)
+
+    for name in WATERS:
+        if name in only:
+            run, scale = survey(name)
+            metrics = json.loads(RunFolder(run).metrics.read_text())
+            figures = survey_figures(run, scale, bed, folder / name / "maps")
+            yield "surveys", name, {"test_psnr": metrics["test_psnr"]} | figures
     for name, changes in PAIRS.items():
-        after = bed if name.startswith("nothing") else later
-        place = folder / f"later-{changes['seed']}"
-        options = changes | {"seed": 10 * seed + changes["seed"]}
-        run, _ = trained(place, after, replace(settings, seed=options["seed"]), **options)
-        yield "changes", name, change_figures(runs["ocean"], run, bed, after, place / "change")
+        if name in only:
+            after = bed if name.startswith("nothing") else bed.changed()
+            place = folder / f"later-{changes['seed']}"
+            options = changes | {"seed": 10 * seed + changes["seed"]}
+            run, _ = trained(place, after, replace(settings, seed=options["seed"]), **options)
+            yield "changes", name, change_figures(survey("ocean")[0], run, bed, after, place / "change")
 
 
 def main() -> None:
-    """Write, train and compare all surveys."""
+    """Write, train and compare the chosen surveys."""
+    names = [*WATERS, *PAIRS]
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--iterations", type=int, default=1500)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--only", nargs="+", choices=names, default=names)
     options = parser.parse_args()
     settings = TrainSettings(iterations=options.iterations, width=480, max_gaussians=45_000)
-    seeds: dict[str, Any] = {}
     for seed in options.seeds:
-        found = seeds[str(seed)] = {"surveys": {}, "changes": {}}
-        for kind, name, figures in compare(options.folder / f"seed-{seed}", seed, settings):
-            found[kind][name] = figures
-            print(seed, name, json.dumps(figures), flush=True)
-            write_results("products", {"settings": settings.to_json(), "pixel": PIXEL, "seeds": seeds})
+        for kind, name, figures in compare(options.folder / f"seed-{seed}", seed, settings, options.only):
+            document = json.loads((RESULTS / "products.json").read_text())  # other parts may run at the same time
+            found = document["seeds"].setdefault(str(seed), {"surveys": {}, "changes": {}})[kind]
+            found[name] = json.loads(json.dumps(figures), parse_float=lambda text: round(float(text), DIGITS))
+            print(seed, name, json.dumps(found[name]), flush=True)
+            write_results("products", document | {"settings": settings.to_json(), "pixel": PIXEL})
 
 
 if __name__ == "__main__":

@@ -1210,7 +1210,7 @@ def maps_truth() -> str:
     rows = []
     for seed, figures in found.items():
         for water, survey in figures["surveys"].items():
-            wrong = sum(abs(patch["error"]) > 0.05 for patch in survey["patches"])
+            wrong = sum(abs(error) > 0.05 for _, _, error in survey["patches"])
             corrected = [area["corrected_error"] for area in survey["areas"].values() if "corrected_error" in area]
             rows.append(
                 [

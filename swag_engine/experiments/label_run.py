@@ -83,7 +83,7 @@ def label_run(
         lambda done, count: progress("Regions", done / count),
     )  # fmt: skip
     found = assign(cloud, regions, {image.camera.name: image.camera for image in images})
-    assignment = Assignment(found.features[:own], found.labels[:own], found.agreement[:own])
+    assignment = Assignment(found.features[:own], found.labels[:own], found.agreement[:own], found.gains)
     about = {"regions": chosen, "embedder": embedder.name, "words": list(words), "photographs": len(images)}
     return write_semantics(folder, splats, up, regions, assignment, about, with_features)
 

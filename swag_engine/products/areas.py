@@ -17,7 +17,7 @@ from ..semantics.labels import TABLE
 from .dem import read_heights, write_heights
 from .geotiff import NO_LABEL, map_crs, map_transform, read_map
 from .grid import MapGrid, make_grid
-from .heights import SURFACE_MARGIN, surface_factor
+from .heights import surface_factor, surface_margin, surface_step
 from .label_errors import area_errors, held_out_confusion
 from .label_map import (
     CorrectedMap,
@@ -100,7 +100,7 @@ def make_areas(
     names = {label: label_name(scene, label) for label in present}
     confusion = held_out_confusion(scene, masks, files["labels"], files["heights"], grid)
     patches = find_patches(files["labels"], least_patch)
-    surfaces = _surfaces(files["labels"], files["heights"], grid)
+    surfaces = _surfaces(files["labels"], files["heights"], grid, surface_step(scene.splats, grid.pixel))
     rows = _table(scene, grid, pixels[:NO_LABEL], surfaces, names, confusion, patches)
     _write_table(files["table"], rows)
     transform = map_transform(scene, grid)
@@ -229,13 +229,13 @@ def _table(
     return [{key: float(v) if isinstance(v, np.floating) else v for key, v in row.items()} for row in rows]
 
 
-def _surfaces(labels: Path, heights: Path, grid: MapGrid) -> np.ndarray:
+def _surfaces(labels: Path, heights: Path, grid: MapGrid, step: int) -> np.ndarray:
     """Sum surface over planar area of the pixels of each label, (255,); 1 where the surface is not known."""
-    sums = np.zeros(NO_LABEL)
-    inner = (slice(SURFACE_MARGIN, -SURFACE_MARGIN),) * 2
+    sums, margin = np.zeros(NO_LABEL), surface_margin(step)
+    inner = (slice(margin, -margin),) * 2
     for tile in tiles_of(grid):
-        around = read_map(labels, tile, margin=SURFACE_MARGIN).values
-        factor = surface_factor(read_heights(heights, tile=tile, margin=SURFACE_MARGIN), grid.pixel, around)[inner]
+        around = read_map(labels, tile, margin=margin).values
+        factor = surface_factor(read_heights(heights, tile=tile, margin=margin), grid.pixel, step, around)[inner]
         part = around[inner]
         seen = part != NO_LABEL
         sums += np.bincount(part[seen], np.where(np.isfinite(factor), factor, 1.0)[seen], NO_LABEL)

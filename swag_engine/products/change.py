@@ -213,7 +213,7 @@ def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str
         if errors is not None:
             errors[tile.place] = height_errors(cameras, scene, grid, tile, surface)
         if found is not None and labels is not None:
-            found[tile.place] = tile_labels(renderer, tile, labels)
+            found[tile.place] = tile_labels(renderer, tile, labels, scene.gains)
     return Survey(image, heights, found, errors)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from ..base.errors import InputError
 from .geotiff import NO_HEIGHT, create_map, map_crs
 from .grid import MapGrid, make_grid
-from .heights import EDGE, SURFACE_MARGIN, surface_factor, tile_heights
+from .heights import EDGE, surface_factor, surface_margin, surface_step, tile_heights
 from .map_frame import MapScene, load_map_scene
 from .ortho import describe as describe_map
 from .ortho import hole_notes, map_answer
@@ -77,7 +77,7 @@ def make_dem(
     return map_answer(out, [*files, preview], preview, grid, scene, crs) | {
         "covered": covered,
         "heights": [low, high] if seen else None,
-        "rugosity": _total_rugosity(out, grid),
+        "rugosity": _total_rugosity(out, grid, surface_step(scene.splats, grid.pixel)),
         "volume": None if above is None else _volume_above(out, grid, above),
         "notes": [*scene.notes, *hole_notes(covered)],
     }
@@ -147,7 +147,8 @@ def _write_derived(
 ) -> None:
     """Write hillshade (8 bits), slope (degrees) or rugosity (float32) of a DEM, tile by tile."""
     pixels = 2 * max(1, round(window / grid.pixel / 2)) + 1
-    margin = pixels // 2 + SURFACE_MARGIN if name == "rugosity" else 1
+    step = surface_step(scene.splats, grid.pixel)
+    margin = pixels // 2 + surface_margin(step) if name == "rugosity" else 1
     dtype, nodata = ("uint8", 0.0) if name == "hillshade" else ("float32", NO_HEIGHT)
     tags = {"WINDOW": f"{pixels * grid.pixel:g}"} if name == "rugosity" else {}
     with create_map(path, scene, grid, (name,), dtype, nodata, tags=tags) as writer:
@@ -158,17 +159,17 @@ def _write_derived(
             elif name == "slope":
                 values = slope(heights, grid.pixel)
             else:
-                values = rugosity(heights, grid.pixel, pixels)
+                values = rugosity(heights, grid.pixel, pixels, step)
             inner = values[margin : margin + tile.height, margin : margin + tile.width]
             writer.write(tile, np.where(np.isfinite(inner), inner, nodata)[..., None])
 
 
-def _total_rugosity(dem: Path, grid: MapGrid) -> float | None:
+def _total_rugosity(dem: Path, grid: MapGrid, step: int) -> float | None:
     """Surface over planar area of a DEM, None where it has no surface."""
-    surface, pixels = 0.0, 0
+    surface, pixels, margin = 0.0, 0, surface_margin(step)
     for tile in tiles_of(grid):
-        factor = surface_factor(read_heights(dem, tile=tile, margin=SURFACE_MARGIN), grid.pixel)
-        factor = factor[SURFACE_MARGIN:-SURFACE_MARGIN, SURFACE_MARGIN:-SURFACE_MARGIN]
+        factor = surface_factor(read_heights(dem, tile=tile, margin=margin), grid.pixel, step)
+        factor = factor[margin:-margin, margin:-margin]
         known = np.isfinite(factor)
         surface, pixels = surface + float(factor[known].sum()), pixels + int(known.sum())
     return surface / pixels if pixels else None

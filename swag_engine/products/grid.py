@@ -54,6 +54,11 @@ class MapGrid:
         return np.stack([*np.meshgrid(x, y), heights], axis=2)
 
 
+def splat_size(splats: Splats) -> float:
+    """Return the median of the largest standard deviation of splats: surfaces have no detail below it."""
+    return float(np.median(splats.scales.max(axis=1)))
+
+
 def make_grid(
     splats: Splats, pixel: float = 0.0, box: tuple[float, float, float, float] | None = None, taglab: bool = False
 ) -> MapGrid:
@@ -76,7 +81,7 @@ def make_grid(
         if not len(solid):
             raise InputError("The splats are all nearly transparent: there is nothing to map.")
         low, high = np.quantile(solid[:, :2], [OUTSIDE, 1 - OUTSIDE], axis=0)
-        margin = float(np.median(splats.scales.max(axis=1)))
+        margin = splat_size(splats)
         left, bottom, right, top = low[0] - margin, low[1] - margin, high[0] + margin, high[1] + margin
     else:
         left, bottom, right, top = box
@@ -84,7 +89,7 @@ def make_grid(
         raise InputError("--box must be left bottom right top, with left below right and bottom below top.")
     longest = max(right - left, top - bottom)
     if not pixel:
-        pixel = _rounded(max(float(np.median(splats.scales.max(axis=1))), longest / USUAL_PIXELS))
+        pixel = _rounded(max(splat_size(splats), longest / USUAL_PIXELS))
     if not (np.isfinite(pixel) and pixel > 0):
         raise InputError(f"The pixel size is {pixel:g}: it must be above 0.")
     first, last = np.floor(left / pixel + 1e-6), np.ceil(top / pixel - 1e-6)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..splats.splats import Splats
+from .grid import splat_size
 from .tiles import Tile, TileRenderer
 
 LAYERS = 16
@@ -18,10 +20,10 @@ MEDIAN = 0.5
 OUTLIERS = 1e-3
 """Fraction of a tile's splats above and below the layers, which the outer ones take in."""
 SMOOTHING = 5
-"""Edge of the median filter before surfaces are measured, pixels: noise of a pixel's height counts as surface. On
-trained surveys it makes a surplus of 18 to 50 % on sand one of 6 to 14 % (benchmarks/products.py)."""
-SURFACE_MARGIN = SMOOTHING // 2 + 1
-"""Pixels around a pixel that its surface depends on."""
+"""Edge of the median filter before surfaces are measured, heights: noise counts as surface. At a pixel of 1 cm it makes
+a surplus of 18 to 50 % on the sand of trained surveys one of 10 to 14 % (benchmarks/products.py)."""
+MOST_STEP = 64
+"""Largest size of splats at which a surface is measured, pixels: tiles are read with a margin of three sizes."""
 EDGE = 256
 """Edge of the tiles in which heights are found, pixels: 4 LAYERS channels are blended at once."""
 
@@ -87,49 +89,73 @@ def tile_heights(renderer: TileRenderer, tile: Tile) -> TileHeights:
     return TileHeights(*found)
 
 
-def surface_factor(heights: np.ndarray, pixel: float, regions: np.ndarray | None = None) -> np.ndarray:
+def surface_step(splats: Splats, pixel: float) -> int:
+    """Return the size of the splats in pixels, at which surfaces are measured whatever the pixel is.
+
+    Nearer heights are of the same splats and differ by noise, which would count as more surface the smaller pixels are.
+    """
+    return int(np.clip(round(splat_size(splats) / pixel), 1, MOST_STEP))
+
+
+def surface_margin(step: int) -> int:
+    """Return how many pixels around a pixel its surface depends on."""
+    return step * (SMOOTHING // 2 + 1)
+
+
+def surface_factor(heights: np.ndarray, pixel: float, step: int = 1, regions: np.ndarray | None = None) -> np.ndarray:
     """Return surface area over planar area of each pixel, sqrt(1 + |gradient|^2), NaN where it is not known.
 
-    Heights are smoothed before: each pixel depends on SURFACE_MARGIN around it.
+    Heights are smoothed, and slopes are differences over a splat: each pixel depends on `surface_margin(step)`
+    pixels around it.
 
     Args:
         heights: (H, W), NaN where nothing was seen.
         pixel: Edge of a pixel, in the unit of the heights.
+        step: As `surface_step` returns it.
         regions: (H, W) numbers; steps between regions are not slopes of either.
     """
-    down, right = gradients(smoothed(heights), pixel, regions)
+    down, right = gradients(smoothed(heights, step), pixel, (step + 1) // 2, regions)
     return np.sqrt(1 + down * down + right * right)
 
 
-def smoothed(heights: np.ndarray) -> np.ndarray:
-    """Return heights (H, W) after a median filter of SMOOTHING pixels; beside holes, and in them, they stay."""
+def smoothed(heights: np.ndarray, step: int = 1) -> np.ndarray:
+    """Return heights (H, W) after a median filter over SMOOTHING x SMOOTHING heights that are `step` pixels apart.
+
+    Beside holes, and in them, they stay.
+    """
     holes = np.isnan(heights)
-    filtered = cv2.medianBlur(np.where(holes, 0, heights).astype(np.float32), SMOOTHING)
-    beside = cv2.dilate(holes.astype(np.uint8), np.ones((SMOOTHING, SMOOTHING), np.uint8)) > 0
+    values = np.where(holes, 0, heights).astype(np.float32)
+    filtered, beside = np.empty_like(values), np.empty(holes.shape, bool)
+    for part in ((slice(row, None, step), slice(column, None, step)) for row in range(step) for column in range(step)):
+        if values[part].size:
+            filtered[part] = cv2.medianBlur(np.ascontiguousarray(values[part]), SMOOTHING)
+            beside[part] = cv2.dilate(holes[part].astype(np.uint8), np.ones((SMOOTHING, SMOOTHING), np.uint8)) > 0
     return np.where(beside, heights, filtered)
 
 
-def gradients(heights: np.ndarray, pixel: float, regions: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def gradients(
+    heights: np.ndarray, pixel: float, step: int = 1, regions: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Differentiate heights (H, W) by rows and by columns: central differences, one-sided beside holes and edges.
 
-    Neighbours in another region, where `regions` (H, W) are given, count as holes.
+    Neighbours are `step` pixels away. Those in another region, where `regions` (H, W) are given, count as holes.
     """
     results = []
     for axis in (0, 1):
-        before, after = _neighbours(heights, axis)
+        before, after = _neighbours(heights, axis, step)
         if regions is not None:
-            other_before, other_after = _neighbours(regions.astype(np.float64), axis)
+            other_before, other_after = _neighbours(regions.astype(np.float64), axis, step)
             before = np.where(other_before == regions, before, np.nan)
             after = np.where(other_after == regions, after, np.nan)
-        slopes = (after - before) / (2 * pixel)
-        slopes = np.where(np.isnan(slopes), (after - heights) / pixel, slopes)
-        slopes = np.where(np.isnan(slopes), (heights - before) / pixel, slopes)
+        slopes = (after - before) / (2 * step * pixel)
+        slopes = np.where(np.isnan(slopes), (after - heights) / (step * pixel), slopes)
+        slopes = np.where(np.isnan(slopes), (heights - before) / (step * pixel), slopes)
         results.append(np.where(np.isnan(heights), np.nan, slopes))
     return results[0], results[1]
 
 
-def _neighbours(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the values before and after each pixel along an axis, NaN beyond the edges."""
-    padded = np.pad(values, [(1, 1) if a == axis else (0, 0) for a in (0, 1)], constant_values=np.nan)
+def _neighbours(values: np.ndarray, axis: int, step: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the values `step` pixels before and after each pixel along an axis, NaN beyond the edges."""
+    padded = np.pad(values, [(step, step) if a == axis else (0, 0) for a in (0, 1)], constant_values=np.nan)
     size = values.shape[axis]
-    return np.take(padded, range(size), axis=axis), np.take(padded, range(2, size + 2), axis=axis)
+    return np.take(padded, range(size), axis=axis), np.take(padded, range(2 * step, size + 2 * step), axis=axis)

@@ -1,7 +1,7 @@
 """Label maps: the label that covers most of each pixel, and corrections that go back to the splats."""
 
 import colorsys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from ..splats.splats import Splats
 from .geotiff import NO_LABEL, Color, create_map, map_size, read_map
 from .grid import MapGrid
 from .map_frame import MapScene
-from .tiles import SEEN, Progress, Tile, TileRenderer, tiles_of
+from .tiles import Progress, Tile, TileRenderer, tiles_of
 
 UNLABELLED = "unlabelled"
 """Name of label 0."""
@@ -70,7 +70,7 @@ def write_label_map(
     names = {f"LABEL_{label}": label_name(scene, label) for label in colors}
     with create_map(out, scene, grid, ("label",), "uint8", NO_LABEL, colors, names) as writer:
         for tile in tiles_of(grid, stage="Rendering labels", progress=progress):
-            values = tile_labels(renderer, tile, labels)
+            values = tile_labels(renderer, tile, labels, scene.gains)
             counts += np.bincount(values.ravel(), minlength=256)
             writer.write(tile, values[..., None])
     return counts
@@ -81,11 +81,14 @@ def label_name(scene: MapScene, label: int) -> str:
     return scene.labels.get(label, f"label {label}" if label else UNLABELLED)
 
 
-def tile_labels(renderer: TileRenderer, tile: Tile, labels: np.ndarray) -> np.ndarray:
-    """Return the labels (height, width) of a tile.
+def tile_labels(renderer: TileRenderer, tile: Tile, labels: np.ndarray, gains: Mapping[int, float]) -> np.ndarray:
+    """Return the labels (height, width) of a tile: those with the largest coverage times gain.
 
-    In runs with a background color, light that no splat absorbs counts for the hindmost ones: training leaves ground of
-    that color transparent, and what lies on it would look too large.
+    Args:
+        renderer: Of the splats.
+        tile: The tile.
+        labels: (N,) labels of the splats.
+        gains: Gains of labels, 1 for others.
     """
     chosen = renderer.inside(tile)
     best = np.zeros((tile.height, tile.width), np.float32)
@@ -93,11 +96,8 @@ def tile_labels(renderer: TileRenderer, tile: Tile, labels: np.ndarray) -> np.nd
     present = np.unique(labels[chosen])
     for start in range(0, len(present), CHANNELS):
         some = present[start : start + CHANNELS]
-        channels = (labels[chosen][:, None] == some).astype(np.float32)
-        image, alpha = renderer.render(tile, chosen, channels)
-        if renderer.seen < SEEN:
-            hindmost, _ = renderer.render(tile, chosen, channels, below=True)
-            image += (1 - alpha)[..., None] * hindmost / np.maximum(alpha, 1e-6)[..., None]
+        factors = np.array([gains.get(label, 1.0) for label in some.tolist()], np.float32)
+        image, alpha = renderer.render(tile, chosen, factors * (labels[chosen][:, None] == some))
         largest = image.max(axis=2)
         better = (largest > best) & (alpha >= renderer.seen)
         found[better] = some[image.argmax(axis=2)][better]

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +44,7 @@ class MapScene:
         development: What is done to rendered colors.
         matrix: (4, 4) from the scene's coordinates to those of the map, without the placement.
         labels: Names of the labels by number.
+        gains: Factors on the coverage of labels by number (semantics/label_gains.py); 1 for others.
         notes: Sentences for the user.
         seen: Least alpha of a pixel that shows something.
         run: Folder of the run; None for a splat file.
@@ -56,6 +58,7 @@ class MapScene:
     development: Development
     matrix: np.ndarray
     labels: dict[int, str] = field(default_factory=dict)
+    gains: dict[int, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     seen: float = SEEN
     run: Path | None = None
@@ -100,8 +103,8 @@ def load_map_scene(source: Path, plane: str = "up", water: float = 0.0, develop:
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     return MapScene(
-        transformed(splats, matrix), unit, placement, None, placement is not None, NO_DEVELOPMENT, matrix, {},
-        tuple(notes),
+        transformed(splats, matrix), unit, placement, None, placement is not None, NO_DEVELOPMENT, matrix,
+        notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -143,10 +146,11 @@ def _load_run(folder: Path, plane: str, direction: np.ndarray | None, water: flo
             f"{scene_folder.name} is mostly steep: for a wall, map it from its side with --plane fit; in Blender, "
             "choose it in Seen From."
         )
-    labels = _label_names(run)
+    table = _label_table(run)
     return MapScene(
         placed, "m" if metres else "units", placement, _scale_error(measured), north, development,
-        matrix, labels, tuple(notes), BESIDE_BACKGROUND if run.has_background_color() else SEEN, folder,
+        matrix, {entry["id"]: entry["name"] for entry in table}, {entry["id"]: entry["gain"] for entry in table},
+        tuple(notes), BESIDE_BACKGROUND if run.has_background_color() else SEEN, folder,
     )  # fmt: skip
 
 
@@ -154,12 +158,12 @@ def _scale_error(measured: Georeference | None) -> float | None:
     return measured.error if measured else None
 
 
-def _label_names(run: RunFolder) -> dict[int, str]:
+def _label_table(run: RunFolder) -> list[dict[str, Any]]:
     from ..semantics.labels import TABLE, read_labels
 
     if not (run.path / TABLE).exists():
-        return {}
-    return {entry["id"]: entry["name"] for entry in read_labels(run.path)}
+        return []
+    return read_labels(run.path)
 
 
 def _parse_plane(plane: str) -> np.ndarray | None:

@@ -12,8 +12,8 @@ from ..base.errors import InputError
 from ..base.files import atomic_path
 from .dem import read_heights, write_heights
 from .geotiff import map_crs
-from .grid import USUAL_PIXELS, MapGrid, make_grid
-from .heights import smoothed
+from .grid import USUAL_PIXELS, MapGrid, make_grid, splat_size
+from .heights import smoothed, surface_margin, surface_step
 from .map_frame import load_map_scene
 from .packages import require_packages
 from .tiles import Progress
@@ -21,8 +21,6 @@ from .tiles import Progress
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MARGIN = 3
-"""Pixels around the line that are rendered."""
 MOST_STEPS = 100_000
 
 
@@ -67,8 +65,10 @@ def make_profile(
     if not (np.isfinite(length) and length > 0):
         raise InputError("The line of the profile needs two different points, as --line x y x y.")
     map_crs(scene)
-    pixel = pixel or max(float(np.median(scene.splats.scales.max(axis=1))), length / USUAL_PIXELS)
-    low, high = np.minimum(start, end) - MARGIN * pixel, np.maximum(start, end) + MARGIN * pixel
+    pixel = pixel or max(splat_size(scene.splats), length / USUAL_PIXELS)
+    step = surface_step(scene.splats, pixel)
+    margin = surface_margin(step) * pixel  # around the line
+    low, high = np.minimum(start, end) - margin, np.maximum(start, end) + margin
     grid = make_grid(scene.splats, pixel, (low[0], low[1], high[0], high[1]))
     if length / pixel > MOST_STEPS:
         raise InputError(
@@ -88,18 +88,21 @@ def make_profile(
     picture = out.with_suffix(".png")
     with atomic_path(picture) as temporary:
         _plot(distances, first, median, scene.unit).savefig(temporary, format="png", dpi=120)
-    step = np.diff(distances)
-    rise = np.diff(sample(smoothed(bands[0]), grid, places))
+    step = min(step, len(distances) - 1)
+    level = sample(smoothed(bands[0], step), grid, places)
+    run, rise = distances[step:] - distances[:-step], level[step:] - level[:-step]
     known = np.isfinite(rise)
-    surface = float(np.hypot(step, rise)[known].sum())
+    rugosity = float(np.hypot(run, rise)[known].sum() / run[known].sum()) if known.any() else None
+    # Parts of the line that are seen in heights one after another.
+    planar = float(np.diff(distances)[np.isfinite(np.diff(level))].sum())
     seen = np.isfinite(first)
     return {
         "out": str(out),
         "files": [str(out), str(picture)],
         "unit": scene.unit,
         "length": length,
-        "surface_length": surface,
-        "rugosity": surface / float(step[known].sum()) if known.any() else None,
+        "surface_length": (rugosity or 1.0) * planar,
+        "rugosity": rugosity,
         "heights": [float(first[seen].min()), float(first[seen].max())] if seen.any() else None,
         "covered": float(seen.mean()),
         "scale_error": scene.scale_error,

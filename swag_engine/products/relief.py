@@ -27,15 +27,16 @@ def slope(heights: np.ndarray, pixel: float) -> np.ndarray:
     return np.degrees(np.arctan(np.hypot(down, right)))
 
 
-def rugosity(heights: np.ndarray, pixel: float, window: int) -> np.ndarray:
+def rugosity(heights: np.ndarray, pixel: float, window: int, step: int = 1) -> np.ndarray:
     """Return surface over planar area in a window around each pixel, NaN where nothing was seen.
 
     Args:
         heights: (H, W), NaN where nothing was seen.
         pixel: Edge of a pixel.
         window: Edge of the window, an odd number of pixels.
+        step: As `surface_step` returns it.
     """
-    factor = surface_factor(heights, pixel)
+    factor = surface_factor(heights, pixel, step)
     known = np.isfinite(factor)
     size = window, window
     sums = cv2.boxFilter(

@@ -11,7 +11,7 @@ from ..kernels.backends import device_for
 from ..rasterize.api import contributions, rasterize
 from ..splats.splats import Splats
 from ..splats.transform import covariances
-from .grid import MapGrid
+from .grid import MapGrid, splat_size
 
 Progress = Callable[[str, float], None]
 """Called with the stage of the work and its fraction, 0 to 1; what it raises ends the work."""
@@ -28,8 +28,7 @@ REACH = 3.4
 SEEN = 0.5
 """Least alpha of a pixel that shows something; others are holes."""
 ABOVE = 1.0
-"""Height of the camera above the highest splat, or below the lowest, length units of the map; depth must be beyond the
-near plane."""
+"""Height of the camera above the highest splat, length units of the map; depth must be beyond the near plane."""
 DOWN = (0.0, 0.0, -1.0)
 """Viewing direction in the frame of a map."""
 
@@ -81,13 +80,11 @@ class TileRenderer:
     def __init__(self, splats: Splats, grid: MapGrid, backend: str = "auto", seen: float = SEEN) -> None:
         self.splats, self.grid, self.backend, self.seen = splats, grid, backend, seen
         self.device = device_for(backend)
-        size = float(np.median(splats.scales.max(axis=1)))
-        self.supersampling = int(np.clip(np.ceil(grid.pixel / max(size, 1e-30)), 1, MOST_SUPERSAMPLING))
+        self.supersampling = int(np.clip(np.ceil(grid.pixel / max(splat_size(splats), 1e-30)), 1, MOST_SUPERSAMPLING))
         covariance = covariances(splats)
         widening = BLUR * (grid.pixel / self.supersampling) ** 2
         self._reach = REACH * np.sqrt(covariance[:, [0, 1], [0, 1]] + widening).astype(np.float32)
         self.top = float(splats.positions[:, 2].max()) + ABOVE
-        self.bottom = float(splats.positions[:, 2].min()) - ABOVE
         # The height of a Gaussian's ridge over the plane is linear: z + slope . (x, y), by regression of z on x and y.
         xx, yy, xy = covariance[:, 0, 0] + widening, covariance[:, 1, 1] + widening, covariance[:, 0, 1]
         xz, yz, determinant = covariance[:, 0, 2], covariance[:, 1, 2], xx * yy - xy * xy
@@ -113,16 +110,13 @@ class TileRenderer:
         reach_x, reach_y = self._reach[chosen, 0], self._reach[chosen, 1]
         return (x + reach_x >= left) & (x - reach_x <= right) & (y + reach_y >= bottom) & (y - reach_y <= top)
 
-    def render(
-        self, tile: Tile, chosen: np.ndarray, channels: np.ndarray, below: bool = False
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def render(self, tile: Tile, chosen: np.ndarray, channels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Render a tile.
 
         Args:
             tile: The tile.
             chosen: (M,) indices of the splats, as `inside` returns them.
             channels: (M, C) values to blend.
-            below: Whether the lowest splats are in front.
 
         Returns:
             (height, width, C) blended values over 0, premultiplied by alpha, and alpha (height, width), float32.
@@ -136,7 +130,7 @@ class TileRenderer:
                 height, width = min(edge, tile.height - row), min(edge, tile.width - column)
                 part = Tile(tile.column + column, tile.row + row, width, height)
                 near = self._reaching(part, chosen)
-                camera, gaussians = self._view(part, below=below), self._gaussians(part, chosen[near], below)
+                camera, gaussians = self._view(part), self._gaussians(part, chosen[near])
                 values = torch.from_numpy(np.ascontiguousarray(channels[near], np.float32)).to(self.device)
                 background = values.new_zeros(channels.shape[1])
                 drawn = rasterize(
@@ -168,27 +162,27 @@ class TileRenderer:
         )  # fmt: skip
         return found.weighted.cpu().numpy()
 
-    def _centre(self, tile: Tile, below: bool) -> np.ndarray:
+    def _centre(self, tile: Tile) -> np.ndarray:
         """Middle of a tile at the height of the camera, (3,) float64."""
         grid = self.grid
         x = grid.left + grid.pixel * (tile.column + tile.width / 2)
-        return np.array([x, grid.top - grid.pixel * (tile.row + tile.height / 2), self.bottom if below else self.top])
+        return np.array([x, grid.top - grid.pixel * (tile.row + tile.height / 2), self.top])
 
-    def _view(self, tile: Tile, samples: int = 0, below: bool = False) -> tuple[torch.Tensor, torch.Tensor]:
-        """View matrix and intrinsics of a tile whose splats are relative to its middle; from below it is a mirror."""
+    def _view(self, tile: Tile, samples: int = 0) -> tuple[torch.Tensor, torch.Tensor]:
+        """View matrix and intrinsics of a tile whose splats are relative to its middle."""
         samples = samples or self.supersampling
         scale = samples / self.grid.pixel
-        viewmat = torch.diag(torch.tensor([1.0, -1, 1 if below else -1, 1], device=self.device))
+        viewmat = torch.diag(torch.tensor([1.0, -1, -1, 1], device=self.device))
         width, height = tile.width * samples, tile.height * samples
         K = torch.tensor([[scale, 0, width / 2], [0, scale, height / 2], [0, 0, 1]], device=self.device)
         return viewmat, K
 
     def _gaussians(
-        self, tile: Tile, chosen: np.ndarray, below: bool = False
+        self, tile: Tile, chosen: np.ndarray
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Means relative to the middle of a tile, quaternions, scales and opacities of splats."""
         splats = self.splats
-        means = (splats.positions[chosen] - self._centre(tile, below)).astype(np.float32)
+        means = (splats.positions[chosen] - self._centre(tile)).astype(np.float32)
         arrays = means, splats.rotations[chosen], splats.scales[chosen], splats.opacities[chosen]
         means_, quats, scales, opacities = (torch.from_numpy(array).to(self.device) for array in arrays)
         return means_, quats, scales, opacities

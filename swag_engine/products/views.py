@@ -90,7 +90,8 @@ def height_errors(
 
     A place is where rays of photos meet. A ray in the direction r, whose error is the angle of one pixel 1/f, adds
     (f / range)^2 (I - r r^T) to the information of the place, whose inverse is the covariance (Förstner and Wrobel
-    2016, Photogrammetric Computer Vision). What hides a place is not considered.
+    2016, Photogrammetric Computer Vision). A photo adds as many rays as it has pixels on the place, a level pixel of
+    the map: those of a photo from afar or at a low angle are few. What hides a place is not considered.
 
     Args:
         cameras: Cameras in the scene's coordinates.
@@ -100,8 +101,8 @@ def height_errors(
         heights: (height, width) heights of the tile, NaN where nothing was seen.
 
     Returns:
-        (height, width) float32 standard deviations of the height for errors of one pixel in each photo, length units
-        of the map; infinite where fewer than two photos see a place. Constant within blocks.
+        (height, width) float32 standard deviations of the height for independent errors of one pixel, length units of
+        the map; infinite where fewer than two photos see a place. Constant within blocks.
     """
     rows, columns = (np.arange(0, size, BLOCK) for size in (tile.height, tile.width))
     x = grid.left + grid.pixel * (tile.column + np.minimum(columns + BLOCK / 2, tile.width - 0.5))
@@ -113,7 +114,8 @@ def height_errors(
         rays = places[inside] - camera_centre(camera, scene)
         squares = (rays * rays).sum(axis=1)
         across = np.eye(3) - rays[:, :, None] * rays[:, None, :] / squares[:, None, None]
-        information[inside] += across * (camera.fx**2 / squares)[:, None, None]
+        pixels = grid.pixel**2 * camera.fx**2 * np.abs(rays[:, 2]) / squares**1.5
+        information[inside] += across * (pixels * camera.fx**2 / squares)[:, None, None]
         counts += inside
     # The element zz of the inverse; rays along one line leave the place on it undetermined.
     minor = information[:, 0, 0] * information[:, 1, 1] - information[:, 0, 1] ** 2

@@ -12,6 +12,7 @@ from ..gaussians.contributions import contribution_sums
 from ..rasterize.api import rasterize
 from ..scene.cameras import Camera
 from .embed import DIMENSIONS
+from .label_gains import label_gains
 from .regions import SceneRegions
 from .saliency import OPEN_WATER
 
@@ -37,11 +38,13 @@ class Assignment:
         features: (N, 32), mean of the embeddings of the regions that the Gaussian belongs to, of length 1; 0 for none.
         labels: (N,) int64, 0 for none.
         agreement: (N,), fraction of what the Gaussian adds to labelled pixels that lies in its own label; 0 for none.
+        gains: (L + 1,) float64, the factors on the coverage of labels in maps (`label_gains`).
     """
 
     features: Tensor
     labels: Tensor
     agreement: Tensor
+    gains: np.ndarray
 
 
 @torch.no_grad()
@@ -141,7 +144,7 @@ def assign(
         backend: What computes.
 
     Returns:
-        Labels, features and agreement; Gaussians that no image shows have no label.
+        Labels, features, agreement and gains; Gaussians that no image shows have no label.
     """
     device = cloud.means.device
     votes = torch.zeros(len(cloud), len(regions.labels) + 1, device=device)
@@ -161,7 +164,9 @@ def assign(
     labelled = highest > 0
     own = votes.gather(1, best[:, None])[:, 0] / votes.sum(1).clamp(min=1e-12)
     features = torch.nn.functional.normalize(sums, dim=1)
-    return Assignment(features, torch.where(labelled, best, 0), torch.where(labelled, own, 0))
+    chosen = torch.where(labelled, best, 0)
+    gains = label_gains(cloud, chosen, regions, cameras, behind, backend)
+    return Assignment(features, chosen, torch.where(labelled, own, 0), gains)
 
 
 @torch.no_grad()

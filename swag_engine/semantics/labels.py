@@ -19,7 +19,7 @@ from .embed import DIMENSIONS, Projection
 from .regions import SceneRegions
 
 TABLE = "labels.json"
-"""File of the labels: id, name, count and fraction each."""
+"""File of the labels: id, name, count, fraction and gain each."""
 FEATURES = "semantics.safetensors"
 """File of the features."""
 
@@ -41,22 +41,26 @@ class Semantics:
     embedder: str
 
 
-def label_table(regions: SceneRegions, labels: np.ndarray) -> list[dict[str, Any]]:
+def label_table(regions: SceneRegions, labels: np.ndarray, gains: np.ndarray) -> list[dict[str, Any]]:
     """Make the entries of labels.json.
 
     Args:
         regions: Regions of the scene's images.
         labels: (N,) labels of the Gaussians.
+        gains: (L + 1,) as `label_gains` returns them.
 
     Returns:
-        For each label `id`, `name`, `count` of Gaussians, and `fraction`, the fraction of the images' pixels.
+        For each label `id`, `name`, `count` of Gaussians, `fraction`, the fraction of the images' pixels, and `gain`.
     """
     counts = np.bincount(labels, minlength=len(regions.labels) + 1)
     fractions = regions.pixel_fractions()
     return [
-        {"id": i, "name": name, "count": int(counts[i]), "fraction": round(float(fractions[i]), 6)}
+        {
+            "id": i, "name": name, "count": int(counts[i]), "fraction": round(float(fractions[i]), 6),
+            "gain": round(float(gains[i]), 4),
+        }
         for i, name in enumerate(regions.labels, start=1)
-    ]
+    ]  # fmt: skip
 
 
 def write_semantics(
@@ -95,7 +99,7 @@ def write_semantics(
     labelled = Splats(splats.positions, splats.rotations, splats.scales, splats.opacities, splats.sh, extras)
     agreement = assignment.agreement[assignment.labels > 0]
     document = {
-        "labels": label_table(regions, labels),
+        "labels": label_table(regions, labels, assignment.gains),
         "unlabelled": int((labels == 0).sum()),
         "agreement": round(float(agreement.mean()), 4) if len(agreement) else None,
         **about,
@@ -118,7 +122,7 @@ def read_labels(folder: Path) -> list[dict[str, Any]]:
     """Read labels.json of a run.
 
     Returns:
-        Its labels, as `label_table` makes them.
+        Its labels, as `label_table` makes them; the gain is 1 in files that have none.
 
     Raises:
         InputError: If the run has no labels yet or the file is damaged.
@@ -127,10 +131,13 @@ def read_labels(folder: Path) -> list[dict[str, Any]]:
     document = read_json(path, f"The run {folder} has no labels yet: make them with `label`.")
     try:
         return [
-            {"id": int(entry["id"]), "name": str(entry["name"]), "count": entry["count"], "fraction": entry["fraction"]}
+            {
+                "id": int(entry["id"]), "name": str(entry["name"]), "count": entry["count"],
+                "fraction": entry["fraction"], "gain": float(entry.get("gain", 1)),
+            }
             for entry in document["labels"]
-        ]
-    except (KeyError, TypeError, ValueError) as error:
+        ]  # fmt: skip
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path} does not list labels ({error}): make them again with `label`.") from error
 
 

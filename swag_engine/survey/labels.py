@@ -85,12 +85,14 @@ class SurveyLabels:
         blocks: For each labelled block the common number of each of its own, that of 0 first.
         counts: Number of Gaussians of each label in the blocks, margins included.
         fractions: Mean fraction of the pixels of each label over the blocks.
+        gains: Mean gain of each label over the Gaussians of the blocks.
     """
 
     names: tuple[str, ...]
     blocks: dict[str, np.ndarray]
     counts: tuple[int, ...]
     fractions: tuple[float, ...]
+    gains: tuple[float, ...]
 
     @classmethod
     def of(cls, folder: SurveyFolder, blocks: Sequence[str]) -> "SurveyLabels":
@@ -106,16 +108,22 @@ class SurveyLabels:
                 tables[name] = read_labels(path)
         counts: dict[str, int] = {}
         fractions: dict[str, float] = {}
+        gains: dict[str, float] = {}
         for entry in (entry for table in tables.values() for entry in table):
             counts[entry["name"]] = counts.get(entry["name"], 0) + int(entry["count"])
             fractions[entry["name"]] = fractions.get(entry["name"], 0.0) + float(entry["fraction"]) / len(tables)
+            gains[entry["name"]] = gains.get(entry["name"], 0.0) + int(entry["count"]) * entry["gain"]
         names = sorted(counts, key=lambda name: (-counts[name], name))
         numbers = {
             block: np.array([0, *(names.index(entry["name"]) + 1 for entry in sorted(table, key=lambda e: e["id"]))])
             for block, table in tables.items()
         }
         return cls(
-            tuple(names), numbers, tuple(counts[name] for name in names), tuple(fractions[name] for name in names)
+            tuple(names),
+            numbers,
+            tuple(counts[name] for name in names),
+            tuple(fractions[name] for name in names),
+            tuple(gains[name] / counts[name] if counts[name] else 1.0 for name in names),
         )
 
     def renumbered(self, block: str, splats: Splats) -> Splats:
@@ -129,10 +137,10 @@ class SurveyLabels:
 
     def table(self, counts: Sequence[int]) -> list[dict[str, Any]]:
         """Return the entries of labels.json, with these numbers of Gaussians."""
-        rows = zip(self.names, counts, self.fractions, strict=True)
+        rows = zip(self.names, counts, self.fractions, self.gains, strict=True)
         return [
-            {"id": number, "name": name, "count": count, "fraction": round(fraction, 6)}
-            for number, (name, count, fraction) in enumerate(rows, start=1)
+            {"id": number, "name": name, "count": count, "fraction": round(fraction, 6), "gain": round(gain, 4)}
+            for number, (name, count, fraction, gain) in enumerate(rows, start=1)
         ]
 
     def write(self, folder: Path, counts: Sequence[int]) -> None:

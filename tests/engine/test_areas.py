@@ -17,10 +17,9 @@ from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.products.areas import make_areas
 from swag_engine.products.grid import MapGrid
 from swag_engine.products.label_errors import area_errors, held_out_confusion
-from swag_engine.products.label_map import label_colors, tile_labels
-from swag_engine.products.map_frame import BESIDE_BACKGROUND, load_map_scene
+from swag_engine.products.label_map import label_colors
+from swag_engine.products.map_frame import load_map_scene
 from swag_engine.products.patches import find_patches, to_coco
-from swag_engine.products.tiles import SEEN, TileRenderer, tiles_of
 from swag_engine.products.views import visible
 from swag_engine.scene.colmap import load_scene
 from swag_engine.semantics.assign import render_labels
@@ -215,20 +214,21 @@ def test_what_the_surface_hides_from_a_photo_is_not_compared():
     assert not seen[10, 26:68].any() and seen[10, 72:].all()  # the shadow ends at x = 3.4
 
 
-def test_ground_in_the_color_of_the_background_keeps_its_area(tmp_path):
-    """Transparent ground around a coral with soft edges, in a run with and without a background color."""
+def test_the_gain_of_a_label_moves_its_border(tmp_path):
+    """A coral of 1 m2 with soft edges over transparent ground seems too large; labels.json has its gain."""
     ground = sheet(0, 0, 2, 2, 0.04, label=1)
-    ground.opacities[:] = 0.15
+    ground.opacities[:] = 0.3
     coral = sheet(0.5, 0.5, 1.5, 1.5, 0.05, 0.3, label=2)
-    scene = load_map_scene(write_run(tmp_path, [ground, coral], ("sand", "coral")))
+    run = write_run(tmp_path, [ground, coral], ("sand", "coral"))
+    RunFolder(run).write_metrics({"background": [0.5, 0.5, 0.5]})  # else transparent pixels have no label
     areas = []
-    for seen in (SEEN, BESIDE_BACKGROUND):
-        grid = MapGrid(0, 2, 0.02, 100, 100)
-        renderer = TileRenderer(scene.splats, grid, seen=seen)
-        (tile,) = tiles_of(grid)
-        found = tile_labels(renderer, tile, scene.splats.extras["label"].astype(int))
-        areas.append((found == 2).sum() * grid.pixel**2)
-    assert areas[0] > 1.1 and areas[1] < areas[0] - 0.03, areas
+    for gain in (1, 0.25):
+        table = json.loads((run / "labels.json").read_text())
+        table["labels"][1]["gain"] = gain
+        (run / "labels.json").write_text(json.dumps(table))
+        found = make_areas(run, tmp_path / "areas", PIXEL, (0, 0, 2, 2))
+        areas.append(found["labels"][1]["planar_area"])
+    assert areas[0] > 1.06 and areas[1] == pytest.approx(1, abs=0.03), areas
 
 
 def test_the_command_prints_the_table_and_refuses_splats_without_labels(tmp_path, capsys):

@@ -262,14 +262,20 @@ def cameras_above(scene, places, height=2.0):
 
 
 def test_errors_of_heights_follow_from_the_rays(tmp_path):
-    """Two cameras 2 m above the ground and 1 m apart: angles of a pixel, 1/200, leave 4 cm of height in the middle."""
+    """Two cameras 2 m above the ground and 1 m apart: angles of a pixel, 1/200, leave 4 cm of height in the middle.
+
+    91 pixels of each photo show a pixel of the map there, so a tenth of it is left.
+    """
     scene = load_map_scene(write_run(tmp_path, [survey(0)]))
     grid = make_grid(scene.splats, 0.1, (0, 0, 4, 3))
     (tile,) = tiles.tiles_of(grid)
-    found = height_errors(cameras_above(scene, [(1.5, 1.8), (2.5, 1.8)]), scene, grid, tile, np.zeros((30, 40)))
-    distance = np.hypot(2, 0.5)
-    wanted = distance / 200 / np.sqrt(2) / (0.5 / distance)  # each ray tells the height by the sine of its angle
-    assert found[15, 20] == pytest.approx(wanted, rel=0.1)
+    for height, aside in ((1.0, 0.2), (2.0, 0.5)):
+        pair = cameras_above(scene, [(2 - aside, 1.8), (2 + aside, 1.8)], height)
+        found = height_errors(pair, scene, grid, tile, np.zeros((30, 40)))
+        distance = np.hypot(height, aside)
+        pixels = (0.1 * 200 / distance) ** 2 * height / distance  # seen at an angle
+        wanted = distance / 200 / np.sqrt(2 * pixels) / (aside / distance)  # by the sine of its angle
+        assert found[15, 20] == pytest.approx(wanted, rel=0.01)
     assert np.isinf(found[15, 2]) and np.isinf(found[15, 38]) and np.isinf(found[28, 20])
     more = height_errors(
         cameras_above(scene, [(1.5, 1.8), (2.5, 1.8)] * 4), scene, grid, tile, np.zeros((30, 40))

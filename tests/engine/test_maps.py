@@ -318,6 +318,34 @@ def test_noise_of_heights_is_little_surface():
     np.testing.assert_allclose(surface_factor(slope_only, 1.0)[5:-5, 5:-5], np.sqrt(2), atol=1e-6)
 
 
+@pytest.mark.parametrize("step", [1, 4])
+def test_a_rough_surface_keeps_its_area_under_noise(step):
+    """Waves of 30 steps and slopes of 45 degrees, with errors that are alike within a step."""
+    x, y = np.meshgrid(np.arange(90.0 * step), np.arange(60.0 * step))
+    waves = 30 * step / (2 * np.pi) * np.sin(2 * np.pi * x / (30 * step))
+    truth = np.sqrt(1 + np.cos(2 * np.pi * x / (30 * step)) ** 2).mean()
+    errors = np.random.default_rng(0).normal(0, 0.3 * step, (60, 90)).repeat(step, axis=0).repeat(step, axis=1)
+    for noise, bound in ((0, 0.02), (1, 0.04)):
+        assert surface_factor(waves + noise * errors, 1.0, step).mean() == pytest.approx(truth, rel=bound)
+    assert surface_factor(waves + errors, 1.0).mean() > 1.04 * truth or step == 1
+
+
+def test_the_surface_does_not_grow_with_smaller_pixels(tmp_path):
+    """Level splats, a fifth of them 1 cm higher or lower: most of what their edges add is no surface at any pixel."""
+    ground = sheet(0, 0, 1.5, 1, 0.025)
+    random = np.random.default_rng(0)
+    ground.positions[:, 2] += 0.01 * random.choice([-1, 0, 1], len(ground), p=[0.1, 0.8, 0.1])
+    run = write_run(tmp_path, [ground])
+    found = []
+    for pixel in (0.015, 0.005, 0.0025):
+        made = make_dem(run, tmp_path / "dem.tif", pixel, (0.1, 0.1, 1.4, 0.9), derived=("rugosity",))
+        with rasterio.open(tmp_path / "dem_rugosity.tif") as dataset:
+            assert dataset.read(1).mean() == pytest.approx(made["rugosity"], abs=0.01)
+        found.append(made["rugosity"])
+    heights = read_heights(tmp_path / "dem.tif")
+    assert surface_factor(heights, 0.0025).mean() > 1.1 > 1.05 > max(found), found
+
+
 # -- what cannot be mapped --------------------------------------------------------------------------------------------
 
 

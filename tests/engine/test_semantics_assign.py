@@ -16,6 +16,7 @@ from swag_engine.semantics.assign import (
     semantic_loss,
     targets_in_view,
 )
+from swag_engine.semantics.label_gains import MAX_GAIN, label_coverage, label_gains, matching_gains
 from swag_engine.semantics.regions import ImageRegions, SceneRegions, common_labels
 
 SIZE = 40
@@ -174,3 +175,38 @@ def test_votes_cast_again_fit_the_photographs_better(backend: str, monkeypatch: 
         labels = assign(cloud, scene(maps), cameras, backend).labels
         right.append(float((labels == truth).float().mean()))
     assert right[1] > right[0] + 0.03, right
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_gains_move_a_border_that_transparent_gaussians_displace(backend: str) -> None:
+    """Left of the plane x = 0 Gaussians are twice as opaque as right of it; two images see it at other places."""
+    random = np.random.default_rng(0)
+    places = [(x, y, 2.0) for x, y in random.uniform(-1.2, 1.2, (1500, 2))]
+    cloud = cloud_of(places, 0.08, 0.15)
+    transparent = cloud.means[:, 0] > 0
+    cloud.opacity_logits[transparent] = -2.5
+    maps = {"a": halves(1, 2), "b": np.roll(halves(1, 2), -4, axis=1)}
+    maps["b"][:, -4:] = 2
+    cameras = {"a": camera_at(0, "a"), "b": camera_at(0.2, "b")}
+    labels = torch.where(transparent, 2, 1)
+    found = label_gains(cloud, labels, scene(maps), cameras, backend=backend)
+    every = np.arange(SIZE * SIZE)
+    coverage = np.concatenate([label_coverage(cloud, labels, 2, cameras[a], every, 0, backend) for a in maps])
+    wanted = sum(int((image == 1).sum()) for image in maps.values())
+    counts = [int(((gains * coverage).argmax(1) == 1).sum()) for gains in (np.ones(3), found)]
+    assert counts[0] > 1.04 * wanted and abs(counts[1] - wanted) <= 2, (counts, wanted)
+
+
+def test_gains_match_the_areas_of_all_labels_and_have_bounds() -> None:
+    """Coverages of four labels with errors of known factors; label 3 is nowhere, and too much is wanted of label 4."""
+    random = np.random.default_rng(1)
+    fair = random.dirichlet([3, 2, 1], 20_000).astype(np.float32)
+    coverage = np.zeros((len(fair), 5), np.float32)
+    coverage[:, [1, 2, 4]] = fair * [1, 0.5, 1.8]
+    wanted = np.bincount(np.array([1, 2, 4])[fair.argmax(1)], minlength=5)
+    gains = matching_gains(coverage, wanted)
+    assert gains[[0, 1, 3]].tolist() == [1, 1, 1]
+    np.testing.assert_allclose(gains[[2, 4]], [2, 1 / 1.8], rtol=0.02)
+    np.testing.assert_allclose(np.bincount((gains * coverage).argmax(1), minlength=5), wanted, atol=3)
+    assert matching_gains(coverage, np.array([0, 0, 0, 0, len(fair)]))[4] == MAX_GAIN
+    assert matching_gains(coverage[:0], wanted).tolist() == [1] * 5

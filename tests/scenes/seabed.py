@@ -267,11 +267,7 @@ def _photograph(
     random: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a photo (H, W, 3) uint8 RGB, its labels (H, W) and its ranges (H, W) in metres."""
-    samples = 2
-    width, height = SIZE[0] * samples, SIZE[1] * samples
-    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    rays = np.dstack([(u - width / 2) / (FOCAL * samples), (v - height / 2) / (FOCAL * samples), np.ones_like(u)])
-    rays = (rays / np.linalg.norm(rays, axis=2, keepdims=True)) @ pose[:3, :3]
+    rays = _rays(pose, 2)
     centre = -pose[:3, :3].T @ pose[:3, 3]
     distance = _hit(bed, heights, centre, rays.astype(np.float32))
     points = centre + rays * distance[..., None]
@@ -291,9 +287,19 @@ def _photograph(
     linear = direct + np.array(water.B_inf) * (1 - np.exp(-np.array(water.beta_B) * z))
     linear = cv2.resize(linear.astype(np.float32), SIZE, interpolation=cv2.INTER_AREA)
     shown = 255 * srgb(linear) + random.normal(0, 1.5, linear.shape)
-    mask = bed.sample(labels, x, y, cv2.INTER_NEAREST)[::samples, ::samples]
+    rays = _rays(pose, 1)
+    points = centre + rays * _hit(bed, heights, centre, rays.astype(np.float32))[..., None]
+    mask = bed.sample(labels, points[..., 0], points[..., 1], cv2.INTER_NEAREST)
     middle = cv2.resize(distance.astype(np.float32), SIZE, interpolation=cv2.INTER_AREA)
     return np.clip(shown + 0.5, 0, 255).astype(np.uint8), mask, middle
+
+
+def _rays(pose: np.ndarray, samples: int) -> np.ndarray:
+    """Return the directions (samples H, samples W, 3) of the middles of equal parts of pixels."""
+    width, height = SIZE[0] * samples, SIZE[1] * samples
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = np.dstack([(u - width / 2) / (FOCAL * samples), (v - height / 2) / (FOCAL * samples), np.ones_like(u)])
+    return (rays / np.linalg.norm(rays, axis=2, keepdims=True)) @ pose[:3, :3]
 
 
 def _hit(bed: Seabed, heights: np.ndarray, centre: np.ndarray, rays: np.ndarray) -> np.ndarray:
