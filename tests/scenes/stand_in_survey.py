@@ -120,7 +120,7 @@ def train(folder: Path, job: Path, name: str) -> int:
     begun, state = json.loads(checkpoint.read_text()) if checkpoint.exists() else (0, name)
     for iteration in range(begun, ITERATIONS):
         time.sleep(SLOW if order == "slow" else PAUSE)
-        while order == "endless" and not asked_to_end:
+        while order == "endless" and iteration > 2 and not asked_to_end:
             time.sleep(PAUSE)
         if order == "kill" and iteration >= (begun + ITERATIONS) // 2:
             os.kill(os.getpid(), signal.SIGKILL)
