@@ -1205,19 +1205,21 @@ def maps_truth() -> str:
     names = next(iter(found["0"]["surveys"].values()))["areas"]
     heads = [
         "water", "seed", "test PSNR", "scale", "height, median", "height, 95 %", *names, "patches over 5 %",
-        "largest error, corrected",
+        "largest error, corrected", "labels in their interval",
     ]  # fmt: skip
     rows = []
     for seed, figures in found.items():
         for water, survey in figures["surveys"].items():
             wrong = sum(abs(error) > 0.05 for _, _, error in survey["patches"])
-            corrected = [area["corrected_error"] for area in survey["areas"].values() if "corrected_error" in area]
+            areas = survey["areas"].values()
+            largest = max((area["corrected_error"] for area in areas), key=abs)
             rows.append(
                 [
                     water, seed, f"{survey['test_psnr']:.1f} dB", f"{100 * survey['scale_error']:+.2f} %",
                     f"{survey['height_median_error']:.1f} px", f"{survey['height_p95_error']:.1f} px",
                     *(f"{100 * survey['areas'][name]['error']:+.1f} %" for name in names),
-                    of(wrong, len(survey["patches"])), f"{100 * max(corrected, key=abs):+.1f} %" if corrected else "-",
+                    of(wrong, len(survey["patches"])), f"{100 * largest:+.1f} %",
+                    of(sum(area["in_interval"] for area in areas), len(areas)),
                 ]
             )  # fmt: skip
     return markdown(heads, rows)

@@ -107,7 +107,7 @@ def make_areas(
     write_json(files["polygons"], to_geojson(patches, transform, crs, grid.pixel, names))
     write_json(files["coco"], to_coco(patches, FILES["labels"], grid.width, grid.height, names))
     covered = int(pixels[:NO_LABEL].sum()) / int(pixels.sum())
-    notes = [*scene.notes, *hole_notes(covered), *_error_notes(len(confusion), scene)]
+    notes = [*scene.notes, *hole_notes(covered), *_error_notes(confusion, rows, scene)]
     notes += [f"No pixel shows the label {row['name']}." for row in rows if not row["pixels"]]
     preview = write_preview(files["labels"], scene, grid)
     answer = map_answer(out, [*files.values(), preview], preview, grid, scene, crs) | {
@@ -242,11 +242,16 @@ def _surfaces(labels: Path, heights: Path, grid: MapGrid, step: int) -> np.ndarr
     return sums
 
 
-def _error_notes(views: int, scene: MapScene) -> list[str]:
+def _error_notes(confusion: np.ndarray, rows: list[dict[str, Any]], scene: MapScene) -> list[str]:
     """Say what the intervals hold."""
     notes = []
-    if views:
-        notes.append(f"Intervals hold the confusion of labels in {views} held-out images.")
+    if len(confusion):
+        notes.append(f"Intervals hold the confusion of labels in {len(confusion)} held-out images.")
+        seen = np.flatnonzero(confusion.sum(axis=(0, 2)))
+        unseen = [row["name"] for row in rows if row["pixels"] and row["label"] not in seen]
+        if unseen:
+            names = ", ".join(unseen)
+            notes.append(f"No held-out image shows {names}: its interval does not hold wrong labels.")
     else:
         notes.append("Intervals do not hold wrong labels: there are no masks of held-out images to find them from.")
     if scene.scale_error is None:

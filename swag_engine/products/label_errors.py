@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.special import stdtrit
 
 from ..formats.run_folder import RunFolder
 from ..scene.colmap import load_scene
@@ -17,14 +18,12 @@ from .map_frame import MapScene
 from .tiles import TILE, tiles_of
 from .views import camera_centre, project, visible
 
-ROUNDS = 1000
-"""Resamples of the bootstrap."""
 WIDTH = 1000
 """Largest width of the held-out images, pixels."""
 SAMPLE = 250_000
 """Largest number of pixels of a map that are compared, about."""
-INTERVAL = (2.5, 97.5)
-"""Percentiles of the interval: 95 %."""
+UPPER = 0.975
+"""Quantile of the upper end of a 95 % interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,7 @@ class AreaErrors:
     """Areas corrected for confused labels, and intervals of 95 %, in pixels of the map.
 
     Attributes:
-        corrected: (L + 1,) areas as the confusion says; those of the map where no images were held out.
+        corrected: (L + 1,) areas as the held-out images say; those of the map for labels that none of them shows.
         low: (L + 1,) lower ends, with the error of the scale.
         high: (L + 1,) upper ends.
         cover_low: (L + 1,) lower ends of the fraction of all that was seen; the scale does not matter.
@@ -53,6 +52,10 @@ def held_out_confusion(scene: MapScene, masks: Path | None, labels: Path, height
     is rendered badly from its own place does not count as wrong labels. Pixels that the surface may hide from an image
     are left out.
 
+    An error h of the height displaces the mask of a ray at the angle a to the vertical by h tan(a), and things that
+    stand up seem larger. With an error of the place as large as that of the height, the variance of the displacement
+    grows with 1 + tan(a)^2; pixels have the inverse of it as weight, cos(a)^2.
+
     Args:
         scene: What the map shows.
         masks: Folder of masks as the command label takes them; the folder `labels` of the scene without it.
@@ -61,8 +64,8 @@ def held_out_confusion(scene: MapScene, masks: Path | None, labels: Path, height
         grid: Its pixels.
 
     Returns:
-        (V, L + 1, L + 1) pixels by view, label in the map and label in the mask, 0 for none. Without masks of test
-        images V is 0.
+        (V, L + 1, L + 1) weights of pixels by view, label in the map and label in the mask, 0 for none. Without masks
+        of test images V is 0.
 
     Raises:
         InputError: If the masks or the scene cannot be read.
@@ -89,13 +92,16 @@ def held_out_confusion(scene: MapScene, masks: Path | None, labels: Path, height
         truth = np.zeros((image.camera.height, image.camera.width), np.int64)
         for region in reversed(regions):
             truth[region.mask] = numbers.get(region.label, 0)
-        free = visible(camera_centre(image.camera, scene), coarse, surface) & (mapped != NO_LABEL)
-        pixels = project(image.camera, scene, coarse.places(surface)[free])
+        centre = camera_centre(image.camera, scene)
+        free = visible(centre, coarse, surface) & (mapped != NO_LABEL)
+        places = coarse.places(surface)[free]
+        pixels = project(image.camera, scene, places)
         inside = np.isfinite(pixels[:, 0])
         u, v = pixels[inside].astype(np.int64).T
+        rays = places[inside] - centre
+        weights = rays[:, 2] ** 2 / (rays * rays).sum(axis=1)
         pairs = mapped[free][inside].astype(np.int64) * (count + 1) + truth[v, u]
-        table = np.bincount(pairs, minlength=(count + 1) ** 2).reshape(count + 1, count + 1)
-        tables.append(table.astype(np.float64))
+        tables.append(np.bincount(pairs, weights, (count + 1) ** 2).reshape(count + 1, count + 1))
     return np.stack(tables) if tables else none
 
 
@@ -115,35 +121,37 @@ def _reduced(scene: MapScene, labels: Path, heights: Path, grid: MapGrid) -> tup
     return mapped, surface, MapGrid(grid.left - shift, grid.top + shift, step * grid.pixel, shape[1], shape[0])
 
 
-def area_errors(pixels: np.ndarray, confusion: np.ndarray, scale_error: float | None, seed: int = 0) -> AreaErrors:
-    """Correct areas by a confusion matrix, and find their intervals by a bootstrap over views and over the scale.
+def area_errors(pixels: np.ndarray, confusion: np.ndarray, scale_error: float | None) -> AreaErrors:
+    """Correct areas by held-out images, and find their intervals from the disagreement of images and from the scale.
 
-    The area with label j is sum_i pixels_i P(true j | mapped i) (Olofsson et al. 2014, Remote Sensing of Environment
-    148), with P from resampled views; an area grows with the square of the scale.
+    A label has m_v pixels in the part of the map that image v sees, and t_v in the mask of the image. The ratio
+    estimator (Cochran 1977, Sampling Techniques) of its relative error is d = sum(t_v - m_v) / sum(m_v). Images, not
+    pixels, are independent: the variance of d, were the map right, is s^2 = sum((t_v - m_v)^2) / sum(m_v)^2. The
+    correction is d shrunk to max(0, 1 - s^2 / d^2) d (James and Stein 1961), so that it is 0 unless images agree about
+    it. The interval is that of Student's t for the effective number of images, sum(m_v)^2 / sum(m_v^2) (Kish 1965). An
+    area grows with the square of the scale.
 
     Args:
         pixels: (L + 1,) pixels of each label in the map.
         confusion: (V, L + 1, L + 1) as `held_out_confusion` returns it.
         scale_error: Relative standard error of the scale, None where it is not known.
-        seed: Of the random numbers.
     """
-    random = np.random.default_rng(seed)
-    views = len(confusion)
-    samples = np.repeat(pixels[None].astype(np.float64), ROUNDS, axis=0)
-    corrected = pixels.astype(np.float64)
-    if views:
-        corrected = _corrected(pixels, confusion.sum(axis=0))
-        for i in range(ROUNDS):
-            samples[i] = _corrected(pixels, confusion[random.integers(0, views, views)].sum(axis=0))
-    total = max(float(pixels.sum()), 1.0)
-    cover_low, cover_high = np.percentile(samples / total, INTERVAL, axis=0)
-    samples *= (1 + (scale_error or 0.0) * random.standard_normal(ROUNDS)[:, None]) ** 2
-    low, high = np.percentile(samples, INTERVAL, axis=0)
-    return AreaErrors(corrected, low, high, cover_low, cover_high)
-
-
-def _corrected(pixels: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Areas by true label; a label that no view shows stays as it is."""
-    counts = table.sum(axis=1, keepdims=True)
-    probabilities = np.where(counts > 0, table / np.maximum(counts, 1), np.eye(len(table)))
-    return pixels @ probabilities
+    mapped, difference = confusion.sum(axis=2), confusion.sum(axis=1) - confusion.sum(axis=2)
+    total = mapped.sum(axis=0)
+    seen = total > 0
+    total = np.where(seen, total, 1.0)
+    error = np.where(seen, difference.sum(axis=0) / total, 0.0)
+    variance = np.where(seen, (difference**2).sum(axis=0) / total**2, 0.0)
+    views = np.where(seen, total**2 / np.where(seen, (mapped**2).sum(axis=0), 1.0), 1.0)
+    shrunk = error * np.clip(1 - variance / np.where(error == 0, 1.0, error**2), 0, 1)
+    by_labels = stdtrit(views, UPPER) * np.sqrt(variance)
+    by_scale = stdtrit(np.inf, UPPER) * 2 * (scale_error or 0.0)
+    half = np.hypot(by_labels, by_scale)
+    cover = pixels / max(float(pixels.sum()), 1.0)
+    return AreaErrors(
+        pixels * (1 + shrunk),
+        pixels * np.maximum(1 + shrunk - half, 0),
+        pixels * (1 + shrunk + half),
+        cover * np.maximum(1 + shrunk - by_labels, 0),
+        np.minimum(cover * (1 + shrunk + by_labels), 1),
+    )

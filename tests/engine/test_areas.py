@@ -15,12 +15,13 @@ from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.products.areas import make_areas
+from swag_engine.products.dem import read_heights
 from swag_engine.products.grid import MapGrid
 from swag_engine.products.label_errors import area_errors, held_out_confusion
 from swag_engine.products.label_map import label_colors
 from swag_engine.products.map_frame import load_map_scene
 from swag_engine.products.patches import find_patches, to_coco
-from swag_engine.products.views import visible
+from swag_engine.products.views import camera_centre, project, visible
 from swag_engine.scene.colmap import load_scene
 from swag_engine.semantics.assign import render_labels
 from swag_engine.settings.settings import TrainSettings
@@ -156,25 +157,55 @@ def test_corrections_in_the_colors_of_the_labels_are_read_too(made, tmp_path):
         make_areas(run, out, corrected=tmp_path / "small.png")
 
 
+def confusion_of(mapped, found):
+    """Tables of views in which label 1 has `mapped` pixels in the map and `found` in the mask, the others 2."""
+    confusion = np.zeros((len(mapped), 3, 3))
+    confusion[:, 1, 1] = np.minimum(mapped, found)
+    confusion[:, 1, 2] = mapped - confusion[:, 1, 1]
+    confusion[:, 2, 1] = found - confusion[:, 1, 1]
+    return confusion
+
+
 def test_confusion_moves_areas_and_widens_intervals():
     """A fifth of what is mapped as 1 is 2 in truth, in half of the views a tenth and in the others three tenths."""
-    confusion = np.zeros((8, 3, 3))
-    for view in range(8):
-        wrong = 10 if view % 2 else 30
-        confusion[view, 1] = [0, 100 - wrong, wrong]
-        confusion[view, 2] = [0, 0, 50]
-    errors = area_errors(np.array([0, 1000, 500]), confusion, 0.0)
-    np.testing.assert_allclose(errors.corrected, [0, 800, 700])
-    assert errors.low[1] == pytest.approx(800 - 1.96 * 100 / np.sqrt(8), abs=15)
-    assert errors.high[1] == pytest.approx(800 + 1.96 * 100 / np.sqrt(8), abs=15)
-    np.testing.assert_allclose(errors.cover_low, errors.low / 1500)
+    confusion = confusion_of(np.full(8, 100), np.tile([90.0, 70.0], 4))
+    errors = area_errors(np.array([0, 1000, 0]), confusion, 0.0)
+    assert errors.corrected[1] == pytest.approx(1000 * (1 - 0.2 * (1 - 0.05 / 8 / 0.2**2)))
+    half = 2.306 * 1000 * np.sqrt(0.05 / 8)  # Student's t of 8
+    assert errors.low[1] == pytest.approx(errors.corrected[1] - half, abs=0.1)
+    assert errors.high[1] == pytest.approx(errors.corrected[1] + half, abs=0.1)
+    np.testing.assert_allclose(errors.cover_low, errors.low / 1000)
+
+
+def test_views_that_disagree_correct_nothing():
+    errors = area_errors(np.array([0, 1000, 0]), confusion_of(np.full(2, 100), np.array([130.0, 80.0])), 0.0)
+    assert errors.corrected[1] == 1000 and errors.high[1] > 1700 and errors.low[1] < 300
+    alone = area_errors(np.array([0, 1000, 0]), confusion_of(np.full(1, 100), np.array([104.0])), 0.0)
+    assert alone.corrected[1] == 1000 and alone.high[1] == pytest.approx(1000 * (1 + 12.7 * 0.04), rel=0.01)
+
+
+@pytest.mark.parametrize("views", [1, 2, 5])
+@pytest.mark.parametrize("error", [0.0, 0.02, 0.1])
+def test_intervals_hold_the_truth_as_often_as_they_say(views, error):
+    """Views of unequal size see a map that is wrong by `error`, each with a random error of 3 %."""
+    random = np.random.default_rng(0)
+    inside, off = 0, []
+    for _ in range(1000):
+        mapped = random.uniform(20, 200, views)
+        confusion = confusion_of(mapped, mapped * (1 + error + 0.03 * random.standard_normal(views)))
+        errors = area_errors(np.array([0, 1000, 0]), confusion, 0.0)
+        inside += errors.low[1] <= 1000 * (1 + error) <= errors.high[1]
+        off.append(errors.corrected[1] / 1000 - 1 - error)
+    assert inside >= 930
+    assert np.sqrt(np.mean(np.square(off))) < max(error, 0.03) + 0.005
 
 
 def test_confusion_of_held_out_images(tmp_path):
-    """Splats west of x = 0 are `left`; the masks of the test images call the upper rows of it `right`."""
+    """Splats west of x = 0 are `left`; masks of test images call the upper rows of it `right`, and none shows `far`."""
     photos = make_tiny_scene(tmp_path / "scene")
-    splats = concatenate([sheet(-2, -2, 0, 2, 0.1, label=1), sheet(0, -2, 2, 2, 0.1, label=2)])
-    run = write_run(tmp_path / "made", [splats], ("left", "right"), None)
+    parts = [(-2, -2, 0, 2), (0, -2, 2, 2), (40, 0, 41, 1)]
+    splats = concatenate([sheet(*part, 0.1, label=label) for label, part in enumerate(parts, start=1)])
+    run = write_run(tmp_path / "made", [splats], ("left", "right", "far"), None)
     folder = RunFolder(run)
     folder.write_config(photos, TrainSettings(), [0.0, -1.0, 0.0])
     folder.write_result(splats, [0.0, -1.0, 0.0])
@@ -185,7 +216,7 @@ def test_confusion_of_held_out_images(tmp_path):
     numbers = torch.from_numpy(splats.extras["label"]).long()
     changed, seen_left = 0, 0
     for view in load_scene(photos).views:
-        seen = render_labels(cloud, numbers, 2, view.camera)
+        seen = render_labels(cloud, numbers, 3, view.camera)
         left, right = seen == 1, seen == 2
         if view.name in ("view_00.png", "view_08.png"):  # every eighth
             seen_left += left.sum()
@@ -198,10 +229,19 @@ def test_confusion_of_held_out_images(tmp_path):
             cv2.imwrite(str(path), 255 * mask.astype(np.uint8))
     scene, grid = load_map_scene(run, "0,0,-1"), MapGrid(**made["grid"])
     confusion = held_out_confusion(scene, None, out / "labels.tif", out / "heights.tif", grid)
-    assert confusion.shape == (2, 3, 3)
+    assert confusion.shape == (2, 4, 4)
+    heights = read_heights(out / "heights.tif")
+    places = grid.places(heights)[np.isfinite(heights)]
+    test = [view.camera for view in load_scene(photos).views if view.name in ("view_00.png", "view_08.png")]
+    for camera, table in zip(test, confusion, strict=True):
+        rays = places[np.isfinite(project(camera, scene, places)[:, 0])] - camera_centre(camera, scene)
+        cosines = rays[:, 2] / np.linalg.norm(rays, axis=1)
+        assert table.sum() == pytest.approx((cosines**2).sum(), rel=0.02) and cosines.max() < -0.5
     assert confusion[:, 1, 2].sum() / confusion[:, 1, 1:].sum() == pytest.approx(changed / seen_left, abs=0.02)
     assert confusion[:, 2, 1].sum() < 0.02 * confusion[:, 2, 2].sum()
-    assert make_areas(run, out, 0.05, plane="0,0,-1")["held_out"] == 2
+    made = make_areas(run, out, 0.05, plane="0,0,-1")
+    assert made["held_out"] == 2
+    assert "No held-out image shows far: its interval does not hold wrong labels." in made["notes"]
 
 
 def test_what_the_surface_hides_from_a_photo_is_not_compared():
