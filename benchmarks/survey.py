@@ -59,7 +59,7 @@ SIZES = (150, 300, 600)
 """Numbers of images in `scale`."""
 SCALE_BLOCK = 100
 """Images of a block in `scale`, at most."""
-SCALE_ITERATIONS = 2500
+SCALE_ITERATIONS = 1000
 """Iterations of the average block in `scale`."""
 LARGE = {"images": 5000, "points": 5_000_000}
 """Size of the model in `plan`."""
