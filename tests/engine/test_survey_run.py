@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -129,16 +130,21 @@ DRIVER = """
 import sys, json; from pathlib import Path
 from swag_engine.survey import job as jobs
 from swag_engine.survey import run
-from swag_engine.survey.executors import protocol
+from swag_engine.survey.executors import local, protocol
 from swag_engine.survey.executors.local import LocalExecutor
-protocol.JOB, run.RECHECK_SECONDS = (sys.argv[2],), 0.3
+protocol.JOB, run.RECHECK_SECONDS, local.available_cores = (sys.argv[2],), 0.3, lambda: 4
 print(json.dumps(run.run_survey(Path(sys.argv[1]), LocalExecutor("cpu", most=2))))
 """
 
 
+@contextmanager
 def driver(folder):
-    """Start another process that runs a survey."""
-    return subprocess.Popen([sys.executable, "-c", DRIVER, folder, *JOB], cwd=ROOT, stdout=subprocess.PIPE)
+    """Start another process that runs a survey, and kill it at the end if it still runs."""
+    with subprocess.Popen([sys.executable, "-c", DRIVER, folder, *JOB], cwd=ROOT, stdout=subprocess.PIPE) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def wait_for(what, seconds=120):

@@ -4,8 +4,8 @@
 
 Each iteration hashes the state, so that a block that lost or repeated one has another result. orders.json in the folder
 has what happens to a block at each of its starts: "kill" at half of the iterations that are left, "refuse" with exit
-code 2, "slow" it down to a second for each, or "crash" with a traceback; "refuse on PROCESS" is for the node of a Ray
-cluster whose raylet has that number.
+code 2, "slow" it down to a second for each, "endless" until it is asked to end, or "crash" with a traceback;
+"refuse on PROCESS" is for the node of a Ray cluster whose raylet has that number.
 """
 
 import hashlib
