@@ -1,6 +1,7 @@
 """What a user can do: one module for each verb.
 
-A module lists its classes in CLASSES and may have register() and unregister().
+A module lists its classes in CLASSES. It may have unregister(), and draw_import(layout) or draw_export(layout) for its
+line in these menus of Blender.
 """
 
 from typing import Any
@@ -120,27 +121,43 @@ class SWAG_MT_splatting(bpy.types.Menu):
             layout.separator()
 
 
-_parent_menu: Any = bpy.types.VIEW3D_MT_object  # as Any: the stubs declare another signature of append
-
-
-def _menu(menu: Any, context: bpy.types.Context) -> None:
+def _object_menu(menu: Any, context: bpy.types.Context) -> None:
     menu.layout.menu(SWAG_MT_splatting.__name__)
 
 
+def _import_menu(menu: Any, context: bpy.types.Context) -> None:
+    for module in _MODULES:
+        if hasattr(module, "draw_import"):
+            module.draw_import(menu.layout)
+
+
+def _export_menu(menu: Any, context: bpy.types.Context) -> None:
+    for module in _MODULES:
+        if hasattr(module, "draw_export"):
+            module.draw_export(menu.layout)
+
+
+_menus: Any = {  # as Any: the stubs declare another signature of append
+    bpy.types.VIEW3D_MT_object: _object_menu,
+    bpy.types.TOPBAR_MT_file_import: _import_menu,
+    bpy.types.TOPBAR_MT_file_export: _export_menu,
+}
+
+
 def register() -> None:
-    """Register all operators and the menu Object > SWAG Splatting."""
+    """Register all operators and their lines in Blender's menus."""
     for module in _MODULES:
         for cls in module.CLASSES:
             bpy.utils.register_class(cls)
-        if hasattr(module, "register"):
-            module.register()
     bpy.utils.register_class(SWAG_MT_splatting)
-    _parent_menu.append(_menu)
+    for parent, draw in _menus.items():
+        parent.append(draw)
 
 
 def unregister() -> None:
     """Undo `register`."""
-    _parent_menu.remove(_menu)
+    for parent, draw in _menus.items():
+        parent.remove(draw)
     bpy.utils.unregister_class(SWAG_MT_splatting)
     for module in reversed(_MODULES):
         if hasattr(module, "unregister"):

@@ -146,21 +146,9 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
 SWAG_OT_export_splats.__annotations__ |= OPTION_PROPERTIES
 
 
-_parent_menu: Any = bpy.types.TOPBAR_MT_file_export  # as Any: the stubs declare another signature of append
-
-
-def _menu(menu: Any, context: bpy.types.Context) -> None:
-    menu.layout.operator(SWAG_OT_export_splats.bl_idname, text=menu_text(), translate=False)
-
-
-def register() -> None:
-    """Add the operator to File > Export."""
-    _parent_menu.append(_menu)
-
-
-def unregister() -> None:
-    """Remove it from there."""
-    _parent_menu.remove(_menu)
+def draw_export(layout: bpy.types.UILayout) -> None:
+    """Draw the line in File > Export."""
+    layout.operator(SWAG_OT_export_splats.bl_idname, text=menu_text(), translate=False)
 
 
 CLASSES = (SWAG_OT_export_splats,)

@@ -65,21 +65,9 @@ class SWAG_OT_import_cameras(ImportJob):
         return camera_import.make_request(self.filepath, self.photos_folder, self.points_file, self.scene_folder)
 
 
-_parent_menu: Any = bpy.types.TOPBAR_MT_file_import  # as Any: the stubs declare another signature of append
-
-
-def _menu(menu: Any, context: bpy.types.Context) -> None:
-    menu.layout.operator(SWAG_OT_import_cameras.bl_idname, text="Cameras of Another Program (.xml/.json/.csv)")
-
-
-def register() -> None:
-    """Add the operator to File > Import."""
-    _parent_menu.append(_menu)
-
-
-def unregister() -> None:
-    """Remove it from there."""
-    _parent_menu.remove(_menu)
+def draw_import(layout: bpy.types.UILayout) -> None:
+    """Draw the line in File > Import."""
+    layout.operator(SWAG_OT_import_cameras.bl_idname, text="Cameras of Another Program (.xml/.json/.csv)")
 
 
 CLASSES = (SWAG_OT_import_cameras,)

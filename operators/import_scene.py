@@ -40,21 +40,9 @@ class SWAG_OT_import_scene(ImportJob):
         return {"request": "inspect", "scene": folder}
 
 
-_parent_menu: Any = bpy.types.TOPBAR_MT_file_import  # as Any: the stubs declare another signature of append
-
-
-def _menu(menu: Any, context: bpy.types.Context) -> None:
-    menu.layout.operator(SWAG_OT_import_scene.bl_idname, text="COLMAP Scene (folder)")
-
-
-def register() -> None:
-    """Add the operator to File > Import."""
-    _parent_menu.append(_menu)
-
-
-def unregister() -> None:
-    """Remove it from there."""
-    _parent_menu.remove(_menu)
+def draw_import(layout: bpy.types.UILayout) -> None:
+    """Draw the line in File > Import."""
+    layout.operator(SWAG_OT_import_scene.bl_idname, text="COLMAP Scene (folder)")
 
 
 CLASSES = (SWAG_OT_import_scene,)

@@ -1,7 +1,7 @@
 """Open splat files, through the menu or dropped into the window."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import bpy
 from bpy.props import CollectionProperty, EnumProperty, IntProperty, StringProperty
@@ -90,21 +90,9 @@ class SWAG_FH_splats(bpy.types.FileHandler):
         return context is not None and context.area is not None and context.area.type in {"VIEW_3D", "OUTLINER"}
 
 
-_parent_menu: Any = bpy.types.TOPBAR_MT_file_import  # as Any: the stubs declare another signature of append
-
-
-def _menu(menu: Any, context: bpy.types.Context) -> None:
-    menu.layout.operator(SWAG_OT_import_splats.bl_idname, text=menu_text(), translate=False)
-
-
-def register() -> None:
-    """Add the operator to File > Import."""
-    _parent_menu.append(_menu)
-
-
-def unregister() -> None:
-    """Remove it from there."""
-    _parent_menu.remove(_menu)
+def draw_import(layout: bpy.types.UILayout) -> None:
+    """Draw the line in File > Import."""
+    layout.operator(SWAG_OT_import_splats.bl_idname, text=menu_text(), translate=False)
 
 
 CLASSES = (SWAG_OT_import_splats, SWAG_FH_splats)

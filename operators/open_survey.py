@@ -1,7 +1,7 @@
 """Open a merged survey."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import bpy
 from bpy.props import StringProperty
@@ -43,21 +43,9 @@ class SWAG_OT_open_survey(ReportingOperator):
         return survey.open_survey(context, Path(bpy.path.abspath(self.filepath or self.directory)))[1]
 
 
-_parent_menu: Any = bpy.types.TOPBAR_MT_file_import  # as Any: the stubs declare another signature of append
-
-
-def _menu(menu: Any, context: bpy.types.Context) -> None:
-    menu.layout.operator(SWAG_OT_open_survey.bl_idname, text="SWAG Survey (folder)")
-
-
-def register() -> None:
-    """Add the operator to File > Import."""
-    _parent_menu.append(_menu)
-
-
-def unregister() -> None:
-    """Remove it from there."""
-    _parent_menu.remove(_menu)
+def draw_import(layout: bpy.types.UILayout) -> None:
+    """Draw the line in File > Import."""
+    layout.operator(SWAG_OT_open_survey.bl_idname, text="SWAG Survey (folder)")
 
 
 CLASSES = (SWAG_OT_open_survey,)

@@ -44,7 +44,7 @@ def menu_and_panel():
     drawn = []
 
     class Layout:
-        def operator(self, name, text="", icon=""):
+        def operator(self, name, text="", icon="", translate=True):
             drawn.append(name)
             return type("Button", (), {"__setattr__": lambda _, key, value: drawn.append([key, value])})()
 
@@ -57,5 +57,9 @@ def menu_and_panel():
 
     swag.cameras_file, swag.cameras_photos = "/a/cameras.xml", "/a/photos"
     camera_import.draw_import_cameras(Layout(), bpy.context)
-    functions = bpy.types.TOPBAR_MT_file_import.draw._draw_funcs
-    return {"panel": drawn, "menu": sum(function.__module__.endswith("import_cameras") for function in functions)}
+    panel = list(drawn)
+    menu = type("Menu", (), {"layout": Layout()})()
+    for function in bpy.types.TOPBAR_MT_file_import.draw._draw_funcs:
+        if "swag" in function.__module__:
+            function(menu, bpy.context)
+    return {"panel": panel, "menu": drawn[len(panel) :].count("swag.import_cameras")}

@@ -102,7 +102,7 @@ def operators_and_menu():
     return {
         "names": sorted(cls.bl_idname.partition(".")[2] for cls in classes),
         "menu": sorted(name.partition(".")[2] for name in layout.names),
-        "menu is in the Object menu": operators._menu in bpy.types.VIEW3D_MT_object.draw._draw_funcs,
+        "menu is in the Object menu": operators._object_menu in bpy.types.VIEW3D_MT_object.draw._draw_funcs,
         "without tooltip": [cls.__name__ for cls in classes if len(cls.__doc__ or "") < 10],
         "with undo": [cls.bl_idname for cls in classes if "UNDO" in getattr(cls, "bl_options", ())],
         "undescribed": undescribed,
