@@ -36,7 +36,7 @@ MEDIAN_LIGHT = 0.13
 """Linear light of the median surface up to which exposure is raised: exposure meters make the mean of a scene 0.12 to
 0.14 (ISO 2720, K = 12.5 to 14). A room without anything bright would otherwise be shown far too bright."""
 MOST_STOPS = 2.0
-"""Largest change of exposure, stops."""
+"""Most that exposure is raised, stops: it raises noise as well. Lowering it loses nothing."""
 NEARLY_GREY = 0.35
 """Largest ratio, in stops, of red and of blue to green in parts that are taken for neutral, and so the largest gain. At
 0.6 the sand of the demo scene counts and turns grey: delta E 15.7 instead of 12.8."""
@@ -129,7 +129,7 @@ def find_development(colors: np.ndarray, weights: np.ndarray) -> tuple[Developme
     highlights = np.quantile((light * white).max(axis=1), 1 - MOST_CLIPPED)
     median = float(np.median(light @ (LUMINANCE * white)))  # far parts count as much: they are as visible
     raised = min(np.log2(BRIGHT_LIGHT / bright), max(0.0, np.log2(MEDIAN_LIGHT / median)))
-    stops = min(np.clip(raised, -MOST_STOPS, MOST_STOPS), np.log2(HEADROOM / highlights))
+    stops = min(raised, MOST_STOPS, np.log2(HEADROOM / highlights))
     red, green, blue = white.tolist()
     return Development(round(float(stops), 3), (red, green, blue), knee=KNEE), neutral
 

@@ -163,11 +163,17 @@ def test_grey_parts_give_the_white_point_and_bright_ones_the_exposure():
     assert neutral < 0.02 and without.white == (1.0, 1.0, 1.0)
 
 
-def test_exposure_is_raised_until_the_bright_parts_or_the_median_are_bright_enough():
+def test_exposure_makes_the_bright_parts_or_the_median_bright_enough():
     without_bright_parts = np.full((1000, 3), 0.06)
     with_few = without_bright_parts.copy()
     with_few[:50] = 0.4
-    for light, expected in ((without_bright_parts, 0.13 / 0.06), (with_few, 0.8 / 0.4), (without_bright_parts * 3, 1)):
+    cases = (
+        (without_bright_parts, 0.13 / 0.06),
+        (with_few, 0.8 / 0.4),
+        (without_bright_parts * 3, 1),
+        (with_few * 20, 0.1),
+    )
+    for light, expected in cases:
         development, _ = find_development(linear_to_srgb(light), np.ones(1000))
         assert 2**development.exposure == pytest.approx(expected, rel=0.01)
 
