@@ -175,6 +175,7 @@ def _planned(
         len(chosen["train"]),
         len(chosen["validation"]),
         max(1, round(sizes.iterations * min(1.0, len(chosen["train"]) / mean_training))),
+        max(block.max_gaussians for block in blocks),
     )
     # What remains after merging: of each block the Gaussians in its core.
     total = sum(block.max_gaussians * part.core_points / part.points for block, part in zip(blocks, parts, strict=True))
@@ -253,6 +254,7 @@ def _members(images: np.ndarray, names: Sequence[str], split: Split) -> dict[str
 def _blocks(parts: Sequence[Part], names: Sequence[str], split: Split, sizes: Sizes, seed: int) -> list[Block]:
     members = [_members(part.images, names, split) for part in parts]
     iterations = sizes.block_iterations([len(member["training"]) for member in members])
+    largest = max(map(sizes.block_gaussians, parts))
     return [
         Block(
             name=f"B-{number:03d}",
@@ -263,7 +265,7 @@ def _blocks(parts: Sequence[Part], names: Sequence[str], split: Split, sizes: Si
             iterations=steps,
             max_gaussians=sizes.block_gaussians(part),
             points=part.points,
-            memory=sizes.block_memory(part),
+            memory=sizes.block_memory(part, largest),
         )
         for number, (part, member, steps) in enumerate(zip(parts, members, iterations, strict=True), 1)
     ]
@@ -279,7 +281,8 @@ def _seams(
 ) -> list[Block]:
     """Return the seams as parts of the survey; a border that too few training images show has none."""
     training = [len(block.training) for block in blocks]
-    fitting = [seam for seam in seams if sizes.fits(seam)]
+    largest = max(block.max_gaussians for block in blocks)
+    fitting = [seam for seam in seams if sizes.fits(seam, largest)]
     if len(fitting) < len(seams):
         notes.append(
             f"{len(seams) - len(fitting)} of {len(seams)} borders between blocks are not trained as seams, as the "
@@ -301,7 +304,7 @@ def _seams(
                 iterations=sizes.seam_iterations(len(member["training"]), training),
                 max_gaussians=max(1, round(sizes.block_gaussians(seam) * seam.core_points / max(1, seam.points))),
                 points=seam.points,
-                memory=sizes.block_memory(seam),
+                memory=sizes.block_memory(seam, largest),
                 sides=(first.name, second.name),
             )
         )
