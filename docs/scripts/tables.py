@@ -1303,6 +1303,10 @@ def survey_plan() -> str:
     )  # fmt: skip
 
 
+def _hours(hours: float) -> str:
+    return f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.0f} min"
+
+
 @table
 def survey_cost() -> str:
     """Time of large surveys on one machine, on eight and on spot machines."""
@@ -1311,8 +1315,8 @@ def survey_cost() -> str:
     rows = [
         [
             f"{row['images']:,}".replace(",", " "), row["blocks"], row["cluster"], row["at_once_on_a_machine"],
-            f"{row['hours']:.1f} h" + (f" ({row['hours_95']:.1f} h)" if row["failures_an_hour"] else ""),
-            f"{row['machine_hours']:.0f} h", row["most_losses"], f"{row['hours_without_checkpoints']:.1f} h",
+            _hours(row["hours"]) + (f" ({_hours(row['hours_95'])})" if row["failures_an_hour"] else ""),
+            _hours(row["machine_hours"]), row["most_losses"], _hours(row["hours_without_checkpoints"]),
         ]
         for row in results("survey_cost")["rows"]
     ]  # fmt: skip
