@@ -95,7 +95,7 @@ def test_numbers_that_the_user_gives_are_those_of_the_whole(scene, tmp_path):
     for block in blocks:
         assert block.max_gaussians == round(300_000 * block.points / points)
     assert sum(block.iterations for block in blocks) == pytest.approx(500 * len(blocks), abs=len(blocks))
-    assert document["coarse"]["max_gaussians"] <= max(block.max_gaussians for block in blocks)
+    assert document["coarse"]["max_gaussians"] <= min(200_000, max(block.max_gaussians for block in blocks))
     assert survey.coarse_settings.width == 100
 
 
