@@ -159,8 +159,9 @@ def _planned(
             f"{len(left_out)} photos are in no block, as they show too few sparse points: "
             f"{first_names([names[image] for image in left_out])}."
         )
-    blocks = _blocks(parts, names, split, sizes, settings.seed)
-    seams = _seams(seams_of(parts, places, bounds, distance), blocks, names, split, sizes, notes)
+    largest = max(map(sizes.block_gaussians, parts))
+    blocks = _blocks(parts, names, split, sizes, largest, settings.seed)
+    seams = _seams(seams_of(parts, places, bounds, distance), blocks, names, split, sizes, largest, notes)
 
     report("Choose the photos of the coarse model", 0.9)
     directions = np.stack([view.camera.world_to_camera[2, :3] for view in scene.views])
@@ -175,7 +176,7 @@ def _planned(
         len(chosen["train"]),
         len(chosen["validation"]),
         max(1, round(sizes.iterations * min(1.0, len(chosen["train"]) / mean_training))),
-        max(block.max_gaussians for block in blocks),
+        largest,
     )
     # What remains after merging: of each block the Gaussians in its core.
     total = sum(block.max_gaussians * part.core_points / part.points for block, part in zip(blocks, parts, strict=True))
@@ -251,10 +252,11 @@ def _members(images: np.ndarray, names: Sequence[str], split: Split) -> dict[str
     return {kind: tuple(sorted(joined.intersection(wanted))) for kind, wanted in of_kind.items()}
 
 
-def _blocks(parts: Sequence[Part], names: Sequence[str], split: Split, sizes: Sizes, seed: int) -> list[Block]:
+def _blocks(
+    parts: Sequence[Part], names: Sequence[str], split: Split, sizes: Sizes, largest: int, seed: int
+) -> list[Block]:
     members = [_members(part.images, names, split) for part in parts]
     iterations = sizes.block_iterations([len(member["training"]) for member in members])
-    largest = max(map(sizes.block_gaussians, parts))
     return [
         Block(
             name=f"B-{number:03d}",
@@ -277,11 +279,11 @@ def _seams(
     names: Sequence[str],
     split: Split,
     sizes: Sizes,
+    largest: int,
     notes: list[str],
 ) -> list[Block]:
     """Return the seams as parts of the survey; a border that too few training images show has none."""
     training = [len(block.training) for block in blocks]
-    largest = max(block.max_gaussians for block in blocks)
     fitting = [seam for seam in seams if sizes.fits(seam, largest)]
     if len(fitting) < len(seams):
         notes.append(
