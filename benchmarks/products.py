@@ -6,8 +6,9 @@ Results: benchmarks/results/products.json
 For each seed, photos of a seabed of known heights, labels and scale (tests/scenes/seabed.py) are written to FOLDER in
 four kinds of water and trained there. The scale is measured from the coded targets, the axes from the places of their
 middles. Labels are learned from masks of the training photos. Later surveys, in which three corals are gone, one has
-grown by 10 % and a bank of sand has moved, are compared with the survey in ocean water. Seed 0 is the seabed of the
-documentation; others move what lies on it and have another texture, other noise and other initial values.
+grown by 10 % and a bank of sand has moved, are compared with the survey in ocean water, in air or under a lamp. Seed 0
+is the seabed of the documentation; others move what lies on it and have another texture, other noise and other initial
+values.
 
 The run can be stopped at any time and started again with the same FOLDER: a training continues from its newest
 checkpoint, and what is trained and labelled is not made again. Figures replace those of the same seed and name in the
@@ -43,10 +44,12 @@ from swag_engine.semantics.labels import read_labels
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
 from tests.scenes.seabed import (
+    AIR,
     CELL,
     COAST,
     EXTENT,
     LABELS,
+    LAMP,
     MARGIN,
     METRES_PER_UNIT,
     OCEAN,
@@ -71,7 +74,12 @@ PAIRS: dict[str, dict[str, Any]] = {
     "same water and path": {"water": OCEAN, "seed": 1},
     "other water, light and path": {"water": COAST, "turned": True, "light": 0.8, "seed": 2},
     "nothing changed; other water, light and path": {"water": COAST, "turned": True, "light": 0.8, "seed": 3},
+    "in air; other light and path": {"water": AIR, "turned": True, "light": 0.8, "seed": 4},
+    "under a lamp; other path": {"water": LAMP, "turned": True, "seed": 5},
 }
+"""Later surveys."""
+EARLIER = {"in air; other light and path": "air", "under a lamp; other path": "lamp"}
+"""Surveys that later ones are compared with; "ocean" where none is given."""
 
 
 def trained(folder: Path, bed: Seabed, settings: TrainSettings, **options: Any) -> tuple[Path, dict[str, Any]]:
@@ -230,7 +238,8 @@ def compare(
             place = folder / f"later-{changes['seed']}"
             options = changes | {"seed": 10 * seed + changes["seed"]}
             run, _ = trained(place, after, replace(settings, seed=options["seed"]), **options)
-            yield "changes", name, change_figures(survey("ocean")[0], run, bed, after, place / "change")
+            before, _ = survey(EARLIER.get(name, "ocean"))
+            yield "changes", name, change_figures(before, run, bed, after, place / "change")
 
 
 def main() -> None:
