@@ -57,6 +57,8 @@ CUTS = (4, 9)
 """Numbers of blocks in `quality`."""
 SIZES = (150, 300, 600)
 """Numbers of images in `scale`."""
+WORKERS_IMAGES = 300
+"""Images of the survey that one worker and two workers train."""
 SCALE_BLOCK = 100
 """Images of a block in `scale`, at most."""
 SCALE_ITERATIONS = 1000
@@ -270,7 +272,7 @@ def scale(folder: Path, results: Results) -> None:
             "merge": merged, "jobs": jobs,
         }  # fmt: skip
         results.add("scale", row, "images")
-    if not results.has("workers", images=SIZES[0]):
+    if not results.has("workers", images=WORKERS_IMAGES):
         workers(folder, results)
     rows = sorted(results.rows("scale"), key=lambda row: row["images"])
     if len(rows) >= 3:
@@ -286,11 +288,11 @@ def _settings_for(images: int) -> TrainSettings:
 
 
 def workers(folder: Path, results: Results) -> None:
-    """Train the blocks of the smallest survey with one worker and with two, each on one core."""
-    first = SurveyFolder(folder / "scale" / f"{SIZES[0]}")
+    """Train the blocks and seams of a survey with one worker and with two, each on one core."""
+    first = SurveyFolder(folder / "scale" / f"{WORKERS_IMAGES}")
     seconds, used = {}, {}
     for count in (1, 2):
-        copy = SurveyFolder(folder / "scale" / f"{SIZES[0]}-{count}-workers")
+        copy = SurveyFolder(folder / "scale" / f"{WORKERS_IMAGES}-{count}-workers")
         shutil.rmtree(copy.path, ignore_errors=True)
         shutil.copytree(first.path, copy.path)
         for name in copy.read().parts:
@@ -301,7 +303,8 @@ def workers(folder: Path, results: Results) -> None:
         for names in (first.read().blocks, first.read().seams)
     ]
     row = {
-        "images": SIZES[0], "blocks": len(first.read().blocks), "seconds_one": seconds[1], "seconds_two": seconds[2],
+        "images": WORKERS_IMAGES, "blocks": len(first.read().blocks),
+        "seconds_one": seconds[1], "seconds_two": seconds[2],
         "processor_seconds_one": used[1], "processor_seconds_two": used[2], "speed_up": seconds[1] / seconds[2],
         # As no job is divided, and seams wait for blocks: the time of all over that of the busier of two workers.
         "most_speed_up": sum(map(sum, stages)) / sum(makespan(stage, 2) for stage in stages),

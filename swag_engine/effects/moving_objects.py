@@ -82,9 +82,13 @@ def moving_mask(residual: np.ndarray, elsewhere: np.ndarray, valid: np.ndarray) 
 
 @torch.no_grad()
 def residuals_elsewhere(
-    cloud: GaussianCloud, cameras: Sequence[Camera], residuals: Sequence[np.ndarray], backend: str = "auto"
+    cloud: GaussianCloud,
+    cameras: Sequence[Camera],
+    residuals: Sequence[np.ndarray],
+    wanted: Sequence[int],
+    backend: str = "auto",
 ) -> Iterator[np.ndarray]:
-    """Render, for each camera, the residuals that all other images have at the places it sees.
+    """Render, for some cameras, the residuals that all other images have at the places that the camera sees.
 
     The residual of a Gaussian in images is the mean over their pixels, weighted with what it adds to them. Where the
     others show little of it, its residual in the image itself counts: what is seen once cannot be distinguished from
@@ -94,10 +98,11 @@ def residuals_elsewhere(
         cloud: The Gaussians.
         cameras: Cameras of the images.
         residuals: (H, W) residual of each image.
+        wanted: Numbers of the cameras to render for.
         backend: What renders.
 
     Yields:
-        (H, W) float32 for each camera.
+        (H, W) float32 for each of these cameras.
     """
 
     def sums(camera: Camera, values: np.ndarray) -> Tensor:
@@ -107,7 +112,7 @@ def residuals_elsewhere(
     total = cloud.means.new_zeros(len(cloud), 2)
     for camera, values in zip(cameras, residuals, strict=True):
         total += sums(camera, values)
-    for camera, values in zip(cameras, residuals, strict=True):
+    for camera, values in [(cameras[index], residuals[index]) for index in wanted]:
         own = sums(camera, values)
         left, weight = (total - own).clamp(min=0).unbind(1)
         mean = own[:, 0] / own[:, 1].clamp(min=1e-6)

@@ -138,6 +138,7 @@ class WeightedObservations:
         self.count = float(np.sum(counts - 1))
         rows = np.arange(len(self.track))
         self.sums = csr_matrix((np.ones(len(rows)), (self.track, rows)))
+        self.by_image = csr_matrix((np.ones(len(rows)), (self.image, rows)))
 
     def without_outliers(self, fit: Fit) -> "WeightedObservations":
         """Drop the tenth of the points that `fit` explains worst, and weigh single outliers less."""
@@ -245,7 +246,7 @@ class WeightedObservations:
         return gain, direct, scattered
 
     def _solved(self, family: Family, values: np.ndarray, c: int) -> tuple[np.ndarray, ...]:
-        """Of channel c: factors, each observation's J, the residual, and the weighted square of J's factor per point.
+        """Of channel c: factors, each point's J, the residual, and the weighted square of J's factor per point.
 
         No J is negative. In dense water, where backscatter is nearly all of the light, this keeps the background light
         from being overestimated.
@@ -254,16 +255,16 @@ class WeightedObservations:
         a, weight = gain * direct, self.weights[:, c]
         square = np.bincount(self.track, weight * a * a)
         rest = self.light[:, c] - gain * values[6 + c] * scattered
-        J = (np.bincount(self.track, weight * a * rest) / square).clip(min=0)[self.track]
-        return gain, direct, scattered, J, rest - a * J, square
+        J = (np.bincount(self.track, weight * a * rest) / square).clip(min=0)
+        return gain, direct, scattered, J, rest - a * J[self.track], square
 
     def _linearised(self, family: Family, values: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Cost (half the sum of squares), its gradient and the Gauss-Newton curvature, over all parameters."""
         size = len(values)
         cost, gradient, curvature = 0.0, np.zeros(size), np.zeros((size, size))
         for c in range(3):
-            gain, direct, scattered, J, residual, square = self._solved(family, values, c)
-            a, weight, B = gain * direct, self.weights[:, c], values[6 + c]
+            gain, direct, scattered, J_of_point, residual, square = self._solved(family, values, c)
+            a, weight, B, J = gain * direct, self.weights[:, c], values[6 + c], J_of_point[self.track]
             seen = a * J + gain * B * scattered
             columns, places = [], []
             if family.attenuation:
@@ -282,21 +283,24 @@ class WeightedObservations:
                 tau = np.exp(values[9])
                 columns.append(a * J * tau * (self.r**2 - 1) / ((tau + 1) * (tau + self.r**2)))
                 places.append(9)
-            matrix = np.stack(columns, 1) if columns else np.zeros((len(seen), 0))
             if family.lens:
-                matrix = np.concatenate([matrix, seen[:, None] * self.terms], 1)
-                places = places + list(range(10, GAINS))
-            if family.gains:
-                own = np.zeros((len(seen), self.views))
-                own[np.arange(len(seen)), self.image] = seen
-                matrix = np.concatenate([matrix, own], 1)
-                places = places + list(range(GAINS, size))
-            # The part of each column that a change of J would do as well is no change, where J is free to change.
-            along = self.sums @ ((weight * a)[:, None] * matrix)
-            matrix -= (a * (J > 0))[:, None] * (along / square[:, None])[self.track]
+                columns += list((seen[:, None] * self.terms).T)
+                places += range(10, GAINS)
+            # The part of each column that a change of J would do as well is no change, where J is free to change. The
+            # residual has no such part: J is the best one.
+            changes, weighted = np.array(columns).reshape(len(columns), len(seen)), weight * a
+            along, free = self.sums @ (weighted * changes).T, (J_of_point > 0) / square
             cost += 0.5 * float(weight @ residual**2)
-            gradient[places] -= matrix.T @ (weight * residual)
-            curvature[np.ix_(places, places)] += matrix.T @ (weight[:, None] * matrix)
+            gradient[places] += changes @ (-weight * residual)
+            curvature[np.ix_(places, places)] += (weight * changes) @ changes.T - along.T @ (free[:, None] * along)
+            if family.gains:  # their columns have a number for each observation of the image alone
+                own = csr_matrix((weighted * seen, (self.track, self.image)), (len(square), self.views))
+                together = self.by_image @ (weight * seen * changes).T - own.T @ (free[:, None] * along)
+                gradient[GAINS:] -= self.by_image @ (weight * seen * residual)
+                curvature[np.ix_(range(GAINS, size), places)] += together
+                curvature[np.ix_(places, range(GAINS, size))] += together.T
+                curvature[GAINS:, GAINS:] -= (own.T @ own.multiply(free[:, None])).toarray()
+                curvature[np.arange(GAINS, size), np.arange(GAINS, size)] += self.by_image @ (weight * seen**2)
         prior = self.noise / PRIOR_SD**2
         cost += 0.5 * prior * float(np.sum(values[10:] ** 2))
         gradient[10:] += prior * values[10:]

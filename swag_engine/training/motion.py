@@ -85,11 +85,13 @@ def find_motion(
     for image in images:
         shown = render_image(cloud, image.camera, sh_degree, backend, effects)
         residuals.append(residual(image.pixels / np.float32(255), shown.numpy(), image.valid))
-    elsewhere = residuals_elsewhere(cloud, [image.camera for image in images], residuals, backend)
-    masks = {
-        image.camera.name: moving_mask(here, others, image.valid)
-        for image, here, others in zip(images, residuals, elsewhere, strict=True)
-    }
-    if fraction_with_objects(list(masks.values())) < LEAST_IMAGES:
+    # What other images show makes masks smaller. Most scenes have too few without it, so that it need not be rendered.
+    masks = [moving_mask(here, np.zeros_like(here), image.valid) for image, here in zip(images, residuals, strict=True)]
+    if fraction_with_objects(masks) >= LEAST_IMAGES:
+        possible = [index for index, mask in enumerate(masks) if mask.any()]
+        elsewhere = residuals_elsewhere(cloud, [image.camera for image in images], residuals, possible, backend)
+        for index, others in zip(possible, elsewhere, strict=True):
+            masks[index] = moving_mask(residuals[index], others, images[index].valid)
+    if fraction_with_objects(masks) < LEAST_IMAGES:
         return {}
-    return {name: mask for name, mask in masks.items() if mask.any()}
+    return {image.camera.name: mask for image, mask in zip(images, masks, strict=True) if mask.any()}

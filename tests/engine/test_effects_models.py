@@ -1,5 +1,8 @@
 """Models of effects: what they do, and their gradients by finite differences."""
 
+from dataclasses import replace
+from unittest.mock import Mock
+
 import cv2
 import numpy as np
 import pytest
@@ -10,8 +13,13 @@ from swag_engine.effects.exposure import Exposure
 from swag_engine.effects.image_gain import apply_log_gains
 from swag_engine.effects.lamp import Lamp, lit
 from swag_engine.effects.moving_objects import fraction_with_objects, moving_mask, residual, residuals_elsewhere
+from swag_engine.effects.scene_effects import SceneEffects
+from swag_engine.evaluation.metrics import render_image
 from swag_engine.kernels.reference.transfer import to_display, to_light
 from swag_engine.scene.cameras import Camera
+from swag_engine.scene.images import TrainingImage
+from swag_engine.training import motion
+from swag_engine.training.motion import find_motion
 from tests.scenes.clouds import make_cloud
 
 
@@ -182,26 +190,50 @@ def test_residuals_that_other_images_share_are_no_object():
     assert not mask_of(swum, picture, valid, elsewhere=0.3).any()
 
 
-def test_residuals_elsewhere_are_those_of_the_same_place():
-    """A wall before three cameras in a row, with residuals at one place in all and at another in the first."""
+def wall_and_cameras():
+    """Return Gaussians that are a wall, and three cameras in a row before it."""
     steps = torch.linspace(-2, 2, 41)
     places = torch.stack(torch.meshgrid(steps, steps, indexing="xy"), -1).reshape(-1, 2)
     wall = make_cloud(len(places), dtype=torch.float32)
     wall.means = torch.cat([places, torch.full((len(places), 1), 4.0)], 1)
     wall.log_scales, wall.opacity_logits = torch.full_like(wall.means, -3.0), torch.full((len(places),), 6.0)
-    cameras, residuals = [], []
+    cameras = []
     for k, x in enumerate((-0.5, 0.0, 0.5)):
         pose = np.eye(4)
         pose[0, 3] = -x
         cameras.append(Camera(f"{k}", 80, 60, 80.0, 80.0, 40.0, 30.0, pose))
-        residuals.append(np.zeros((60, 80), np.float32))
+    return wall, cameras
+
+
+def test_residuals_elsewhere_are_those_of_the_same_place():
+    """Residuals at one place in all three images and at another in the first."""
+    wall, cameras = wall_and_cameras()
+    residuals = [np.zeros((60, 80), np.float32) for _ in cameras]
+    for k, x in enumerate((-0.5, 0.0, 0.5)):
         middle = 40 - round(20 * x)  # of the wall, in this picture
         residuals[k][25:35, middle - 5 : middle + 5] = 0.2
     residuals[0][5:15, 40:50] = 0.3
-    first, second, _ = residuals_elsewhere(wall, cameras, residuals, "torch")
+    first, second = residuals_elsewhere(wall, cameras, residuals, [0, 1], "torch")
     assert first[28:32, 48:52].mean() == pytest.approx(0.2, rel=0.2)
     assert first[7:13, 42:48].max() < 0.03
     assert second[7:13, 32:38].mean() == pytest.approx(0.15, rel=0.25)  # the first of two others has it
+
+
+def test_motion_is_looked_for_in_other_images_only_where_there_may_be_some(monkeypatch):
+    wall, cameras = wall_and_cameras()
+    effects, static = SceneEffects({}), []
+    for camera in cameras:
+        shown = render_image(wall, camera, 0, "cpu", effects).numpy()
+        static.append(TrainingImage(camera, (255 * shown).round().astype(np.uint8), np.ones((60, 80), bool)))
+    with_fish = static[1].pixels.copy()
+    with_fish[10:30, 20:50] = 255
+    moving = [static[0], replace(static[1], pixels=with_fish), static[2]]
+    assert find_motion(wall, effects, moving, 0, "cpu").keys() == {"1"}
+    monkeypatch.setattr(motion, "residuals_elsewhere", rendered := Mock(wraps=residuals_elsewhere))
+    find_motion(wall, effects, moving, 0, "cpu")
+    assert rendered.call_args.args[3] == [1]
+    rendered.reset_mock()
+    assert find_motion(wall, effects, static, 0, "cpu") == {} and not rendered.called
 
 
 def test_brightness_edges_and_invalid_pixels_are_no_objects():
