@@ -193,7 +193,10 @@ def _scratch_array(path: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.n
 
 
 def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str, progress: Progress | None) -> Survey:
-    """Render colors, heights, their predicted errors and labels of a survey to files whose names begin with `path`."""
+    """Render colors, heights, their predicted errors and labels of a survey to files whose names begin with `path`.
+
+    Errors grow with transparency: splats that are seen through are spread in depth.
+    """
     renderer = TileRenderer(scene.splats, grid, backend, scene.seen)
     colors, cameras = renderer.colors(), training_cameras(scene)
     labels = scene.splats.extras.get(LABEL)
@@ -202,7 +205,7 @@ def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str
     image = _scratch_array(path.with_suffix(".colors"), (*shape, 3), np.uint8)
     heights = _scratch_array(path.with_suffix(".heights"), shape, np.float32)
     found = None if labels is None else _scratch_array(path.with_suffix(".labels"), shape, np.uint8)
-    errors = _scratch_array(path.with_suffix(".errors"), shape, np.float32) if cameras else None
+    errors = _scratch_array(path.with_suffix(".errors"), shape, np.float32)
     for tile in tiles_of(grid, EDGE, stage, progress):
         chosen = renderer.inside(tile)
         values, alpha = renderer.render(tile, chosen, colors[chosen])
@@ -210,11 +213,11 @@ def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str
         image[tile.place] = np.round(255 * np.clip(shown, 0, 1))
         surface = tile_heights(renderer, tile).first
         heights[tile.place] = surface
-        if errors is not None:
-            errors[tile.place] = height_errors(cameras, scene, grid, tile, surface)
+        by_rays = height_errors(cameras, scene, grid, tile, surface) if cameras else np.ones(alpha.shape)
+        errors[tile.place] = by_rays / np.maximum(alpha, 1e-6)
         if found is not None and labels is not None:
             found[tile.place] = tile_labels(renderer, tile, labels, scene.gains)
-    return Survey(image, heights, found, errors)
+    return Survey(image, heights, errors, found)
 
 
 def _same_labels(first: MapScene, second: MapScene, after: Survey) -> None:

@@ -29,12 +29,19 @@ TAIL = 0.8
 """Quantile of the differences that their noise is found from."""
 TAIL_SIGMA = 1.2816
 """Standard deviations at that quantile in a normal distribution."""
+FAR_TAIL = 3.3
+"""Limit over that quantile at least. About one difference in a thousand is larger where nothing changed: there are far
+more large ones than in a normal distribution (one in 50 000). In trained surveys it was 3.2 to 4.3 times the quantile
+(benchmarks/products.py)."""
+LEAST_EXCESS = 7.0
+"""Sum over the pixels of an object of what exceeds the limit, in limits, at least. Errors make spots of 20 to 40 pixels
+that exceed it a little, 2 to 6 in trained surveys. 20 pixels that exceed it by a third are told, or 70 by a tenth."""
 MOST_ERROR = 2.0
 """Predicted error of a height, relative to the survey's median, above which a place is not compared."""
 LEAST_COLOR = 0.05
 """Smallest difference of color, display values, that counts as a change."""
 MARGIN = 4
-"""Pixels around a tile that its differences depend on."""
+"""Pixels around a tile that its differences depend on, except labels."""
 SAMPLE = 1_000_000
 """Pixels that noise and light are estimated from."""
 FLAGS = {0: "no change told", 1: "higher", 2: "lower", 3: "color", 4: "label"}
@@ -50,20 +57,19 @@ class Survey:
     Attributes:
         colors: (H, W, 3) uint8 display values.
         heights: (H, W) heights of the first surface, NaN where nothing was seen.
+        errors: (H, W) predicted errors of heights, of which only their ratios count.
         labels: (H, W) uint8, NO_LABEL where nothing was seen; None where the survey has no labels.
-        errors: (H, W) predicted errors of heights (`height_errors`), of which only their ratios count; None where the
-            cameras are not known.
     """
 
     colors: np.ndarray
     heights: np.ndarray
-    labels: np.ndarray | None
-    errors: np.ndarray | None = None
+    errors: np.ndarray
+    labels: np.ndarray | None = None
 
     def part(self, place: tuple[slice, slice]) -> "Survey":
         """Return the part of the survey at rows and columns, in memory."""
-        labels, errors = (None if one is None else np.array(one[place]) for one in (self.labels, self.errors))
-        return Survey(np.array(self.colors[place]), np.array(self.heights[place]), labels, errors)
+        labels = None if self.labels is None else np.array(self.labels[place])
+        return Survey(*(np.array(one[place]) for one in (self.colors, self.heights, self.errors)), labels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +81,14 @@ class Differences:
         limit: (H, W) smallest difference of height that is told at 95 %.
         color: (H, W) difference of color after the light of the later survey is matched to the earlier, NaN likewise.
         told: (H, W) uint8 with the bit 1 << flag for each flag of FLAGS that is told.
+        excess: (H, W) by flag, by how many limits what is told exceeds the limit.
     """
 
     height: np.ndarray
     limit: np.ndarray
     color: np.ndarray
     told: np.ndarray
+    excess: dict[int, np.ndarray]
 
 
 class Comparison:
@@ -89,7 +97,9 @@ class Comparison:
     The noise of heights is estimated from the differences themselves, robustly: most of a place is static. It is
     proportional to the error that the positions of the photos let expect; places where that is much larger than usual
     are not compared. To it comes what an error of place makes of steps and slopes: the range of heights within a pixel
-    and its neighbours. The colors of the later survey are matched to those of the earlier by a robust affine map.
+    and its neighbours. Where the differences still have more large values than that lets expect, limits are raised. The
+    colors of the later survey are matched to those of the earlier by a robust affine map. Borders of labels may differ
+    by the error of places.
 
     Args:
         before: The earlier survey.
@@ -108,10 +118,20 @@ class Comparison:
         self.overlap = bool(known.any())
         self.noise = _noise((second.heights - first.heights)[known] / errors[known])
         self.light, self.color_limit = _match_light(first.colors[known] / 255, second.colors[known] / 255)
+        self.border = int(np.ceil(TOLD * residual / grid.pixel))
+        self.tail = 1.0
+        self.tail = max(1.0, FAR_TAIL * self._usual_ratio())
+
+    def _usual_ratio(self) -> float:
+        """Quantile TAIL of the differences of height over their limits, of some tiles."""
+        every = max(1, self.grid.width * self.grid.height // SAMPLE)
+        ratios = [self.differences(tile).excess[1] + 1 for tile in [*tiles_of(self.grid)][::every]]
+        known = np.concatenate([ratio[np.isfinite(ratio)] for ratio in ratios])
+        return float(np.quantile(known, TAIL)) if len(known) else 0.0
 
     def differences(self, tile: Tile) -> Differences:
         """Compare a tile."""
-        (rows, columns), inner = padded(tile, self.grid, MARGIN)
+        (rows, columns), inner = padded(tile, self.grid, max(MARGIN, self.border))
         before, after = self.before.part((rows, columns)), self.after.part((rows, columns))
         pixel = self.grid.pixel
         known, errors = self._comparable(before, after)
@@ -119,34 +139,31 @@ class Comparison:
         place = np.hypot(SCATTER * pixel, errors * self.residual)
         slope = np.maximum(_steepness(before.heights, pixel), _steepness(after.heights, pixel))
         limit = TOLD * np.sqrt(errors**2 * (self.noise**2 + self.residual**2) + (slope * place) ** 2)
+        limit *= self.tail
         smooth = _median(height)
         color = np.linalg.norm(_lit(after.colors / 255, self.light) - before.colors / 255, axis=2)
         color = np.where(known, color, np.nan)
-        told = {1: smooth > limit, 2: smooth < -limit, 3: _median(color) > errors * self.color_limit}
+        by_height = np.abs(smooth) / np.maximum(limit, 1e-12) - 1
+        excess = {1: by_height, 2: by_height, 3: _median(color) / (errors * self.color_limit) - 1}
+        told = {1: smooth > limit, 2: smooth < -limit, 3: excess[3] > 0}
         if before.labels is not None and after.labels is not None:
-            named = [(labels > 0) & (labels != NO_LABEL) for labels in (before.labels, after.labels)]
-            told[4] = named[0] & named[1] & (before.labels != after.labels)
+            told[4], excess[4] = _other_labels(before.labels, after.labels, self.border), np.ones(known.shape)
         bits = np.zeros(known.shape, np.uint8)
         for flag, mask in told.items():
             bits |= (known & mask).astype(np.uint8) << flag
-        return Differences(height[inner], limit[inner], color[inner], bits[inner])
+        excess = {flag: values[inner] for flag, values in excess.items()}
+        return Differences(height[inner], limit[inner], color[inner], bits[inner], excess)
 
     def _comparable(self, before: Survey, after: Survey) -> tuple[np.ndarray, np.ndarray]:
         """Return which pixels (H, W) of a part can be compared, and their error relative to the usual one."""
         known = np.isfinite(before.heights) & np.isfinite(after.heights)
-        ratios = [
-            survey.errors / usual
-            for survey, usual in zip((before, after), self._usual, strict=True)
-            if survey.errors is not None
-        ]
+        ratios = [survey.errors / usual for survey, usual in zip((before, after), self._usual, strict=True)]
         for ratio in ratios:
             known &= ratio <= MOST_ERROR
-        if not ratios:
-            return known, np.ones(known.shape)
         return known, np.where(known, np.sqrt(np.mean(np.square(ratios), axis=0)), 1.0)
 
     def find_objects(self, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray) -> list[dict[str, Any]]:
-        """Find connected changes that are large and thick enough.
+        """Find connected changes that are large, thick and certain enough.
 
         Args:
             told: (H, W) as in `Differences`.
@@ -179,8 +196,9 @@ class Comparison:
             (rows, columns), inner = padded(tile, self.grid, OPENING)
             mask = (told[rows, columns] >> flag & 1).astype(np.uint8) & (flags[rows, columns] == 0)
             core = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((OPENING, OPENING), np.uint8))
-            components.add(numbers, tile, mask[inner], core[inner])
-        components.choose(LEAST_PIXELS, LEAST_PIXELS / 2)
+            excess = self.differences(tile).excess.get(flag, np.zeros((tile.height, tile.width)))
+            components.add(numbers, tile, mask[inner], core[inner], np.where(mask[inner], excess, 0))
+        components.choose(LEAST_PIXELS, LEAST_PIXELS / 2, LEAST_EXCESS)
         return components
 
     def label_transitions(self) -> dict[tuple[int, int], float]:
@@ -254,9 +272,7 @@ def _steepness(heights: np.ndarray, pixel: float) -> np.ndarray:
 
 
 def _usual_error(survey: Survey) -> float:
-    """Median of the predicted errors where something was seen, 1 where they are not known."""
-    if survey.errors is None:
-        return 1.0
+    """Median of the predicted errors where something was seen."""
     errors = survey.errors[np.isfinite(survey.heights) & np.isfinite(survey.errors)]
     return float(np.median(errors)) if len(errors) else 1.0
 
@@ -267,6 +283,22 @@ def _noise(values: np.ndarray) -> float:
     It is found from the quantile TAIL of what is left of the middle, where up to a fifth may be changes.
     """
     return float(np.quantile(np.abs(values - np.median(values)), TAIL)) / TAIL_SIGMA if len(values) else 0.0
+
+
+def _other_labels(before: np.ndarray, after: np.ndarray, border: int) -> np.ndarray:
+    """Find pixels with another label than before.
+
+    Where the later label was within `border` pixels before, and the earlier one is within them still, the border
+    between both may have moved by the error of places: that is no change.
+    """
+    other = (before != after) & ~np.isin(before, (0, NO_LABEL)) & ~np.isin(after, (0, NO_LABEL))
+    square = np.ones((2 * border + 1, 2 * border + 1), np.uint8)
+    was, remains = np.zeros_like(other), np.zeros_like(other)
+    for label in np.unique(before[other]).tolist() + np.unique(after[other]).tolist():
+        near = [cv2.dilate((labels == label).astype(np.uint8), square) > 0 for labels in (before, after)]
+        was |= (after == label) & near[0]
+        remains |= (before == label) & near[1]
+    return other & ~(was & remains)
 
 
 def _spread(values: np.ndarray) -> float:

@@ -14,24 +14,25 @@ class Components:
 
     def __init__(self) -> None:
         self._parents = [0]
-        self._sizes, self._cores = [0], [0]
+        self._sums: list[list[float]] = []
         self._roots = np.zeros(1, np.int64)
 
-    def add(self, numbers: np.ndarray, tile: Tile, mask: np.ndarray, core: np.ndarray) -> None:
+    def add(self, numbers: np.ndarray, tile: Tile, mask: np.ndarray, *summed: np.ndarray) -> None:
         """Number the parts of the next tile; tiles come row by row.
 
         Args:
             numbers: (H, W) int32 of the whole map, which the numbers are written to, 0 outside the mask.
             tile: The tile.
             mask: (height, width) its part of the mask.
-            core: (height, width) pixels of it that are counted by themselves.
+            summed: (height, width) each, what is summed over the parts; as many in all tiles.
         """
         count, own = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
         first = len(self._parents) - 1
         numbers[tile.place] = np.where(own > 0, own + first, 0)
         self._parents += range(first + 1, first + count)
-        self._sizes += np.bincount(own.ravel(), minlength=count)[1:].tolist()
-        self._cores += np.bincount(own.ravel(), core.ravel(), minlength=count)[1:].astype(int).tolist()
+        self._sums += np.stack(
+            [np.bincount(own.ravel(), each.ravel(), count)[1:] for each in (mask, *summed)], 1
+        ).tolist()
         if count == 1:
             return
         top, left, bottom, right = tile.row, tile.column, tile.row + tile.height, tile.column + tile.width
@@ -57,12 +58,13 @@ class Components:
             number = self._parents[number]
         return number
 
-    def choose(self, least_size: int, least_core: float) -> None:
-        """Keep the parts with at least as many pixels, and as many of their core."""
+    def choose(self, least_size: int, *least: float) -> None:
+        """Keep the parts with at least as many pixels, and as large sums of what was summed, in its order."""
         roots = np.array([self._root(number) for number in range(len(self._parents))])
-        sizes = np.bincount(roots, self._sizes, len(roots))
-        cores = np.bincount(roots, self._cores, len(roots))
-        self._roots = np.where((sizes >= least_size) & (cores >= least_core), np.arange(len(roots)), 0)[roots]
+        kept = np.ones(len(roots), bool)
+        for sums, bound in zip(zip(*self._sums, strict=True), (least_size, *least), strict=False):
+            kept &= np.bincount(roots[1:], sums, len(roots)) >= bound
+        self._roots = np.where(kept, np.arange(len(roots)), 0)[roots]
 
     def chosen(self, numbers: np.ndarray) -> np.ndarray:
         """Replace numbers of a tile by the number that the whole part has, 0 where it was not kept."""

@@ -307,12 +307,73 @@ def test_heights_with_larger_expected_errors_need_larger_changes():
     after[5:15, 5:15] += 3.2
     after[5:15, 70:80] += 3.2
     colors = np.full((40, 100, 3), 128, np.uint8)
-    comparison = Comparison(Survey(colors, before, None, errors), Survey(colors, after, None, errors), grid, 0.0)
+    comparison = Comparison(Survey(colors, before, errors), Survey(colors, after, errors), grid, 0.0)
     (tile,) = tiles.tiles_of(grid)
     found = comparison.differences(tile)
     told = found.told >> 1 & 1
     assert told[7:13, 7:13].mean() > 0.6 > 0.35 > told[7:13, 72:78].mean()
     assert np.isnan(found.height[:, 90:]).all() and np.isfinite(found.height[:, :90]).all()
+
+
+GROUND = MapGrid(0, 200, 1, 200, 200)
+
+
+def flat_surveys():
+    """Two surveys of flat ground with noise of 0.2."""
+    random, shape = np.random.default_rng(1), (200, 200)
+    colors, errors = np.full((*shape, 3), 128, np.uint8), np.ones(shape, np.float32)
+    return [Survey(colors, 0.2 * random.standard_normal(shape, np.float32), errors) for _ in range(2)]
+
+
+def objects_of(before, after, residual=0.0):
+    comparison = Comparison(before, after, GROUND, residual)
+    flags, numbers = (np.zeros((200, 200), kind) for kind in (np.uint8, np.int32))
+    (tile,) = tiles.tiles_of(GROUND)
+    return comparison.find_objects(comparison.differences(tile).told, flags, numbers)
+
+
+def test_spots_that_hardly_exceed_the_limit_are_no_change():
+    """The same 144 pixels are told where they exceed the limit by much, and many pixels where they do by little."""
+    before, after = flat_surveys()
+    (tile,) = tiles.tiles_of(GROUND)
+    limit = float(np.median(Comparison(before, after, GROUND, 0.0).differences(tile).limit))
+    change = np.zeros((200, 200), np.float32)
+    change[20:32, 20:32], change[20:32, 80:92], change[100:130, 20:50] = 1.5 * limit, 1.06 * limit, 1.06 * limit
+    after.heights[change > 0] = (before.heights + change)[change > 0]  # without noise
+    found = objects_of(before, after)
+    assert sorted((item["change"], round(item["row"], -1), round(item["column"], -1)) for item in found) == [
+        ("higher", 30, 30), ("higher", 110, 30),
+    ]  # fmt: skip
+
+
+def test_limits_are_raised_where_large_differences_are_frequent():
+    """Noise that neighbours share, as that of large splats, is not removed by the median filter."""
+    before, after = flat_surveys()
+    shared = 0.3 * np.kron(np.random.default_rng(2).standard_normal((40, 40)), np.ones((5, 5))).astype(np.float32)
+    before_shared, after_shared = replace(before, heights=shared), replace(after, heights=0 * shared)
+    assert Comparison(before_shared, after_shared, GROUND, 0.0).tail > 1.5 > Comparison(before, after, GROUND, 0.0).tail
+    assert not objects_of(before_shared, after_shared)
+
+
+def test_borders_of_labels_that_differ_by_the_error_of_places_are_no_change():
+    before, after = flat_surveys()
+    labels = np.ones((200, 200), np.uint8)
+    labels[:, 50:], labels[100:108, 20:28] = 2, 3
+    moved, other = np.roll(labels, 4, axis=1), labels.copy()
+    moved[:, :4], moved[100:108], other[100:108, 20:28], other[20:28, 20:28] = 1, labels[100:108], 1, 2
+    for later, residual, told in ((moved, 2.1, 0), (moved, 1.0, 2), (other, 2.1, 2)):
+        found = objects_of(replace(before, labels=labels), replace(after, labels=later), residual)
+        assert [item["change"] for item in found] == ["label"] * told, (residual, told)
+
+
+def test_what_is_seen_through_needs_larger_changes(tmp_path):
+    """The same ground, twice as transparent in the east: errors there are twice those of the west."""
+    splats = sheet(0, 0, 4, 3, 0.03, sand, label=1)
+    splats.opacities[splats.positions[:, 0] > 2] = 0.05
+    scene = load_map_scene(write_run(tmp_path, [splats]))
+    grid = make_grid(scene.splats, 0.05, (0, 0, 4, 3))
+    errors = change._survey(scene, grid, "auto", tmp_path / "survey", "", None).errors
+    assert np.median(errors[10:-10, 50:70]) > 1.3 * np.median(errors[10:-10, 10:30])
 
 
 def test_components_join_across_tiles():
