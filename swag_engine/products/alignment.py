@@ -1,6 +1,5 @@
 """Alignment of two surveys of one place by what did not change: robust iterative closest points on splats' centres."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +17,14 @@ FEW = 1500
 """Number of splats with which orientations are tried."""
 NEIGHBOURS = 10
 """Neighbours that a normal is fitted to."""
-ORIENTATIONS = 24
+ORIENTATIONS = 36
 """Directions around the vertical that are tried where the frames have nothing else in common."""
+SCALES = (0.8, 0.9, 1.0, 1.1, 1.25)
+"""Scales that are tried where it is free, relative to the ratio of the sizes."""
+CELLS = 64
+"""Cells along each edge of the maps of color that the shift of a direction is found from."""
+TRIALS = 12
+"""Guesses that are tried, those at which maps of color agree best."""
 TRIAL_ROUNDS, ROUNDS = 12, 60
 STOP = 1e-6
 """Change of the transform, relative to the size of the place, at which the search ends."""
@@ -58,8 +63,8 @@ def align(moving: Splats, fixed: Splats, initial: np.ndarray | None, free_scale:
     Args:
         moving: The survey that is moved.
         fixed: The other one.
-        initial: First guess (4, 4) where both are georeferenced; without it all directions around the vertical are
-            tried.
+        initial: First guess (4, 4) where both are georeferenced; without it the frames as they are, which targets on
+            the ground may have measured, and all directions around the vertical are tried.
         free_scale: Whether the scale is found, too.
         seed: Of the random choice of splats.
 
@@ -77,14 +82,15 @@ def align(moving: Splats, fixed: Splats, initial: np.ndarray | None, free_scale:
     spacing = float(np.median(distances[:, 1])) or 1e-9
     normals = _normals(targets[nearest])
     colored = cKDTree(np.concatenate([targets, COLOR * spacing * target_colors], axis=1))
-    guesses = [initial] if initial is not None else list(_guesses(points, targets, free_scale))
+    guesses = [initial] if initial is not None else [np.eye(4)]
+    if initial is None:
+        guesses += _guesses(points, colors, targets, target_colors, free_scale)
     if len(guesses) > 1:
         few = random.permutation(len(points))[:FEW]
         tried = []
         for guess in guesses:
-            matrix = _iterate(
-                points[few], colors[few], guess, targets, normals, colored, spacing, free_scale, TRIAL_ROUNDS
-            )
+            # With a free scale a wrong guess would shrink to where all is near.
+            matrix = _iterate(points[few], colors[few], guess, targets, normals, colored, spacing, False, TRIAL_ROUNDS)
             tried.append((_score(points[few], colors[few], matrix, colored, spacing), matrix))
         guesses = [min(tried, key=lambda pair: pair[0])[1]]
     matrix = _iterate(points, colors, guesses[0], targets, normals, colored, spacing, free_scale, ROUNDS)
@@ -112,20 +118,40 @@ def _normals(groups: np.ndarray) -> np.ndarray:
     return np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)[1][:, :, 0]
 
 
-def _guesses(points: np.ndarray, targets: np.ndarray, free_scale: bool) -> Iterator[np.ndarray]:
-    """Yield transforms (4, 4) that put the middles on each other, turned around the vertical."""
+def _guesses(
+    points: np.ndarray, colors: np.ndarray, targets: np.ndarray, target_colors: np.ndarray, free_scale: bool
+) -> list[np.ndarray]:
+    """Return transforms (4, 4) turned around the vertical, each with the shift at which maps of color agree best."""
+    guesses: list[tuple[float, np.ndarray]] = []
     middle, target = np.median(points, axis=0), np.median(targets, axis=0)
-    scale = 1.0
-    if free_scale:
-        scale = float(
-            np.median(np.linalg.norm(targets - target, axis=1)) / np.median(np.linalg.norm(points - middle, axis=1))
-        )
-    for angle in 2 * np.pi * np.arange(ORIENTATIONS) / ORIENTATIONS:
-        matrix = np.eye(4)
-        matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-        matrix[:3, :3] *= scale
-        matrix[:3, 3] = target - matrix[:3, :3] @ middle
-        yield matrix
+    reach = [
+        np.quantile(np.linalg.norm((one - of)[:, :2], axis=1), KEPT)
+        for one, of in ((points, middle), (targets, target))
+    ]
+    for scale in float(reach[1] / reach[0]) * np.array(SCALES) if free_scale else (1.0,):
+        cell = 4 * float(max(reach[1], scale * reach[0])) / CELLS
+        fixed = _color_map(targets - target, target_colors, cell)
+        for angle in 2 * np.pi * np.arange(ORIENTATIONS) / ORIENTATIONS:
+            matrix = np.eye(4)
+            matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+            matrix[:3, :3] *= scale
+            turned = _color_map((points - middle) @ matrix[:3, :3].T, colors, cell)
+            agreement = np.fft.ifft2((turned * fixed.conj()).sum(axis=0)).real
+            best = np.array(np.unravel_index(agreement.argmax(), agreement.shape))
+            shift = -cell * ((best + CELLS) % (2 * CELLS) - CELLS)
+            matrix[:3, 3] = target + [*shift, 0] - matrix[:3, :3] @ middle
+            guesses.append((-agreement.max() / (np.linalg.norm(turned) * np.linalg.norm(fixed) + 1e-12), matrix))
+    return [matrix for _, matrix in sorted(guesses, key=lambda pair: pair[0])[:TRIALS]]
+
+
+def _color_map(points: np.ndarray, colors: np.ndarray, cell: float) -> np.ndarray:
+    """Fourier transform (3, 2 CELLS, 2 CELLS) of the mean colors in cells about the origin, with empty cells around."""
+    places = np.floor(points[:, :2] / cell).astype(np.int64) + CELLS // 2
+    inside = ((places >= 0) & (places < CELLS)).all(axis=1)
+    number = places[inside] @ [2 * CELLS, 1]
+    counts = np.bincount(number, minlength=4 * CELLS**2)
+    sums = [np.bincount(number, channel, 4 * CELLS**2) for channel in colors[inside].T]
+    return np.fft.fft2((np.stack(sums) / np.maximum(counts, 1)).reshape(3, 2 * CELLS, 2 * CELLS))
 
 
 def _across(

@@ -119,6 +119,16 @@ def test_surveys_in_other_frames_are_aligned_by_what_is_static(scale, free):
     assert found.static > 0.8 and found.residual < 0.005
 
 
+def test_surveys_that_show_different_parts_are_aligned():
+    """Three quarters of a place each, in frames that have nothing in common: their middles are a metre apart."""
+    west, east = survey(0), survey(1)
+    west, east = west.subset(west.positions[:, 0] < 3), east.subset(east.positions[:, 0] > 1)
+    for angle in (75.0, 200.0):
+        found = align(transformed(east, other_frame(angle)), west, None, False)
+        moved = transformed(east, found.matrix @ other_frame(angle)).positions - east.positions
+        assert np.linalg.norm(moved, axis=1).max() < 0.03, angle  # the spacing of the splats
+
+
 def test_too_few_splats_are_refused():
     few = sheet(0, 0, 1, 1, 0.2)
     with pytest.raises(InputError, match="only 25 solid splats"):
