@@ -4,12 +4,22 @@
 searches, which `make search` runs.
 """
 
+import compileall
 import os
+import sys
 from functools import partial
+from pathlib import Path
 
-# With several workers each has one core: threads of numpy and torch would only wait for one another.
 if "PYTEST_XDIST_WORKER" in os.environ:
+    # With several workers each has one core: threads of numpy and torch would only wait for one another.
     os.environ["OMP_NUM_THREADS"] = "1"
+else:
+    # Hundreds of processes import these. They are compiled once, and not by a process that a test kills or lets write
+    # only a few bytes, which would leave a part of a compiled module.
+    for folder in ("swag_engine", "tests", "benchmarks"):
+        compileall.compile_dir(Path(__file__).parents[1] / folder, quiet=1)
+os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+sys.dont_write_bytecode = False  # for pytest, which compiles the tests
 
 import pytest
 

@@ -7,6 +7,7 @@ folder. Each line of standard input is a request, a JSON object: `script` (a mod
 """
 
 import atexit
+import compileall
 import contextlib
 import ctypes
 import importlib
@@ -100,6 +101,8 @@ def main():
     sys.path.insert(0, str(SCRIPTS))
     addon_utils.enable("bl_pkg")
     bpy.ops.extensions.package_install_files(filepath=sys.argv[1], repo="user_default", enable_on_install=False)
+    for folder in (SCRIPTS, USER / "extensions"):  # which every call imports anew
+        compileall.compile_dir(folder, quiet=1)
     blank = Blank()
     for line in requests:
         answered = json.dumps(answer(json.loads(line), blank))
