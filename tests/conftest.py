@@ -37,6 +37,12 @@ NOT_QUICK = (
     "test_lpips_real", "test_camera_accuracy", "test_color_chart", "test_instruction_sets",
 )  # fmt: skip
 """Files of tests/engine that take long or download: whole runs, processes, kernels on slow stand-ins, real weights."""
+LONGEST = (
+    "test_real_window", "test_worker", "test_train_operator", "test_survey_faults", "test_maps", "test_real_viewport",
+    "test_labels", "test_install_engine", "test_find_cameras", "test_bad_photos", "test_surveys", "test_sanitizer",
+    "test_survey_ray", "test_make_environment", "test_webgpu_step", "test_sfm", "test_crash_safety",
+)  # fmt: skip
+"""Files that take more than a minute, which begin first: at the end they would keep one worker and leave the others."""
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -74,7 +80,9 @@ def finished_run(tiny_scene, tmp_path_factory):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark the tests of `make test`, and what other Blender versions only repeat."""
+    """Mark the tests of `make test`, and what other Blender versions only repeat; put the longest files first."""
+    order = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.stem, len(order)))
     for item in items:
         version = getattr(item, "callspec", None) and item.callspec.params.get("blender")
         if version not in (None, MAIN_VERSION) and item.get_closest_marker("main_version"):
