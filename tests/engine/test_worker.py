@@ -157,7 +157,8 @@ def test_a_search_for_cameras_that_ends_early_leaves_no_model_and_no_process(wor
 
 
 def test_a_film_reports_its_frames_and_can_be_cancelled(lasting_worker, finished_run, tiny_scene, tmp_path):
-    frames = [PathFrame(replace(load_scene(tiny_scene).views[0].camera, name=f"{n:04d}")) for n in range(1, 2001)]
+    camera = load_scene(tiny_scene).views[0].camera
+    frames = [PathFrame(replace(camera, name=f"{n:04d}")) for n in range(1, 2001)]
     write_camera_path(tmp_path / "cameras.json", frames)
     film = {"cameras": str(tmp_path / "cameras.json"), "splats": str(finished_run / "result.ply")}
     lasting_worker.send(request="film", out=str(tmp_path / "film"), run=str(finished_run), **film)
