@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.kernels.backends import CPU, KERNELS
 from swag_engine.kernels.cuda import CudaKernels
 from swag_engine.kernels.webgpu import WebGpuKernels
+from swag_engine.planning import plan
 from swag_engine.planning.plan import plan_scene
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
@@ -104,6 +106,14 @@ def whole_loop(
     held = blender([run, *exported])
     assert held["not finite"] == [] and held["cameras"] == len(list((scene / "images").iterdir()))
     assert [n for name, n in held["clouds"].items() if not name.endswith(" Points")] == 3 * [metrics["gaussians"]]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def costs_measured_once():
+    """What effects cost depends on the machine and the size of images, not on the case."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plan, "measured_costs", cache(plan.measured_costs))
+        yield
 
 
 @pytest.fixture(scope="module")
