@@ -78,7 +78,7 @@ def test_the_demo_is_as_good_as_on_the_processor(gpu, kernels, tmp_path):
     assert not kernels.failure and gpu.counters.dispatches - before > 60 * 60
     assert "backscatter" in metrics["wgpu"]["effects"]  # it has water
     assert metrics["wgpu"]["test_psnr"] > metrics["wgpu"]["control_psnr"] + 1
-    assert abs(metrics["wgpu"]["test_psnr"] - metrics["cpu"]["test_psnr"]) < 0.1  # measured: .0002 dB
+    assert abs(metrics["wgpu"]["test_psnr"] - metrics["cpu"]["test_psnr"]) < 0.1  # measured: .0002 dB at 160 pixels
 
 
 @pytest.mark.parametrize(
