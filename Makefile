@@ -8,8 +8,9 @@ demo: .venv/ready
 	$(VENV) demo/run.py
 
 # Three workers for two cores, since many tests wait for windows and processes; a file's tests stay together, so that
-# its fixtures are made once. UTF-8, because bpy resets the locale.
-PYTEST := PYTHONUTF8=1 $(VENV) -m pytest tests --numprocesses 3 --dist loadfile
+# its fixtures are made once. The order of the files is that of tests/conftest.py: xdist's own puts those with the most
+# tests first, and the longest have few. UTF-8, because bpy resets the locale.
+PYTEST := PYTHONUTF8=1 $(VENV) -m pytest tests --numprocesses 3 --dist loadfile --no-loadscope-reorder
 
 # The quick tests: the engine's packages and one Blender version.
 test: .venv/ready

@@ -4,12 +4,22 @@
 searches, which `make search` runs.
 """
 
+import compileall
 import os
+import sys
 from functools import partial
+from pathlib import Path
 
-# With several workers each has one core: threads of numpy and torch would only wait for one another.
 if "PYTEST_XDIST_WORKER" in os.environ:
+    # With several workers each has one core: threads of numpy and torch would only wait for one another.
     os.environ["OMP_NUM_THREADS"] = "1"
+else:
+    # Hundreds of processes import these. They are compiled once, and not by a process that a test kills or lets write
+    # only a few bytes, which would leave a part of a compiled module.
+    for folder in ("swag_engine", "tests", "benchmarks"):
+        compileall.compile_dir(Path(__file__).parents[1] / folder, quiet=1)
+os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+sys.dont_write_bytecode = False  # for pytest, which compiles the tests
 
 import pytest
 
@@ -27,6 +37,12 @@ NOT_QUICK = (
     "test_lpips_real", "test_camera_accuracy", "test_color_chart", "test_instruction_sets",
 )  # fmt: skip
 """Files of tests/engine that take long or download: whole runs, processes, kernels on slow stand-ins, real weights."""
+LONGEST = (
+    "test_real_window", "test_worker", "test_train_operator", "test_survey_faults", "test_maps", "test_real_viewport",
+    "test_labels", "test_install_engine", "test_find_cameras", "test_bad_photos", "test_surveys", "test_sanitizer",
+    "test_survey_ray", "test_make_environment", "test_webgpu_step", "test_sfm", "test_crash_safety",
+)  # fmt: skip
+"""Files that take more than a minute, which begin first: at the end they would keep one worker and leave the others."""
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -64,7 +80,9 @@ def finished_run(tiny_scene, tmp_path_factory):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark the tests of `make test`, and what other Blender versions only repeat."""
+    """Mark the tests of `make test`, and what other Blender versions only repeat; put the longest files first."""
+    order = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.stem, len(order)))
     for item in items:
         version = getattr(item, "callspec", None) and item.callspec.params.get("blender")
         if version not in (None, MAIN_VERSION) and item.get_closest_marker("main_version"):

@@ -29,8 +29,8 @@ from ..evaluation.metrics import (
 from ..formats.exr import write_light_exr
 from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud
-from ..kernels.backends import device_for
-from ..kernels.machine import examine
+from ..kernels.backends import automatic_backend, device_for
+from ..kernels.machine import describe_machine
 from ..rendering.model import SceneModel
 from ..rendering.restoration import RestorationLimit
 from ..scene.cameras import Camera
@@ -200,11 +200,11 @@ def true_image(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarr
 
 def machine(device: torch.device) -> dict[str, Any]:
     """Describe the machine: device, backend, system and versions."""
-    found = examine()
+    found = describe_machine()
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU, {found['cores']} cores"
     return {
         "device": name,
-        "backend": found["auto"],
+        "backend": automatic_backend(),
         "system": found["system"],
         "engine": found["engine"],
         "python": found["python"],

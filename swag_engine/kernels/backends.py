@@ -1,5 +1,8 @@
 """The backends and the choice among them."""
 
+import sys
+from pathlib import Path
+
 import torch
 from torch import Tensor
 
@@ -15,15 +18,24 @@ CPU = CpuKernels()
 KERNELS: dict[str, Kernels] = {"cpu": CPU, "cuda": CudaKernels(), "wgpu": WebGpuKernels(CPU), "torch": REFERENCE}
 """The backends by name; for single operations "auto" takes the first that can run, for runs `automatic_backend`."""
 
+CARD_FILES = ("dri", "nvidia*", "dxg", "mali*", "kgsl*")
+"""Files in /dev by which programs reach a card on Linux: any card, with NVIDIA's driver, in WSL, Mali, Adreno."""
+
+
+def may_have_card() -> bool:
+    """Return whether this machine may have a graphics card; where it has none, `wgpu` takes a second to find that."""
+    return sys.platform != "linux" or any(any(Path("/dev").glob(name)) for name in CARD_FILES)
+
 
 def automatic_backend() -> str:
     """Return the backend that a run with "auto" takes: cuda, then wgpu on a card, then cpu, then torch."""
     if not KERNELS["cuda"].unavailable_reason():
         return "cuda"
-    wgpu = KERNELS["wgpu"]
-    assert isinstance(wgpu, WebGpuKernels)
-    if not wgpu.unavailable_reason() and not wgpu.gpu.software and not wgpu.failure:
-        return "wgpu"
+    if may_have_card():
+        wgpu = KERNELS["wgpu"]
+        assert isinstance(wgpu, WebGpuKernels)
+        if not wgpu.unavailable_reason() and not wgpu.gpu.software and not wgpu.failure:
+            return "wgpu"
     return "torch" if CPU.unavailable_reason() else "cpu"
 
 

@@ -14,23 +14,31 @@ PACKAGES = (
 """Packages that the engine needs; those of requirements.txt."""
 
 
-def examine() -> dict[str, Any]:
-    """Describe this machine.
+def describe_machine() -> dict[str, Any]:
+    """Describe this machine, but for its backends.
 
     Returns:
-        `system`, `engine` (its version), `python`, `cores`, `packages` (version by name, None for one that is missing)
-        and, where torch is installed, `backends` (by name: whether it `runs`, the `reason` why not, what it runs on)
-        and `auto`, the backend that "auto" takes.
+        `system`, `engine` (its version), `python`, `cores` and `packages` (version by name, None for one that is
+        missing).
     """
-    packages = {name: _version(name) for name in PACKAGES}
-    found = {
+    return {
         "system": f"{platform.system()} {platform.machine()}",
         "engine": engine_version(),
         "python": platform.python_version(),
         "cores": os.cpu_count(),
-        "packages": packages,
+        "packages": {name: _version(name) for name in PACKAGES},
     }
-    return found | _backends() if packages["torch"] else found
+
+
+def examine() -> dict[str, Any]:
+    """Describe this machine and its backends.
+
+    Returns:
+        As `describe_machine`; where torch is installed also `backends` (by name: whether it `runs`, the `reason` why
+        not, what it runs on) and `auto`, the backend that "auto" takes.
+    """
+    found = describe_machine()
+    return found | _backends() if found["packages"]["torch"] else found
 
 
 def _backends() -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Images for training: undistorted, resized, with a mask of the valid pixels, and cached."""
 
+import functools
 import hashlib
 import json
 import os
@@ -249,8 +250,9 @@ def _read_cached(path: Path) -> tuple[np.ndarray, np.ndarray] | None:
     return pixels, valid
 
 
+@functools.cache
 def _drop_stale(cache: Path) -> None:
-    """Remove cached images that no run has used for _CACHE_DAYS days."""
+    """Remove cached images that no run has used for _CACHE_DAYS days; a process looks at each cache once."""
     oldest = time.time() - _CACHE_DAYS * 86400
     for path in cache.glob("*/*.npz"):
         try:

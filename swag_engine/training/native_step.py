@@ -14,7 +14,7 @@ from ..gaussians.densify import random_of
 from ..kernels.backends import kernels_for
 from ..kernels.cpu import CpuKernels
 from ..kernels.cpu_library import CpuLibrary
-from ..rendering.native_image import NativeImage
+from ..rendering.native_image import NativeImage, add_gradient
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
 from .densification import strategy_of
@@ -133,7 +133,7 @@ class Gain:
     def backward(self, sums: Tensor) -> None:
         """Set the gradients of the effects from those (6,) by the logs of the gains and by the coefficients."""
         if self.log_gain is not None:
-            self.log_gain.backward(sums[:3].sum_to_size(self.log_gain.shape))
+            add_gradient(self.log_gain, sums[:3].sum_to_size(self.log_gain.shape))
         if self.vignetting:
             self.vignetting.coefficients.grad = sums[3:]
 

@@ -32,10 +32,11 @@ class Blender:
         version: one of VERSIONS.
         extension_zip: the extension to install.
         make_folder: gives an empty folder for the user files of a new process.
+        nodes: a file of the version, for server.py.
     """
 
-    def __init__(self, version, extension_zip, make_folder):
-        self.version, self._zip, self._make_folder = version, extension_zip, make_folder
+    def __init__(self, version, extension_zip, make_folder, nodes):
+        self.version, self._zip, self._make_folder, self._nodes = version, extension_zip, make_folder, nodes
         self._process = None
         self.user = None
         self.printed = ""
@@ -54,7 +55,7 @@ class Blender:
             self._process = subprocess.Popen(
                 [
                     str(packages(self.version) / "python") if newest else sys.executable,
-                    *("-X", "faulthandler", str(Path(__file__).with_name("server.py")), str(self._zip)),
+                    *("-X", "faulthandler", str(Path(__file__).with_name("server.py")), self._zip, self._nodes),
                 ],
                 env=os.environ | own, cwd=self.user, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
                 encoding="utf-8", start_new_session=True,
@@ -125,10 +126,16 @@ def extension_zip(tmp_path_factory):
 @pytest.fixture(scope="session")
 def blenders(extension_zip, tmp_path_factory):
     """One process per version, started when a test first asks for it."""
+    # The workers of pytest-xdist have folders beside one another.
+    shared = tmp_path_factory.getbasetemp()
+    shared = shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared
     made = {
-        version: Blender(version, extension_zip, lambda version=version: tmp_path_factory.mktemp(f"blender-{version}"))
+        version: Blender(
+            version, extension_zip, lambda version=version: tmp_path_factory.mktemp(f"blender-{version}"),
+            shared / f"nodes-{version}.blend",
+        )
         for version in VERSIONS
-    }
+    }  # fmt: skip
     yield made
     for blender in made.values():
         blender.quit()

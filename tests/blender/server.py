@@ -1,12 +1,14 @@
 """Blender as a long-lived process that runs one function of a script after another.
 
-Started as `server.py ZIP` with a Python that finds bpy; ZIP is the extension, and BLENDER_USER_RESOURCES names an empty
-folder. Each line of standard input is a request, a JSON object: `script` (a module of scripts/), `function`,
-`arguments` (a list) and `environment` (variables for this request alone). Each line of standard output is an answer:
-`result`, what the function returned, or `error`, the traceback. Whatever is printed goes to standard error.
+Started as `server.py ZIP NODES` with a Python that finds bpy; ZIP is the extension, NODES a .blend file that the first
+process of a version writes, and BLENDER_USER_RESOURCES names an empty folder. Each line of standard input is a request,
+a JSON object: `script` (a module of scripts/), `function`, `arguments` (a list) and `environment` (variables for this
+request alone). Each line of standard output is an answer: `result`, what the function returned, or `error`, the
+traceback. Whatever is printed goes to standard error.
 """
 
 import atexit
+import compileall
 import contextlib
 import ctypes
 import importlib
@@ -39,23 +41,25 @@ def properties_of_types():
 class Blank:
     """The state before the first script, and the way back to it."""
 
-    def __init__(self):
-        self.nodes = self._write_nodes()
+    def __init__(self, nodes):
+        self.nodes = str(nodes)
+        if not nodes.exists():
+            self._write_nodes(nodes)
         bpy.ops.wm.read_factory_settings(use_empty=True)
         self.environment = dict(os.environ)
         self.path = list(sys.path)
         self.handlers = {name: list(handlers) for name, handlers in handler_lists().items()}
         self.properties = properties_of_types()
 
-    def _write_nodes(self):
+    def _write_nodes(self, nodes):
         """Write a .blend of the nodes that every object with splats uses: to build them takes Blender two seconds."""
         bpy.ops.wm.read_factory_settings(use_empty=True)
         assert addon_utils.enable(EXTENSION)
         importlib.import_module(f"{EXTENSION}.swag_blender.nodes.splat_preview").node_group()
-        path = USER / "extensions" / "nodes.blend"
-        bpy.data.libraries.write(str(path), {*bpy.data.node_groups, *bpy.data.materials}, fake_user=True)
+        own = USER / "nodes.blend"
+        bpy.data.libraries.write(str(own), {*bpy.data.node_groups, *bpy.data.materials}, fake_user=True)
+        own.replace(nodes)  # whole at once: another process may look for it
         addon_utils.disable(EXTENSION)
-        return str(path)
 
     def restore(self):
         """Load factory settings with no objects but the splats' nodes, and register a fresh import of the extension."""
@@ -100,7 +104,9 @@ def main():
     sys.path.insert(0, str(SCRIPTS))
     addon_utils.enable("bl_pkg")
     bpy.ops.extensions.package_install_files(filepath=sys.argv[1], repo="user_default", enable_on_install=False)
-    blank = Blank()
+    for folder in (SCRIPTS, USER / "extensions"):  # which every call imports anew
+        compileall.compile_dir(folder, quiet=1)
+    blank = Blank(Path(sys.argv[2]))
     for line in requests:
         answered = json.dumps(answer(json.loads(line), blank))
         with contextlib.suppress(OSError):

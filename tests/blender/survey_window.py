@@ -12,7 +12,7 @@ import bpy
 from mathutils import Vector
 
 sys.path.insert(0, os.environ["SWAG_OUT"])
-from window import install, open_panels, open_sidebar, photograph, report, start, until, view3d
+from window import install, open_panels, open_sidebar, report, start, until, view3d
 
 SURVEY, FINISH = os.environ["SWAG_SURVEY"], os.environ["SWAG_FINISH"]
 
@@ -43,8 +43,7 @@ def steps():
     report["followed"] = jobs()
     made = next(obj for obj in scene.objects if "swag_survey_blocks" in obj and obj.type == "MESH")
     report["faces"] = [face.material_index for face in made.data.polygons]
-    yield 3.0
-    photograph("survey-map.png")
+    yield 1.0
 
     scene.swag_survey.budget = 1000
     with bpy.context.temp_override(window=window, area=area):
@@ -53,16 +52,14 @@ def steps():
     report["opened"] = splats.count(obj)
     report["map is hidden"] = made.hide_viewport
     corner = obj.matrix_world @ Vector((1.0, -0.1, 1.0))
-    yield 3.0
-    photograph("survey-overview.png")
+    yield 1.0
     space.region_3d.view_location, space.region_3d.view_distance = corner, 4.0
     area.tag_redraw()
     yield 2.0
     with bpy.context.temp_override(window=window, area=area, region=region):
         report["load view"] = list(bpy.ops.swag.load_view("INVOKE_DEFAULT", True))
     report["near"] = [splats.count(obj), obj["swag_survey_levels"]]
-    yield 3.0
-    photograph("survey-view.png")
+    yield 1.0
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.ed.undo()
     yield 1.0
@@ -70,10 +67,9 @@ def steps():
     report["undone"] = [splats.count(obj), obj["swag_survey_levels"]]
     bpy.context.scene.swag.water = 1.0  # undo has made another scene
     area.tag_redraw()
-    yield 3.0
-    photograph("survey-water.png")
+    yield 1.0
     bpy.ops.wm.read_homefile(use_empty=True)
-    yield 4.0
+    yield from until(lambda: not bpy.app.timers.is_registered(watch._tick), 30)
     report["timer after another file"] = bpy.app.timers.is_registered(watch._tick)
 
 

@@ -2,6 +2,8 @@
 
 import sys
 
+import pytest
+
 
 def test_no_job_can_be_repeated_by_adjust_last_operation(blender):
     found = blender.run("jobs.options")
@@ -43,6 +45,7 @@ def test_undo_without_a_training_takes_back_what_was_chosen(blender, tmp_path):
     assert blender.run("jobs.undo_a_choice", tmp_path) == ""
 
 
+@pytest.mark.main_version  # the sentence is the engine's
 def test_a_folder_that_cannot_be_written_is_named_with_what_to_do(blender, tiny_scene, tmp_path):
     (tmp_path / "file").touch()
     run = tmp_path / "file" / "run"

@@ -28,7 +28,7 @@ def viewport_pictures(request, real_blender, extension_zip, missing):
     (folder / "water.json").write_text(json.dumps(WATER))
     (folder / "development.json").write_text(json.dumps(DEVELOPMENT.to_json()))
     report = in_window(
-        "real_window_viewport.py", real_blender, folder, "--gpu-backend", request.param.lower(), size=(800, 600)
+        "real_window_viewport.py", real_blender, folder, "--gpu-backend", request.param.lower(), size=(600, 450)
     )
     assert report["backend"] == request.param
     return report, {name: viewport_picture(folder, name, report["region"]) for name in report["pictures"]}

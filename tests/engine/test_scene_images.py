@@ -7,7 +7,7 @@ import pycolmap
 import pytest
 
 from swag_engine.scene.colmap import load_scene
-from swag_engine.scene.images import load_images, read_image
+from swag_engine.scene.images import _drop_stale, load_images, read_image
 from swag_engine.scene.lenses import Lens
 from tests.scenes.dots import draw_dots, make_dot_scene
 from tests.scenes.rotation_flag import with_rotation_flag
@@ -182,6 +182,9 @@ def test_the_cache_is_used_renewed_and_repaired(tmp_path: Path, monkeypatch: pyt
     long_ago = scene.views[0].path.stat().st_mtime - 60 * 86400
     os.utime(files[0], (long_ago, long_ago))
     os.utime(files[1], (long_ago, long_ago))
+    load_images(scene, scene.views, 50)
+    assert files[0].exists(), "this process has looked at the cache"
+    _drop_stale.cache_clear()
     load_images(scene, scene.views, 50)
     assert not files[0].exists() and not files[1].exists()
 

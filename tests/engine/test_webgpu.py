@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from swag_engine.base.errors import InputError
-from swag_engine.kernels import constants, webgpu_device, webgpu_tiles, webgpu_training
+from swag_engine.kernels import backends, constants, webgpu_device, webgpu_tiles, webgpu_training
 from swag_engine.kernels.backends import CPU, KERNELS, automatic_backend, device_for, kernels_for
 from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.kernels.webgpu_device import (
@@ -262,6 +262,7 @@ def test_an_adapter_that_vanishes_before_it_gives_a_device_is_said(monkeypatch):
     card = Adapter("card", "DiscreteGPU")
     adapters_are(monkeypatch, card)
     monkeypatch.setattr(Adapter, "request_device_sync", vanished)
+    monkeypatch.setattr(backends, "may_have_card", lambda: True)
     monkeypatch.setitem(KERNELS, "wgpu", WebGpuKernels(CPU))
     with pytest.raises(InputError, match="The wgpu backend cannot run here: card gave no device: adapter is gone"):
         device_for("wgpu")
@@ -288,9 +289,13 @@ def test_a_device_that_sorts_wrongly_is_refused(gpu, monkeypatch):
 
 
 def test_auto_takes_cards_and_no_software(kernels, gpu, monkeypatch):
+    monkeypatch.setattr(backends, "may_have_card", lambda: True)
     assert kernels_for("auto", torch.zeros(1)) is CPU and automatic_backend() == "cpu"
     monkeypatch.setattr(gpu, "software", False)
     assert automatic_backend() == "wgpu"
+    with monkeypatch.context() as patch:
+        patch.setattr(backends, "may_have_card", lambda: False)
+        assert automatic_backend() == "cpu"
     with monkeypatch.context() as patch:
         patch.setattr(KERNELS["cuda"], "unavailable_reason", lambda: None)
         assert automatic_backend() == "cuda"

@@ -68,13 +68,20 @@ def worker():
         yield started
 
 
-def test_a_plan_is_answered_with_the_choices_in_it(worker, tiny_scene, tmp_path):
-    worker.send(request="plan", scene=str(tiny_scene), out=str(tmp_path), settings={"effects": "lamp=on"})
-    answer = worker.until("result", "error")
+@pytest.fixture(scope="module")
+def lasting_worker():
+    """One worker for the tests that do not end it: each would wait for another one's imports."""
+    with Worker() as started:
+        yield started
+
+
+def test_a_plan_is_answered_with_the_choices_in_it(lasting_worker, tiny_scene, tmp_path):
+    lasting_worker.send(request="plan", scene=str(tiny_scene), out=str(tmp_path), settings={"effects": "lamp=on"})
+    answer = lasting_worker.until("result", "error")
     assert answer["request"] == "plan" and answer["plan"]["effects"]["lamp"]["overruled"]
     assert json.loads((tmp_path / "plan.json").read_text()) == answer["plan"]
-    worker.send(request="plan", scene=str(tiny_scene), settings={"effects": "fog=on"})
-    assert "There is no effect 'fog'" in worker.until("result", "error")["message"]
+    lasting_worker.send(request="plan", scene=str(tiny_scene), settings={"effects": "fog=on"})
+    assert "There is no effect 'fog'" in lasting_worker.until("result", "error")["message"]
 
 
 def test_inspect_train_cancel_and_export(worker, tiny_scene, tmp_path):
@@ -149,20 +156,21 @@ def test_a_search_for_cameras_that_ends_early_leaves_no_model_and_no_process(wor
         assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
-def test_a_film_reports_its_frames_and_can_be_cancelled(worker, finished_run, tiny_scene, tmp_path):
-    frames = [PathFrame(replace(load_scene(tiny_scene).views[0].camera, name=f"{n:04d}")) for n in range(1, 2001)]
+def test_a_film_reports_its_frames_and_can_be_cancelled(lasting_worker, finished_run, tiny_scene, tmp_path):
+    camera = load_scene(tiny_scene).views[0].camera
+    frames = [PathFrame(replace(camera, name=f"{n:04d}")) for n in range(1, 2001)]
     write_camera_path(tmp_path / "cameras.json", frames)
     film = {"cameras": str(tmp_path / "cameras.json"), "splats": str(finished_run / "result.ply")}
-    worker.send(request="film", out=str(tmp_path / "film"), run=str(finished_run), **film)
-    event = worker.until("progress", "error", "result")
+    lasting_worker.send(request="film", out=str(tmp_path / "film"), run=str(finished_run), **film)
+    event = lasting_worker.until("progress", "error", "result")
     assert (event["stage"], event["text"], event["iterations"]) == ("film", "Frame 1 of 2000", 2000)
-    worker.send(request="cancel")
-    result = worker.until("result", "error")
+    lasting_worker.send(request="cancel")
+    result = lasting_worker.until("result", "error")
     assert result["interrupted"] and 0 < result["rendered"] < 2000
     assert len(list((tmp_path / "film").iterdir())) == result["rendered"]
     (tmp_path / "nothing.json").write_text("{}")
-    worker.send(request="film", out=str(tmp_path), **film | {"cameras": str(tmp_path / "nothing.json")})
-    assert "no camera path" in worker.until("result", "error")["message"]
+    lasting_worker.send(request="film", out=str(tmp_path), **film | {"cameras": str(tmp_path / "nothing.json")})
+    assert "no camera path" in lasting_worker.until("result", "error")["message"]
 
 
 @pytest.mark.parametrize(("field", "value"), [("fps", True), ("fps", "24"), ("background", [1, 2]), ("background", 1)])
@@ -228,16 +236,16 @@ def test_a_paused_run_can_be_ended(worker, tiny_scene, tmp_path, how):
     assert (tmp_path / "run" / "result.ply").exists()
 
 
-def test_a_cancel_with_nothing_to_cancel_does_not_end_the_next_training(worker, tiny_scene, tmp_path):
-    worker.send(request="cancel")
-    worker.send(request="pause")
+def test_a_cancel_with_nothing_to_cancel_does_not_end_the_next_training(lasting_worker, tiny_scene, tmp_path):
+    lasting_worker.send(request="cancel")
+    lasting_worker.send(request="pause")
     settings = {"iterations": 20, "width": 64, "max_gaussians": 400, "sh_degree": 0}
-    worker.send(request="train", scene=str(tiny_scene), out=str(tmp_path / "run"), settings=settings)
-    result = worker.until("result", "error")
+    lasting_worker.send(request="train", scene=str(tiny_scene), out=str(tmp_path / "run"), settings=settings)
+    result = lasting_worker.until("result", "error")
     assert not result["interrupted"] and result["metrics"]["iteration"] == 20
-    worker.send(request="cancel")
-    worker.send(request="inspect", scene=str(tiny_scene), arrays=str(tmp_path / "arrays"))
-    assert worker.until("result", "error")["event"] == "result"
+    lasting_worker.send(request="cancel")
+    lasting_worker.send(request="inspect", scene=str(tiny_scene), arrays=str(tmp_path / "arrays"))
+    assert lasting_worker.until("result", "error")["event"] == "result"
 
 
 @pytest.mark.parametrize("paused", [False, True])
@@ -284,16 +292,16 @@ def test_the_worker_ends_with_its_parent_and_keeps_what_exists(worker, tiny_scen
     assert (tmp_path / "run" / "result.ply").exists()
 
 
-def test_wrong_requests_are_answered_and_the_worker_lives_on(worker, tiny_scene, tmp_path):
-    worker.process.stdin.write("nonsense\n")
-    worker.process.stdin.flush()
-    assert worker.until("error")["kind"] == "input"
-    worker.send(request="train", scene=str(tmp_path / "nowhere"), out=str(tmp_path / "run"))
-    error = worker.until("error")
+def test_wrong_requests_are_answered_and_the_worker_lives_on(lasting_worker, tiny_scene, tmp_path):
+    lasting_worker.process.stdin.write("nonsense\n")
+    lasting_worker.process.stdin.flush()
+    assert lasting_worker.until("error")["kind"] == "input"
+    lasting_worker.send(request="train", scene=str(tmp_path / "nowhere"), out=str(tmp_path / "run"))
+    error = lasting_worker.until("error")
     assert error["kind"] == "input" and "nowhere" in error["message"] and "\n" not in error["message"]
     assert not (tmp_path / "run").exists()
-    worker.send(request="inspect", scene=str(tiny_scene), arrays=str(tmp_path / "arrays"))
-    assert worker.until("result", "error")["event"] == "result"
+    lasting_worker.send(request="inspect", scene=str(tiny_scene), arrays=str(tmp_path / "arrays"))
+    assert lasting_worker.until("result", "error")["event"] == "result"
 
 
 @pytest.mark.parametrize(

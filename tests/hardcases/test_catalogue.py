@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.kernels.backends import CPU, KERNELS
 from swag_engine.kernels.cuda import CudaKernels
 from swag_engine.kernels.webgpu import WebGpuKernels
+from swag_engine.planning import plan
 from swag_engine.planning.plan import plan_scene
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
@@ -36,9 +38,6 @@ from tests.scenes.runs import train_with
 SETTINGS = TrainSettings(iterations=120, width=32, max_gaussians=150, backend="cpu")
 FEW = {"torch": 6, "wgpu": 6, "cuda": 3}
 """Iterations of the slow backends."""
-
-EXAMINED = ("auto", "cores", "system", "engine", "python")
-"""Fields of the machine's description in a report. Filling them would ask torch for a card that is not there."""
 
 Catalogue = dict[str, dict[str, Any]]
 
@@ -109,6 +108,14 @@ def whole_loop(
     assert [n for name, n in held["clouds"].items() if not name.endswith(" Points")] == 3 * [metrics["gaussians"]]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def costs_measured_once():
+    """What effects cost depends on the machine and the size of images, not on the case."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plan, "measured_costs", cache(plan.measured_costs))
+        yield
+
+
 @pytest.fixture(scope="module")
 def gpu(missing):
     return software_device(missing)
@@ -129,7 +136,6 @@ def backend(request, monkeypatch):
 
         fibres = Fibres(request.config.cache.mkdir("cuda_fibres"))
         monkeypatch.setitem(KERNELS, "cuda", CudaKernels(lambda: fibres))
-        monkeypatch.setattr(evaluation, "examine", lambda: {"packages": {}} | dict.fromkeys(EXAMINED, ""))
     return request.param
 
 

@@ -23,7 +23,7 @@ if sys.platform != "linux":
 from swag_engine.formats.survey_folder import COARSE, SurveyFolder
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.survey.executors.local import LocalExecutor
-from swag_engine.survey.job import hash_of
+from swag_engine.survey.job import hash_of, run_job
 from swag_engine.survey.plan import plan_survey
 from swag_engine.survey.run import run_survey
 from swag_engine.training.checkpoint import checkpoints
@@ -45,10 +45,11 @@ def planned(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def undisturbed(planned, tmp_path_factory):
-    """The survey, trained."""
-    folder = shutil.copytree(planned, tmp_path_factory.mktemp("undisturbed") / "all") / "survey"
-    assert run_survey(folder, LocalExecutor("cpu"))["exit_code"] == 0
-    return SurveyFolder(folder)
+    """The survey, trained without processes of its jobs."""
+    files = SurveyFolder(shutil.copytree(planned, tmp_path_factory.mktemp("undisturbed") / "all") / "survey")
+    for name in files.read().jobs:
+        assert run_job(files.path, name)["state"] == "done"
+    return files
 
 
 class Disturbed(LocalExecutor):
