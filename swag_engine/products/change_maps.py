@@ -68,8 +68,8 @@ class Survey:
 
     def part(self, place: tuple[slice, slice]) -> "Survey":
         """Return the part of the survey at rows and columns, in memory."""
-        labels = None if self.labels is None else np.array(self.labels[place])
-        return Survey(*(np.array(one[place]) for one in (self.colors, self.heights, self.errors)), labels)
+        colors, heights, errors = (np.array(one[place]) for one in (self.colors, self.heights, self.errors))
+        return Survey(colors, heights, errors, None if self.labels is None else np.array(self.labels[place]))
 
 
 @dataclass(frozen=True, eq=False)
