@@ -94,8 +94,8 @@ def test_a_node_is_lost_and_one_is_added(cluster, tmp_path, capsys):
 
 
 def test_stopping_keeps_what_exists(cluster, tmp_path):
-    # So slow that no block is done before it is told to end, on however busy a machine.
-    folder = make_survey(tmp_path / "survey", orders={name: ["slow"] for name in BLOCKS})
+    # No block is done before it is told to end, on however busy a machine.
+    folder = make_survey(tmp_path / "survey", orders={name: ["endless"] * 9 for name in BLOCKS})
     seen: list[dict] = []
 
     def at_work(event):

@@ -32,6 +32,9 @@ QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
 """Options with which Ray writes nothing but errors."""
 CONNECT_SECONDS = 10.0
 """Time in which the head of a cluster must answer."""
+ASKED_AGAIN_SECONDS = 15.0
+"""After this time jobs that have not ended are asked again: on a busy machine Ray's request sometimes has no effect. A
+job that was asked needs less to write its checkpoint."""
 
 
 class RayExecutor:
@@ -118,10 +121,11 @@ class RayExecutor:
 
     def cancel(self) -> None:
         """Ask all jobs to end with what exists kept, and wait for it; those that do not end are killed."""
-        for task in self._tasks:
-            self._ray.cancel(task)
-        if self._tasks:
-            self._ray.wait(list(self._tasks), num_returns=len(self._tasks), timeout=child.GRACE_SECONDS)
+        tasks, until = list(self._tasks), time.monotonic() + child.GRACE_SECONDS
+        while tasks and time.monotonic() < until:
+            for task in tasks:
+                self._ray.cancel(task)
+            _, tasks = self._ray.wait(tasks, num_returns=len(tasks), timeout=ASKED_AGAIN_SECONDS)
         self._tasks.clear()
 
     def close(self) -> None:
