@@ -38,8 +38,8 @@ MEDIAN_LIGHT = 0.13
 MOST_STOPS = 2.0
 """Most that exposure is raised, stops: it raises noise as well. Lowering it loses nothing."""
 NEARLY_GREY = 0.35
-"""Largest ratio, in stops, of red and of blue to green in parts that are taken for neutral. At
-0.6 the sand of the demo scene counts and turns grey: delta E 15.7 instead of 12.8."""
+"""Largest ratio, in stops, of red and of blue to green in parts that are taken for neutral. At 0.6 the sand of the demo
+scene counts and turns grey: delta E 15.7 instead of 12.8."""
 NEUTRAL_WEIGHT = 0.5
 """Part of the median ratio of nearly grey parts that the white point takes away. They may be brown or blue themselves,
 which is about as likely as an error of that size in the water: with all of it, two of four rooms turned blue (hue error

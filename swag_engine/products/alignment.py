@@ -82,9 +82,9 @@ def align(moving: Splats, fixed: Splats, initial: np.ndarray | None, free_scale:
     spacing = float(np.median(distances[:, 1])) or 1e-9
     normals = _normals(targets[nearest])
     colored = cKDTree(np.concatenate([targets, COLOR * spacing * target_colors], axis=1))
-    guesses = [initial] if initial is not None else [np.eye(4)]
+    guesses = [initial]
     if initial is None:
-        guesses += _guesses(points, colors, targets, target_colors, free_scale)
+        guesses = [np.eye(4), *_guesses(points, colors, targets, target_colors, free_scale)]
     if len(guesses) > 1:
         few = random.permutation(len(points))[:FEW]
         tried = []
@@ -130,12 +130,12 @@ def _guesses(
     ]
     for scale in float(reach[1] / reach[0]) * np.array(SCALES) if free_scale else (1.0,):
         cell = 4 * float(max(reach[1], scale * reach[0])) / CELLS
-        fixed = _color_map(targets - target, target_colors, cell)
+        fixed = _color_spectrum(targets - target, target_colors, cell)
         for angle in 2 * np.pi * np.arange(ORIENTATIONS) / ORIENTATIONS:
             matrix = np.eye(4)
             matrix[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
             matrix[:3, :3] *= scale
-            turned = _color_map((points - middle) @ matrix[:3, :3].T, colors, cell)
+            turned = _color_spectrum((points - middle) @ matrix[:3, :3].T, colors, cell)
             agreement = np.fft.ifft2((turned * fixed.conj()).sum(axis=0)).real
             best = np.array(np.unravel_index(agreement.argmax(), agreement.shape))
             shift = -cell * ((best + CELLS) % (2 * CELLS) - CELLS)
@@ -144,7 +144,7 @@ def _guesses(
     return [matrix for _, matrix in sorted(guesses, key=lambda pair: pair[0])[:TRIALS]]
 
 
-def _color_map(points: np.ndarray, colors: np.ndarray, cell: float) -> np.ndarray:
+def _color_spectrum(points: np.ndarray, colors: np.ndarray, cell: float) -> np.ndarray:
     """Fourier transform (3, 2 CELLS, 2 CELLS) of the mean colors in cells about the origin, with empty cells around."""
     places = np.floor(points[:, :2] / cell).astype(np.int64) + CELLS // 2
     inside = ((places >= 0) & (places < CELLS)).all(axis=1)

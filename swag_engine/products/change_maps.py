@@ -81,7 +81,7 @@ class Differences:
         limit: (H, W) smallest difference of height that is told at 95 %.
         color: (H, W) difference of color after the light of the later survey is matched to the earlier, NaN likewise.
         told: (H, W) uint8 with the bit 1 << flag for each flag of FLAGS that is told.
-        excess: (H, W) by flag, by how many limits what is told exceeds the limit.
+        excess: (H, W) by flag, by how many limits a difference exceeds its limit; 1 for labels, which have none.
     """
 
     height: np.ndarray
@@ -119,7 +119,7 @@ class Comparison:
         self.noise = _noise((second.heights - first.heights)[known] / errors[known])
         self.light, self.color_limit = _match_light(first.colors[known] / 255, second.colors[known] / 255)
         self.border = int(np.ceil(TOLD * residual / grid.pixel))
-        self.tail = 1.0
+        self.tail = 1.0  # of the differences that the next line looks at
         self.tail = max(1.0, FAR_TAIL * self._usual_ratio())
 
     def _usual_ratio(self) -> float:
@@ -196,7 +196,7 @@ class Comparison:
             (rows, columns), inner = padded(tile, self.grid, OPENING)
             mask = (told[rows, columns] >> flag & 1).astype(np.uint8) & (flags[rows, columns] == 0)
             core = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((OPENING, OPENING), np.uint8))
-            excess = self.differences(tile).excess.get(flag, np.zeros((tile.height, tile.width)))
+            excess = self.differences(tile).excess[flag] if mask.any() else np.zeros((tile.height, tile.width))
             components.add(numbers, tile, mask[inner], core[inner], np.where(mask[inner], excess, 0))
         components.choose(LEAST_PIXELS, LEAST_PIXELS / 2, LEAST_EXCESS)
         return components

@@ -61,8 +61,8 @@ class Components:
     def choose(self, least_size: int, *least: float) -> None:
         """Keep the parts with at least as many pixels, and as large sums of what was summed, in its order."""
         roots = np.array([self._root(number) for number in range(len(self._parents))])
-        kept = np.ones(len(roots), bool)
-        for sums, bound in zip(zip(*self._sums, strict=True), (least_size, *least), strict=False):
+        bounds, kept = (least_size, *least), np.ones(len(roots), bool)
+        for sums, bound in zip(np.reshape(self._sums, (-1, len(bounds))).T, bounds, strict=True):
             kept &= np.bincount(roots[1:], sums, len(roots)) >= bound
         self._roots = np.where(kept, np.arange(len(roots)), 0)[roots]
 

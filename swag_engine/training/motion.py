@@ -85,7 +85,7 @@ def find_motion(
     for image in images:
         shown = render_image(cloud, image.camera, sh_degree, backend, effects)
         residuals.append(residual(image.pixels / np.float32(255), shown.numpy(), image.valid))
-    # What other images show makes masks smaller. Most scenes have too few without it, so that it need not be rendered.
+    # What other images show only makes masks smaller: it is rendered where there can be a mask at all.
     masks = [moving_mask(here, np.zeros_like(here), image.valid) for image, here in zip(images, residuals, strict=True)]
     if fraction_with_objects(masks) >= LEAST_IMAGES:
         possible = [index for index, mask in enumerate(masks) if mask.any()]
