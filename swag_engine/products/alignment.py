@@ -82,18 +82,16 @@ def align(moving: Splats, fixed: Splats, initial: np.ndarray | None, free_scale:
     spacing = float(np.median(distances[:, 1])) or 1e-9
     normals = _normals(targets[nearest])
     colored = cKDTree(np.concatenate([targets, COLOR * spacing * target_colors], axis=1))
-    guesses = [initial]
     if initial is None:
         guesses = [np.eye(4), *_guesses(points, colors, targets, target_colors, free_scale)]
-    if len(guesses) > 1:
         few = random.permutation(len(points))[:FEW]
         tried = []
         for guess in guesses:
             # With a free scale a wrong guess would shrink to where all is near.
             matrix = _iterate(points[few], colors[few], guess, targets, normals, colored, spacing, False, TRIAL_ROUNDS)
             tried.append((_score(points[few], colors[few], matrix, colored, spacing), matrix))
-        guesses = [min(tried, key=lambda pair: pair[0])[1]]
-    matrix = _iterate(points, colors, guesses[0], targets, normals, colored, spacing, free_scale, ROUNDS)
+        initial = min(tried, key=lambda pair: pair[0])[1]
+    matrix = _iterate(points, colors, initial, targets, normals, colored, spacing, free_scale, ROUNDS)
     across = _across(points, colors, matrix, targets, normals, colored, spacing)[0]
     residual = 1.4826 * float(np.median(np.abs(across)))
     static = float((np.abs(across) < TUKEY * max(residual, 1e-12)).mean())
