@@ -88,6 +88,8 @@ class Child:
 def run(words: Sequence[str], threads: int, root: str) -> Exit:
     """Run a job's process until it ends; an exception, such as the interrupt with which Ray cancels, ends it too.
 
+    Call it in the main thread.
+
     Args:
         words: As `Child` takes them.
         threads: As `Child` takes them.
@@ -99,7 +101,10 @@ def run(words: Sequence[str], threads: int, root: str) -> Exit:
             time.sleep(POLL_SECONDS)
         return child.exit()
     finally:
+        # Ray may interrupt more than once, which must not shorten the time that the process has to end.
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         end([child])
+        signal.signal(signal.SIGINT, before)
 
 
 def run_on_node(words: Sequence[str], threads: int, root: str) -> tuple[str, str, tuple[int, str, str]]:

@@ -33,8 +33,7 @@ QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
 CONNECT_SECONDS = 10.0
 """Time in which the head of a cluster must answer."""
 ASKED_AGAIN_SECONDS = 15.0
-"""After this time jobs that have not ended are asked again: on a busy machine Ray's request sometimes has no effect. A
-job that was asked needs less to write its checkpoint."""
+"""After this time jobs that have not ended are asked again: on a busy machine Ray's request sometimes has no effect."""
 
 
 class RayExecutor:
