@@ -20,7 +20,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.common import DEMO, RESULTS, SHARED, machine, write_results
 from swag_engine.evaluation.metrics import mean_score, score_views
 from swag_engine.formats.run_folder import RunFolder
-from swag_engine.gaussians import least_size
+from swag_engine.gaussians import sizes
 from swag_engine.scene.images import load_images
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import make_trainer
@@ -40,7 +40,7 @@ def run(scene: Path, variance: float, seed: int) -> dict[str, Any]:
     """Train once and return processor time, and PSNR and SSIM of the test images at each width."""
     settings = TrainSettings(**SIZE, seed=seed, backend="cpu")
     smallest = max(variance, 1e-12)
-    with tempfile.TemporaryDirectory() as folder, mock.patch.object(least_size, "LEAST_VARIANCE", smallest):
+    with tempfile.TemporaryDirectory() as folder, mock.patch.object(sizes, "LEAST_VARIANCE", smallest):
         trainer = make_trainer(RunFolder(Path(folder) / "run"), scene, settings, False, lambda event: None, None, 0.0)
         started = time.process_time()
         while not trainer.state.clock.done:

@@ -33,9 +33,9 @@ FAR_TAIL = 3.3
 """Limit over that quantile at least. About one difference in a thousand is larger where nothing changed: there are far
 more large ones than in a normal distribution (one in 50 000). In trained surveys it was 3.2 to 4.3 times the quantile
 (benchmarks/products.py)."""
-LEAST_EXCESS = 7.0
-"""Sum over the pixels of an object of what exceeds the limit, in limits, at least. Errors make spots of 20 to 40 pixels
-that exceed it a little, 2 to 6 in trained surveys. 20 pixels that exceed it by a third are told, or 70 by a tenth."""
+LEAST_EXCESS = 18.0
+"""Sum over the pixels of an object of what exceeds the limit, in limits, at least. Errors make spots of 20 to 60 pixels
+that exceed it by 2 to 17 in trained surveys. 20 pixels that exceed it by nine tenths are told, or 180 by a tenth."""
 MOST_ERROR = 2.0
 """Predicted error of a height, relative to the survey's median, above which a place is not compared."""
 LEAST_COLOR = 0.05

@@ -9,8 +9,9 @@ from ..splats.splats import Splats
 from .grid import splat_size
 from .tiles import Tile, TileRenderer
 
-LAYERS = 16
-"""Layers of equal thickness in a tile. The height is the mean over the layer with the threshold and its neighbours."""
+LAYERS = 32
+"""Layers of equal thickness in a tile. The height is the mean over the layer with the threshold and its neighbours:
+with 16 layers the median error of trained surveys is 0.5 pixels instead of 0.2 (benchmarks/products.py)."""
 FIRST = 0.2
 """Absorbed fraction of the light, relative to alpha, at which the first surface is. Ground of fine texture is often
 learned as small splats over smooth ones some centimetres below it: of 0.05 to 0.5, this has the least error on trained
@@ -25,7 +26,7 @@ a surplus of 18 to 50 % on the sand of trained surveys one of 10 to 14 % (benchm
 MOST_STEP = 64
 """Largest size of splats at which a surface is measured, pixels: tiles are read with a margin of three sizes."""
 EDGE = 256
-"""Edge of the tiles in which heights are found, pixels: 4 LAYERS channels are blended at once."""
+"""Edge of the tiles in which heights are found, pixels: 4 LAYERS channels are blended at once (34 MB)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ from torch import Tensor
 
 from ..base.timing import part
 from ..gaussians.densify import DensificationStrategy, McmcStrategy, SplitStrategy, random_of
-from ..gaussians.least_size import enforce_least_size
 from ..gaussians.relocate import relocate
+from ..gaussians.sizes import enforce_sizes
 from ..rendering.importance import scores
 from ..settings.recipes import Recipe
 from .effect_selection import EffectSelection
@@ -69,14 +69,14 @@ class Densification:
             strategy_of(state.recipe).perturb(state.free_cloud, means_rate, self.inputs.median_range, random)
             self._densify(state, random)
             self._relocate(state, sh_degree, water_degree)
-            self._enforce_least_size(state)
+            self._enforce_sizes(state)
 
-    def _enforce_least_size(self, state: RunState) -> None:
-        """Enlarge Gaussians that are too thin: as often as others are added, and once when geometry is final."""
+    def _enforce_sizes(self, state: RunState) -> None:
+        """Keep Gaussians from being too thin or too large: as often as others are added, and when geometry is final."""
         final = state.clock.fraction >= state.recipe.stage_two_from
         if final or state.iteration % self.inputs.schedule.densify_every == 0:
             cameras = [image.camera for image in self.inputs.training]
-            enforce_least_size(state.free_cloud, cameras, self.inputs.median_range)
+            enforce_sizes(state.free_cloud, cameras, self.inputs.median_range)
 
     def _densify(self, state: RunState, random: torch.Generator) -> None:
         schedule, fraction, until = self.inputs.schedule, state.clock.fraction, state.recipe.densify_until

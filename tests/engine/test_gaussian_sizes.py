@@ -1,12 +1,13 @@
-"""Least size of Gaussians: what the training images sample, and views from nearer and farther."""
+"""Least size of Gaussians, by what the training images sample, and largest, by the distance from cameras."""
 
 import math
 
 import numpy as np
 import torch
 
+from swag_engine.gaussians import sizes
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.gaussians.least_size import LEAST_VARIANCE, enforce_least_size, sampling_rates
+from swag_engine.gaussians.sizes import LARGEST, LEAST_VARIANCE, enforce_sizes, nearest_distances, sampling_rates
 from swag_engine.rasterize.api import rasterize
 from swag_engine.scene.cameras import Camera
 from swag_engine.settings.settings import TrainSettings
@@ -47,10 +48,19 @@ def test_the_nearest_image_that_sees_a_gaussian_samples_it_most_finely():
 
 def test_only_axes_that_no_image_could_show_are_enlarged():
     cloud = cloud_at([[0.0, 0, 8], [100, 0, 8]], 1e-4)
-    cloud.log_scales[:, 1] = 0.0
-    enforce_least_size(cloud, [camera_at(0)], 8.0)
+    cloud.log_scales[:, 1] = math.log(0.2)
+    enforce_sizes(cloud, [camera_at(0)], 8.0)
     least = math.sqrt(LEAST_VARIANCE) * 8 / FOCAL
-    torch.testing.assert_close(cloud.scales, torch.tensor([[least, 1, least], [1e-4, 1, 1e-4]]))
+    torch.testing.assert_close(cloud.scales, torch.tensor([[least, 0.2, least], [1e-4, 0.2, 1e-4]]))
+
+
+def test_axes_that_are_large_beside_the_distance_from_the_nearest_camera_are_reduced():
+    cloud = cloud_at([[0.0, 0, 8], [0, 30, 0], [0, 0, 0]], 50.0)
+    cloud.log_scales[0, 1] = math.log(0.1)
+    enforce_sizes(cloud, [camera_at(0), camera_at(4)], 8.0)
+    torch.testing.assert_close(cloud.scales[0], torch.tensor([LARGEST * 4, 0.1, LARGEST * 4]))
+    torch.testing.assert_close(cloud.scales[1], torch.full((3,), LARGEST * 30))  # in no view
+    assert 0 < cloud.scales[2, 0] < LARGEST, "the place of a camera"
 
 
 def least_alpha(cloud, zoom):
@@ -68,12 +78,14 @@ def test_a_surface_that_is_closed_in_training_is_closed_from_nearer_and_farther(
     steps = (np.arange(-28, 28) + 0.5) * 8 / FOCAL  # one Gaussian per pixel, at distance 8
     grid = np.stack([*np.meshgrid(steps, steps), np.full((56, 56), 8.0)], -1).reshape(-1, 3)
     thin, kept = cloud_at(grid, 1e-4), cloud_at(grid, 1e-4)
-    enforce_least_size(kept, [camera_at(0)], 8.0)
+    enforce_sizes(kept, [camera_at(0)], 8.0)
     assert least_alpha(thin, 1) > 0.95 and least_alpha(thin, 2) < 0.5
     assert all(least_alpha(kept, zoom) > 0.75 for zoom in (0.5, 1, 2))
 
 
-def test_no_gaussian_of_a_result_is_thinner(tiny_scene, tmp_path):
+def test_no_gaussian_of_a_result_is_thinner_or_larger(tiny_scene, tmp_path, monkeypatch):
+    largest = 0.02  # some Gaussians of this run would be larger
+    monkeypatch.setattr(sizes, "LARGEST", largest)
     checked = []
 
     def keep(trainer):
@@ -81,6 +93,8 @@ def test_no_gaussian_of_a_result_is_thinner(tiny_scene, tmp_path):
 
     train_with(tiny_scene, tmp_path / "run", TrainSettings(iterations=60, width=64, max_gaussians=300), keep)
     state, inputs = checked[0].state, checked[0].inputs
-    rates = sampling_rates(state.cloud.means, [image.camera for image in inputs.training], inputs.median_range)
+    cameras = [image.camera for image in inputs.training]
+    rates = sampling_rates(state.cloud.means, cameras, inputs.median_range)
     pixels = state.cloud.scales * rates[:, None]
     assert (rates > 0).any() and pixels[rates > 0].min() > 0.999 * math.sqrt(LEAST_VARIANCE)
+    assert (state.cloud.scales.amax(1) / nearest_distances(state.cloud.means, cameras)).max() < 1.001 * largest
