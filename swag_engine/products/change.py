@@ -193,7 +193,7 @@ def _scratch_array(path: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.n
 
 
 def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str, progress: Progress | None) -> Survey:
-    """Render colors, heights, their predicted errors and labels of a survey to files whose names begin with `path`.
+    """Render what a survey is compared by to files whose names begin with `path`.
 
     Errors grow with transparency: splats that are seen through are spread in depth.
     """
@@ -204,6 +204,7 @@ def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str
     shape = grid.height, grid.width
     image = _scratch_array(path.with_suffix(".colors"), (*shape, 3), np.uint8)
     heights = _scratch_array(path.with_suffix(".heights"), shape, np.float32)
+    layers = _scratch_array(path.with_suffix(".layers"), shape, np.float32)
     found = None if labels is None else _scratch_array(path.with_suffix(".labels"), shape, np.uint8)
     errors = _scratch_array(path.with_suffix(".errors"), shape, np.float32)
     for tile in tiles_of(grid, EDGE, stage, progress):
@@ -211,13 +212,14 @@ def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str
         values, alpha = renderer.render(tile, chosen, colors[chosen])
         shown = scene.development.apply(values / np.maximum(alpha, 1e-6)[..., None])
         image[tile.place] = np.round(255 * np.clip(shown, 0, 1))
-        surface = tile_heights(renderer, tile).first
-        heights[tile.place] = surface
+        found_heights = tile_heights(renderer, tile)
+        surface = found_heights.first
+        heights[tile.place], layers[tile.place] = surface, np.abs(surface - found_heights.median)
         by_rays = height_errors(cameras, scene, grid, tile, surface) if cameras else np.ones(alpha.shape)
         errors[tile.place] = by_rays / np.maximum(alpha, 1e-6)
         if found is not None and labels is not None:
             found[tile.place] = tile_labels(renderer, tile, labels, scene.gains)
-    return Survey(image, heights, errors, found)
+    return Survey(image, heights, errors, layers, found)
 
 
 def _same_labels(first: MapScene, second: MapScene, after: Survey) -> None:

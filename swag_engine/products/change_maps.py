@@ -33,9 +33,12 @@ FAR_TAIL = 3.3
 """Limit over that quantile at least. About one difference in a thousand is larger where nothing changed: there are far
 more large ones than in a normal distribution (one in 50 000). In trained surveys it was 3.2 to 4.3 times the quantile
 (benchmarks/products.py)."""
-LEAST_EXCESS = 18.0
-"""Sum over the pixels of an object of what exceeds the limit, in limits, at least. Errors make spots of 20 to 60 pixels
-that exceed it by 2 to 17 in trained surveys. 20 pixels that exceed it by nine tenths are told, or 180 by a tenth."""
+LEAST_EXCESS = 7.0
+"""Sum over the pixels of an object of what exceeds the limit, in limits, at least. Errors make spots that exceed it a
+little. 20 pixels that exceed it by a third are told, or 70 by a tenth."""
+DOUBT = 0.5
+"""Error of a height over the distance of the median height from the first surface. Where splats lie in two layers it is
+not certain which of them is the surface: in trained surveys errors grew with that distance by .3 to .8 of it."""
 MOST_ERROR = 2.0
 """Predicted error of a height, relative to the survey's median, above which a place is not compared."""
 LEAST_COLOR = 0.05
@@ -58,18 +61,22 @@ class Survey:
         colors: (H, W, 3) uint8 display values.
         heights: (H, W) heights of the first surface, NaN where nothing was seen.
         errors: (H, W) predicted errors of heights, of which only their ratios count.
+        layers: (H, W) distances of the median heights from the first surface.
         labels: (H, W) uint8, NO_LABEL where nothing was seen; None where the survey has no labels.
     """
 
     colors: np.ndarray
     heights: np.ndarray
     errors: np.ndarray
+    layers: np.ndarray
     labels: np.ndarray | None = None
 
     def part(self, place: tuple[slice, slice]) -> "Survey":
         """Return the part of the survey at rows and columns, in memory."""
-        colors, heights, errors = (np.array(one[place]) for one in (self.colors, self.heights, self.errors))
-        return Survey(colors, heights, errors, None if self.labels is None else np.array(self.labels[place]))
+        colors, heights, errors, layers = (
+            np.array(one[place]) for one in (self.colors, self.heights, self.errors, self.layers)
+        )
+        return Survey(colors, heights, errors, layers, None if self.labels is None else np.array(self.labels[place]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,9 +104,9 @@ class Comparison:
     The noise of heights is estimated from the differences themselves, robustly: most of a place is static. It is
     proportional to the error that the positions of the photos let expect; places where that is much larger than usual
     are not compared. To it comes what an error of place makes of steps and slopes: the range of heights within a pixel
-    and its neighbours. Where the differences still have more large values than that lets expect, limits are raised. The
-    colors of the later survey are matched to those of the earlier by a robust affine map. Borders of labels may differ
-    by the error of places.
+    and its neighbours; and what is not certain where splats lie in two layers. Where the differences still have more
+    large values than that lets expect, limits are raised. The colors of the later survey are matched to those of the
+    earlier by a robust affine map. Borders of labels may differ by the error of places.
 
     Args:
         before: The earlier survey.
@@ -116,7 +123,9 @@ class Comparison:
         self._usual = [_usual_error(survey) for survey in (first, second)]
         known, errors = self._comparable(first, second)
         self.overlap = bool(known.any())
-        self.noise = _noise((second.heights - first.heights)[known] / errors[known])
+        doubt = _doubt(first, second)
+        clear = known & (doubt <= np.median(doubt[known])) if self.overlap else known
+        self.noise = _noise((second.heights - first.heights)[clear] / errors[clear])
         self.light, self.color_limit = _match_light(first.colors[known] / 255, second.colors[known] / 255)
         self.border = int(np.ceil(TOLD * residual / grid.pixel))
         self.tail = 1.0  # of the differences that the next line looks at
@@ -138,7 +147,8 @@ class Comparison:
         height = np.where(known, after.heights - before.heights, np.nan)
         place = np.hypot(SCATTER * pixel, errors * self.residual)
         slope = np.maximum(_steepness(before.heights, pixel), _steepness(after.heights, pixel))
-        limit = TOLD * np.sqrt(errors**2 * (self.noise**2 + self.residual**2) + (slope * place) ** 2)
+        doubt = _doubt(before, after)
+        limit = TOLD * np.sqrt(errors**2 * (self.noise**2 + self.residual**2) + (slope * place) ** 2 + doubt**2)
         limit *= self.tail
         smooth = _median(height)
         color = np.linalg.norm(_lit(after.colors / 255, self.light) - before.colors / 255, axis=2)
@@ -269,6 +279,11 @@ def _steepness(heights: np.ndarray, pixel: float) -> np.ndarray:
     down, right = gradients(heights, pixel)
     steep = np.nan_to_num(np.hypot(down, right))
     return cv2.dilate(steep, np.ones((3, 3)))
+
+
+def _doubt(before: Survey, after: Survey) -> np.ndarray:
+    """Error (H, W) of differences of height by splats in layers."""
+    return DOUBT * np.hypot(*(np.nan_to_num(_median(survey.layers)) for survey in (before, after)))
 
 
 def _usual_error(survey: Survey) -> float:

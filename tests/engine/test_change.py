@@ -316,8 +316,8 @@ def test_heights_with_larger_expected_errors_need_larger_changes():
     before, after = (0.7 * errors * random.standard_normal((40, 100), np.float32) for _ in range(2))
     after[5:15, 5:15] += 3.2
     after[5:15, 70:80] += 3.2
-    colors = np.full((40, 100, 3), 128, np.uint8)
-    comparison = Comparison(Survey(colors, before, errors), Survey(colors, after, errors), grid, 0.0)
+    colors, layers = np.full((40, 100, 3), 128, np.uint8), np.zeros((40, 100), np.float32)
+    comparison = Comparison(Survey(colors, before, errors, layers), Survey(colors, after, errors, layers), grid, 0.0)
     (tile,) = tiles.tiles_of(grid)
     found = comparison.differences(tile)
     told = found.told >> 1 & 1
@@ -328,11 +328,23 @@ def test_heights_with_larger_expected_errors_need_larger_changes():
 GROUND = MapGrid(0, 200, 1, 200, 200)
 
 
+def test_heights_of_splats_in_two_layers_need_larger_changes():
+    """A step of 2 is told where the median height is at the first surface, not where it is 4 below it in one survey."""
+    before, after = flat_surveys()
+    for columns in (slice(40, 60), slice(140, 160)):
+        after.heights[90:110, columns] += 2
+    assert len(objects_of(before, after)) == 2
+    before.layers[:, 100:] = 4
+    (found,) = objects_of(before, after)
+    assert found["column"] == pytest.approx(49.5, abs=1)
+
+
 def flat_surveys():
     """Two surveys of flat ground with noise of 0.2."""
     random, shape = np.random.default_rng(1), (200, 200)
     colors, errors = np.full((*shape, 3), 128, np.uint8), np.ones(shape, np.float32)
-    return [Survey(colors, 0.2 * random.standard_normal(shape, np.float32), errors) for _ in range(2)]
+    layers = np.zeros(shape, np.float32)
+    return [Survey(colors, 0.2 * random.standard_normal(shape, np.float32), errors, layers.copy()) for _ in range(2)]
 
 
 def objects_of(before, after, residual=0.0):
