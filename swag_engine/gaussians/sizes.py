@@ -1,7 +1,7 @@
 """Least and largest size of Gaussians.
 
-Thinner ones than any training image could show look like needles from nearer. Huge ones under a surface come out of it
-in other views: Gaussians are sorted by the depth of their centres, which says little of one that is as large as the
+Thinner ones than any training image could show look like needles from nearer. Huge ones under a surface are drawn over
+it in other views: Gaussians are sorted by the depth of their centres, which says little of one that is as large as the
 view.
 """
 

@@ -193,7 +193,7 @@ def _scratch_array(path: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.n
 
 
 def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str, progress: Progress | None) -> Survey:
-    """Render what a survey is compared by to files whose names begin with `path`.
+    """Render the arrays of a `Survey` to files whose names begin with `path`.
 
     Errors grow with transparency: splats that are seen through are spread in depth.
     """

@@ -31,7 +31,7 @@ TAIL_SIGMA = 1.2816
 """Standard deviations at that quantile in a normal distribution."""
 FAR_TAIL = 3.3
 """Limit over that quantile at least. About one difference in a thousand is larger where nothing changed: there are far
-more large ones than in a normal distribution (one in 50 000). In trained surveys it was 3.2 to 4.3 times the quantile
+more large ones than in a normal distribution (one in 50 000). In trained surveys it was 3.2 to 4.8 times the quantile
 (benchmarks/products.py)."""
 LEAST_EXCESS = 7.0
 """Sum over the pixels of an object of what exceeds the limit, in limits, at least. Errors make spots that exceed it a
@@ -128,7 +128,7 @@ class Comparison:
         self.noise = _noise((second.heights - first.heights)[clear] / errors[clear])
         self.light, self.color_limit = _match_light(first.colors[known] / 255, second.colors[known] / 255)
         self.border = int(np.ceil(TOLD * residual / grid.pixel))
-        self.tail = 1.0  # of the differences that the next line looks at
+        self.tail = 1.0  # `_usual_ratio` takes limits that are not raised
         self.tail = max(1.0, FAR_TAIL * self._usual_ratio())
 
     def _usual_ratio(self) -> float:

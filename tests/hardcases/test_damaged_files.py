@@ -128,7 +128,7 @@ def glb_json_changed(data: bytes, random: np.random.Generator) -> bytes:
     ids=["binary PLY", "text PLY", "compressed PLY", "GLB's JSON", "GLB's bytes", "SPZ", "SPZ of version 3"],
 )
 def test_changed_files(tmp_path: Path, make: Callable, change: tuple[Callable, ...], read: Callable) -> None:
-    """1000 files each, from one seed; a failure prints the number of the file."""
+    """Each file has its number as its seed; a failure prints the number."""
     path = tmp_path / "changed file"
     data = make(path)
     path.write_bytes(data)
