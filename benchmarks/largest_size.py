@@ -63,8 +63,10 @@ def figures(folder: Path, name: str, largest: float) -> dict[str, Any]:
         metrics = train(scene, run, replace(SETTINGS[name], seed=SEABED_SEED if name == SEABED else 0))["metrics"]
         found = {"psnr": metrics["test_psnr"], "psnr_by_view": [view["psnr"] for view in metrics["views"].values()]}
         if name == SEABED:
-            grid = MapGrid(**make_dem(run, Path(place) / "dem.tif", PIXEL, BOX)["grid"])
-            errors = np.abs(read_heights(Path(place) / "dem.tif") - truth(bed, grid)[0]) / PIXEL
+            make_dem(run, Path(place) / "dem.tif", PIXEL, BOX)
+            heights = read_heights(Path(place) / "dem.tif")
+            grid = MapGrid(BOX[0], BOX[3], PIXEL, heights.shape[1], heights.shape[0])
+            errors = np.abs(heights - truth(bed, grid)[0]) / PIXEL
             found["height_median_error"], found["height_p95_error"] = np.nanquantile(errors, [0.5, 0.95]).tolist()
         else:
             found["delta_e"] = evaluate_run(run)["restored"]["delta_e"]

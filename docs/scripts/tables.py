@@ -344,6 +344,19 @@ def zoom() -> str:
 
 
 @table
+def largest_size() -> str:
+    """Novel views, heights and restored colors by the largest size of Gaussians."""
+    rows = []
+    for run in sorted(results("largest_size")["runs"], key=lambda run: (run["scene"], -run["largest"])):
+        limit = f"{run['largest']:g}" if run["largest"] < 1e6 else "none"
+        heights = f"{run['height_p95_error']:.1f} px" if "height_p95_error" in run else "-"
+        colors = f"{run['delta_e']:.1f}" if "delta_e" in run else "-"
+        views = f"{min(run['psnr_by_view']):.1f} to {max(run['psnr_by_view']):.1f} dB"
+        rows.append([run["scene"], limit, f"{run['psnr']:.1f} dB", views, heights, colors])
+    return markdown(["scene", "limit", "test PSNR", "its views", "heights, 95 %", "delta E without water"], rows)
+
+
+@table
 def strategies() -> str:
     """Our densification and gsplat's strategies on our rasteriser; rows of one comparison have equal Gaussians."""
     header = ["scene", "iterations", "strategy", "limit of", "equal", "Gaussians", "time", "test PSNR", "seeds"]
