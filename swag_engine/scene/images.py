@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import struct
+import threading
 import time
 import zipfile
 from collections.abc import Callable, Sequence
@@ -28,6 +29,9 @@ _TIFF_ORIENTATION = 274
 """Tag of the orientation in a TIFF file."""
 _CACHE_DAYS = 30
 """Days after which a cached file that no run has used is removed."""
+_READING_CACHE = threading.Lock()
+"""NumPy reads the header of an array with Python's parser, which in Python 3.11 is not safe in several threads
+(github.com/python/cpython/issues/106905)."""
 
 
 @dataclass
@@ -242,7 +246,8 @@ def cache_folder(scene: Scene, kind: str) -> Path:
 
 def _read_cached(path: Path) -> tuple[np.ndarray, np.ndarray] | None:
     try:
-        with np.load(path, allow_pickle=False) as arrays:  # a zip file: its checksums tell when it is corrupt
+        # A zip file: its checksums tell when it is corrupt.
+        with _READING_CACHE, np.load(path, allow_pickle=False) as arrays:
             pixels, valid = arrays["pixels"], arrays["valid"]
         os.utime(path)  # in use: see _drop_stale
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):

@@ -1,5 +1,8 @@
+import ast
 import os
+import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -187,6 +190,26 @@ def test_the_cache_is_used_renewed_and_repaired(tmp_path: Path, monkeypatch: pyt
     _drop_stale.cache_clear()
     load_images(scene, scene.views, 50)
     assert not files[0].exists() and not files[1].exists()
+
+
+def test_cached_images_are_read_by_one_thread_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python 3.11 raises a SystemError when NumPy parses the headers of two arrays at once."""
+    scene = load_scene(make_dot_scene(tmp_path, views=6))
+    load_images(scene, scene.views, 100)
+    parse = ast.literal_eval
+    inside: list[Any] = []
+    most: list[int] = []
+
+    def slow_parse(text: Any) -> Any:
+        inside.append(text)
+        most.append(len(inside))
+        time.sleep(0.01)
+        inside.pop()
+        return parse(text)
+
+    monkeypatch.setattr(ast, "literal_eval", slow_parse)
+    load_images(scene, scene.views, 100)
+    assert len(most) == 12 and max(most) == 1
 
 
 def test_an_unwritable_cache_only_costs_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
