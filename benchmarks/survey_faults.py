@@ -3,6 +3,7 @@
 import os
 import random
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -55,19 +56,18 @@ def faults(folder: Path) -> dict[str, Any]:
     _finish(calm)
     names, blocks = calm.read().jobs, calm.read().blocks
     draw = random.Random(0)
-    seconds = {name: read_json(calm.done(name), "")["seconds"] for name in names}
 
     # The coarse model first, as no block begins without it; then blocks, as seams begin when these are done.
     chosen = draw.sample(blocks, max(3, round(KILLED * len(names))) - 1)
-    iterations = {name: _killed(disturbed, name, draw.uniform(0.2, 0.9) * seconds[name]) for name in (COARSE, *chosen)}
-    _finish(disturbed, only=COARSE)
-    begun = [name for name in chosen if checkpoints(disturbed.run(name).path)]
-    damaged = begun[0] if begun else None
-    if damaged:
-        newest = checkpoints(disturbed.run(damaged).path)[0]
-        newest.write_bytes(newest.read_bytes()[: newest.stat().st_size // 2])
-    free = [name for name in blocks if name not in chosen]
-    full, twice = free[0], free[1]
+    iterations = {}
+    for name in (COARSE, *chosen):
+        iterations[name] = _ended(disturbed, name, draw.uniform(0.2, 0.9), signal.SIGKILL)
+        if name == COARSE:
+            _finish(disturbed, only=COARSE)
+    damaged, full, twice = [name for name in blocks if name not in chosen][:3]
+    _ended(disturbed, damaged, 0.5, signal.SIGINT)  # which leaves a checkpoint
+    (newest,) = checkpoints(disturbed.run(damaged).path)
+    newest.write_bytes(newest.read_bytes()[: newest.stat().st_size // 2])
     sentence = _with_full_disk(disturbed, full)
     both = [_start(disturbed, twice) for _ in range(2)]
     codes = [process.wait() for process in both]
@@ -106,13 +106,13 @@ def _start(survey: SurveyFolder, name: str, **options: Any) -> subprocess.Popen[
     )
 
 
-def _killed(survey: SurveyFolder, name: str, seconds: float) -> int:
-    """Kill a job after so many seconds of training, and return the iteration of its last report; 0 if it was done."""
+def _ended(survey: SurveyFolder, name: str, fraction: float, number: int) -> int:
+    """End a job by a signal after a fraction of its iterations, and return the iteration of its last report."""
     process = _start(survey, name)
-    while not survey.run(name).metrics_log.exists() and process.poll() is None:
-        time.sleep(0.05)
-    time.sleep(seconds)
-    process.kill()
+    settings = survey.read().coarse_settings if name == COARSE else survey.read_block(name)
+    while process.poll() is None and progress_of(survey, name, 0).iteration < fraction * settings.iterations:
+        time.sleep(0.02)
+    process.send_signal(number)
     process.wait()
     return progress_of(survey, name, 0).iteration
 

@@ -93,8 +93,12 @@ def _train(
     started, processor = time.monotonic(), time.process_time()
     part = read_part(folder.scene_part(name), survey.scene)
     run = folder.run(name)
-    metrics = read_json(run.metrics, "") if run.metrics.exists() and run.finished() else None
-    if metrics is None:
+    # Seams start from the checkpoints of blocks.
+    whole = run.metrics.exists() and run.finished() and _can_be_read(run)
+    if whole:
+        metrics = read_json(run.metrics, "")
+    else:
+        run.metrics.unlink(missing_ok=True)
         inputs = _inputs(folder, survey, name, part)
         metrics = _trained(run, survey.scene, part, inputs, on_event, should_stop)
     if metrics["interrupted"]:

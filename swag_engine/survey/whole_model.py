@@ -172,11 +172,14 @@ def _trained_of(folder: SurveyFolder, name: str) -> GaussianCloud:
     """Return the Gaussians that a block has trained; those in its result have their colors limited for display."""
     if not folder.done(name).exists():
         raise InputError(f"Block {name} of {folder.path} is not done, and its seams come after it: train it first.")
-    loaded = load_checkpoint(folder.run(name).path)
+    try:
+        loaded = load_checkpoint(folder.run(name).path)
+    except InputError:
+        loaded = None
     if loaded is None:
         raise InputError(
-            f"{folder.run(name).path} has no checkpoint, which the seams of {name} start from: remove "
-            f"{folder.done(name)} and train the block again."
+            f"The seams of block {name} start from its checkpoint, and {folder.run(name).path} has none that can be "
+            f"read. Remove {folder.done(name)}: survey run then trains the block again."
         )
     cloud = SceneModel.from_checkpoint(*loaded).cloud
     return cloud.rows(slice(len(cloud) - loaded[1]["fixed"]))

@@ -163,6 +163,19 @@ def test_damaged_checkpoints_and_results_are_made_again(survey, finished):
     assert run_job(survey, BLOCK)["result_sha256"] == expected == hash_of(files.run(BLOCK).ply)
 
 
+def test_a_seam_names_the_block_whose_checkpoint_is_damaged_and_what_it_says_to_do_helps(survey):
+    files = SurveyFolder(survey)
+    (seam,) = files.read().seams
+    expected = [run_job(survey, name)["result_sha256"] for name in files.read().blocks]
+    for path in checkpoints(files.run(BLOCK).path):
+        path.write_bytes(b"damaged")
+    with pytest.raises(InputError, match=f"The seams of block {BLOCK} start from its checkpoint, .*Remove .*done.json"):
+        run_job(survey, seam)
+    files.done(BLOCK).unlink()
+    assert run_job(survey, BLOCK)["result_sha256"] == expected[0]
+    assert run_job(survey, seam)["state"] == "done"
+
+
 def test_a_job_that_another_process_has_is_left_to_it(survey):
     with claimed(SurveyFolder(survey).job(BLOCK)):
         found = run_job(survey, BLOCK)
