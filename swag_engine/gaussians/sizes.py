@@ -6,7 +6,7 @@ view.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -18,9 +18,10 @@ LEAST_VARIANCE = 0.1
 """Least variance of a Gaussian along each axis, squared pixels of the training image that samples it most finely: half
 that of the 3D smoothing filter of Mip-Splatting (Yu et al. 2024, arXiv 2311.16493), which costs quality at the training
 width (benchmarks/zoom.py)."""
-LARGEST = 0.5
-"""Largest standard deviation of a Gaussian along each axis, as a fraction of its distance from the nearest camera
-(benchmarks/largest_size.py)."""
+LARGEST, LARGEST_HIDDEN = 0.05, 0.5
+"""Largest standard deviation of a Gaussian along each axis, as fractions of its distance from the nearest camera: where
+all of its light reaches that camera, and where none does. Far places in murky water have so little contrast that only
+large Gaussians cover them (benchmarks/largest_size.py)."""
 MARGIN = 0.15
 """Fraction of an image's size beyond its edges in which a Gaussian still counts as seen (Mip-Splatting)."""
 NEAREST = 0.01
@@ -55,25 +56,48 @@ def sampling_rates(means: Tensor, cameras: Sequence[Camera], median_range: float
 
 
 @torch.no_grad()
-def nearest_distances(means: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """Compute the distance (N,) of each centre (N, 3) from the nearest camera, scene units."""
-    nearest = means.new_full((len(means),), math.inf)
+def nearest_offsets(means: Tensor, cameras: Sequence[Camera]) -> Tensor:
+    """Compute the offset (N, 3) of each centre (N, 3) from the nearest of one or more cameras, scene units."""
+    nearest, least = torch.zeros_like(means), means.new_full((len(means),), math.inf)
     for camera in cameras:
-        nearest = torch.minimum(nearest, (means - torch.from_numpy(camera.centre).to(means)).norm(dim=1))
+        offsets = means - torch.from_numpy(camera.centre).to(means)
+        distances = offsets.norm(dim=1)
+        nearest = torch.where((distances < least)[:, None], offsets, nearest)
+        least = torch.minimum(least, distances)
     return nearest
 
 
 @torch.no_grad()
-def enforce_sizes(cloud: GaussianCloud, cameras: Sequence[Camera], median_range: float) -> None:
-    """Enlarge the axes of Gaussians that are thinner than LEAST_VARIANCE allows, reduce those that exceed LARGEST.
+def largest_scales(
+    means: Tensor, cameras: Sequence[Camera], median_range: float, visibility: Callable[[Tensor], Tensor]
+) -> Tensor:
+    """Compute the largest standard deviation (N,) that Gaussians may have, scene units.
+
+    Args:
+        means: (N, 3) centres, scene units.
+        cameras: Cameras of the training images.
+        median_range: Median range of the scene, scene units.
+        visibility: Computes the fraction (N,) of the light that reaches a camera from offsets (N, 3) from it.
+    """
+    offsets = nearest_offsets(means, cameras)
+    fraction = LARGEST_HIDDEN * (LARGEST / LARGEST_HIDDEN) ** visibility(offsets)
+    return fraction * offsets.norm(dim=1).clamp(min=NEAREST * median_range)
+
+
+@torch.no_grad()
+def enforce_sizes(
+    cloud: GaussianCloud, cameras: Sequence[Camera], median_range: float, visibility: Callable[[Tensor], Tensor]
+) -> None:
+    """Enlarge axes that are thinner than LEAST_VARIANCE allows, and reduce those that exceed `largest_scales`.
 
     Args:
         cloud: The Gaussians; their `log_scales` are changed in place.
         cameras: Cameras of the training images.
         median_range: Median range of the scene, scene units.
+        visibility: Computes the fraction (N,) of the light that reaches a camera from offsets (N, 3) from it.
     """
-    distances = nearest_distances(cloud.means, cameras).clamp(min=NEAREST * median_range)
-    scales = torch.minimum(cloud.log_scales, (LARGEST * distances).log()[:, None])
+    largest = largest_scales(cloud.means, cameras, median_range, visibility)
+    scales = torch.minimum(cloud.log_scales, largest.log()[:, None])
     rates = sampling_rates(cloud.means, cameras, median_range)
     least = 0.5 * math.log(LEAST_VARIANCE) - rates.log()
     cloud.log_scales.copy_(torch.where((rates > 0)[:, None], torch.maximum(scales, least[:, None]), scales))

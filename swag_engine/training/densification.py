@@ -1,5 +1,7 @@
 """When Gaussians are added, dropped and relocated during a run."""
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
@@ -7,8 +9,10 @@ from ..base.timing import part
 from ..gaussians.densify import DensificationStrategy, McmcStrategy, SplitStrategy, random_of
 from ..gaussians.relocate import relocate
 from ..gaussians.sizes import enforce_sizes
-from ..rendering.importance import scores
+from ..rendering.importance import scores, visibility
 from ..settings.recipes import Recipe
+from ..water.medium import Medium
+from ..water.network import WaterNetwork
 from .effect_selection import EffectSelection
 from .guidance import Guidance
 from .inputs import RunInputs
@@ -76,7 +80,16 @@ class Densification:
         final = state.clock.fraction >= state.recipe.stage_two_from
         if final or state.iteration % self.inputs.schedule.densify_every == 0:
             cameras = [image.camera for image in self.inputs.training]
-            enforce_sizes(state.free_cloud, cameras, self.inputs.median_range)
+            seen = partial(self._visibility, state.effects.medium)
+            enforce_sizes(state.free_cloud, cameras, self.inputs.median_range, seen)
+
+    def _visibility(self, medium: Medium | WaterNetwork | None, offsets: Tensor) -> Tensor:
+        """Return the fraction (N,) of light that reaches a camera; none is assumed where its loss is not known."""
+        if medium is not None:
+            return visibility(medium, offsets)
+        water = self.selection.plan.effects["attenuation"] if self.selection.plan else None
+        clear = water is not None and water.state == "off" and not water.overruled
+        return offsets.new_full((len(offsets),), float(clear))
 
     def _densify(self, state: RunState, random: torch.Generator) -> None:
         schedule, fraction, until = self.inputs.schedule, state.clock.fraction, state.recipe.densify_until

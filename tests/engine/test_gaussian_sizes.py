@@ -1,20 +1,35 @@
 """Least size of Gaussians, by what the training images sample, and largest, by the distance from cameras."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 
 from swag_engine.gaussians import sizes
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.gaussians.sizes import LARGEST, LEAST_VARIANCE, enforce_sizes, nearest_distances, sampling_rates
+from swag_engine.gaussians.sizes import (
+    LARGEST,
+    LARGEST_HIDDEN,
+    LEAST_VARIANCE,
+    enforce_sizes,
+    largest_scales,
+    sampling_rates,
+)
 from swag_engine.rasterize.api import rasterize
+from swag_engine.rendering.importance import visibility
 from swag_engine.scene.cameras import Camera
 from swag_engine.settings.settings import TrainSettings
 from tests.scenes.runs import train_with
 
 FOCAL = 64.0
 """Focal length of the cameras, pixels, and width of their images."""
+
+
+def in_air(offsets):
+    """All light reaches the camera."""
+    return torch.ones(len(offsets))
 
 
 def camera_at(z, kind="perspective"):
@@ -49,7 +64,7 @@ def test_the_nearest_image_that_sees_a_gaussian_samples_it_most_finely():
 def test_only_axes_that_no_image_could_show_are_enlarged():
     cloud = cloud_at([[0.0, 0, 8], [100, 0, 8]], 1e-4)
     cloud.log_scales[:, 1] = math.log(0.2)
-    enforce_sizes(cloud, [camera_at(0)], 8.0)
+    enforce_sizes(cloud, [camera_at(0)], 8.0, in_air)
     least = math.sqrt(LEAST_VARIANCE) * 8 / FOCAL
     torch.testing.assert_close(cloud.scales, torch.tensor([[least, 0.2, least], [1e-4, 0.2, 1e-4]]))
 
@@ -57,10 +72,24 @@ def test_only_axes_that_no_image_could_show_are_enlarged():
 def test_axes_that_are_large_beside_the_distance_from_the_nearest_camera_are_reduced():
     cloud = cloud_at([[0.0, 0, 8], [0, 30, 0], [0, 0, 0]], 50.0)
     cloud.log_scales[0, 1] = math.log(0.1)
-    enforce_sizes(cloud, [camera_at(0), camera_at(4)], 8.0)
+    enforce_sizes(cloud, [camera_at(0), camera_at(4)], 8.0, in_air)
     torch.testing.assert_close(cloud.scales[0], torch.tensor([LARGEST * 4, 0.1, LARGEST * 4]))
     torch.testing.assert_close(cloud.scales[1], torch.full((3,), LARGEST * 30))  # in no view
     assert 0 < cloud.scales[2, 0] < LARGEST, "the place of a camera"
+
+
+def test_gaussians_that_the_water_hides_may_be_larger():
+    means = torch.tensor([[0.0, 0, 1], [0, 0, 5], [0, 0, 29]])
+    seen = []
+
+    def visibility(offsets):
+        seen.append(offsets)
+        return torch.exp(-0.5 * offsets.norm(dim=1))
+
+    fractions = largest_scales(means, [camera_at(0), camera_at(9)], 8.0, visibility) / torch.tensor([1.0, 4, 20])
+    torch.testing.assert_close(seen[0][:, 2], torch.tensor([1.0, -4, 20]))
+    assert LARGEST < fractions[0] < fractions[1] < fractions[2] < LARGEST_HIDDEN
+    assert fractions[2] > 0.99 * LARGEST_HIDDEN
 
 
 def least_alpha(cloud, zoom):
@@ -78,23 +107,37 @@ def test_a_surface_that_is_closed_in_training_is_closed_from_nearer_and_farther(
     steps = (np.arange(-28, 28) + 0.5) * 8 / FOCAL  # one Gaussian per pixel, at distance 8
     grid = np.stack([*np.meshgrid(steps, steps), np.full((56, 56), 8.0)], -1).reshape(-1, 3)
     thin, kept = cloud_at(grid, 1e-4), cloud_at(grid, 1e-4)
-    enforce_sizes(kept, [camera_at(0)], 8.0)
+    enforce_sizes(kept, [camera_at(0)], 8.0, in_air)
     assert least_alpha(thin, 1) > 0.95 and least_alpha(thin, 2) < 0.5
     assert all(least_alpha(kept, zoom) > 0.75 for zoom in (0.5, 1, 2))
 
 
-def test_no_gaussian_of_a_result_is_thinner_or_larger(tiny_scene, tmp_path, monkeypatch):
-    largest = 0.02  # some Gaussians of this run would be larger
-    monkeypatch.setattr(sizes, "LARGEST", largest)
+@pytest.mark.parametrize("water", ["on", "off", "found", "unknown"])
+def test_no_gaussian_of_a_result_is_thinner_or_larger(tiny_scene, tmp_path, monkeypatch, water):
+    """Without water, all light counts as seen only if the plan has found that there is none."""
+    monkeypatch.setattr(sizes, "LARGEST", 0.01)
+    monkeypatch.setattr(sizes, "LARGEST_HIDDEN", 0.02)  # some Gaussians of this run would be larger
     checked = []
 
     def keep(trainer):
         checked.append(trainer)
+        decision = trainer.selection.plan.effects["attenuation"]
+        found = {"found": {"state": "off", "overruled": False}, "unknown": {"state": "unknown", "overruled": False}}
+        trainer.selection.plan.effects["attenuation"] = replace(decision, **found.get(water, {}))
 
-    train_with(tiny_scene, tmp_path / "run", TrainSettings(iterations=60, width=64, max_gaussians=300), keep)
+    effects = "water=on" if water == "on" else "water=off"
+    settings = TrainSettings(iterations=60, width=64, max_gaussians=300, effects=effects)
+    train_with(tiny_scene, tmp_path / "run", settings, keep)
     state, inputs = checked[0].state, checked[0].inputs
     cameras = [image.camera for image in inputs.training]
     rates = sampling_rates(state.cloud.means, cameras, inputs.median_range)
     pixels = state.cloud.scales * rates[:, None]
     assert (rates > 0).any() and pixels[rates > 0].min() > 0.999 * math.sqrt(LEAST_VARIANCE)
-    assert (state.cloud.scales.amax(1) / nearest_distances(state.cloud.means, cameras)).max() < 1.001 * largest
+
+    def seen(offsets):
+        if water == "on":
+            return visibility(state.effects.medium, offsets)
+        return torch.full((len(offsets),), float(water == "found"))
+
+    largest = largest_scales(state.cloud.means, cameras, inputs.median_range, seen)
+    assert 0.99 < (state.cloud.scales.amax(1) / largest).max() < 1.01
