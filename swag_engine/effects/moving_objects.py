@@ -28,6 +28,8 @@ LEAST_ALONE = 5.0
 """Factor by which it must exceed the residual of the same place in the other images."""
 KNOWN = 0.5
 """Pixels of a Gaussian in other images that weigh as much as the image itself."""
+REDUCED = 2
+"""Factor by which residuals are reduced for comparing images: they are averaged over more pixels anyway."""
 GRAIN = 0.01
 """Fraction of the width below which nothing counts as an object."""
 LEAST_AREA = 0.01
@@ -104,25 +106,30 @@ def residuals_elsewhere(
     Yields:
         (H, W) float32 for each of these cameras.
     """
+    small = [camera.resized(max(1, camera.width // REDUCED)) for camera in cameras]
 
-    def sums(camera: Camera, values: np.ndarray) -> Tensor:
+    def sums(index: int) -> Tensor:
+        camera = small[index]
+        values = cv2.resize(residuals[index], (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         pictures = torch.from_numpy(np.stack([values, np.ones_like(values)], -1)).to(cloud.means)
         return contribution_sums(cloud, camera, pictures, backend)
 
+    known = KNOWN / REDUCED**2
     total = cloud.means.new_zeros(len(cloud), 2)
-    for camera, values in zip(cameras, residuals, strict=True):
-        total += sums(camera, values)
-    for camera, values in [(cameras[index], residuals[index]) for index in wanted]:
-        own = sums(camera, values)
+    for index in range(len(cameras)):
+        total += sums(index)
+    for index in wanted:
+        camera, own = small[index], sums(index)
         left, weight = (total - own).clamp(min=0).unbind(1)
         mean = own[:, 0] / own[:, 1].clamp(min=1e-6)
-        expected = (left + KNOWN * mean) / (weight + KNOWN)
+        expected = (left + known * mean) / (weight + known)
         viewmat, K = (torch.from_numpy(array).to(cloud.means) for array in (camera.world_to_camera, camera.K))
         drawn = rasterize(
             cloud.means, cloud.quats, cloud.scales, cloud.opacities, expected[:, None], viewmat, K,
             camera.width, camera.height, cloud.means.new_zeros(1), backend,
         )  # fmt: skip
-        yield drawn.channels[..., 0].cpu().numpy()
+        size = residuals[index].shape[::-1]
+        yield cv2.resize(drawn.channels[..., 0].cpu().numpy(), size, interpolation=cv2.INTER_LINEAR)
 
 
 def _grain(width: int) -> int:
