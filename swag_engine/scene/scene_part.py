@@ -151,6 +151,6 @@ def _check_images(views: Iterable[View], scene_folder: Path) -> None:
     missing = [str(view.path) for view in views if not view.path.is_file()]
     if missing:
         raise InputError(
-            f"{len(missing)} photos of the scene {scene_folder} are not on this machine: {first_names(missing)}. Copy "
-            "them to it, or make the folder available under the same path."
+            f"The scene {scene_folder} is not whole on this machine; photos that are missing ({len(missing)} in all): "
+            f"{first_names(missing)}. Copy them to it, or make the folder available under the same path."
         )

@@ -187,7 +187,7 @@ def test_what_keeps_a_block_from_being_trained_is_said_and_kept(survey):
     photo = files.read().scene / "images" / files.read_block(BLOCK).training[0]
     content = photo.read_bytes()
     photo.unlink()
-    with pytest.raises(InputError, match=f"1 photos of the scene .* not on this machine: .*{photo.name}"):
+    with pytest.raises(InputError, match=f"not whole on this machine; .* .1 in all.: .*{photo.name}"):
         run_job(survey, BLOCK)
     failed = progress_of(files, BLOCK, 40)
     assert failed.state == "failed" and photo.name in failed.problem
