@@ -22,6 +22,9 @@ LARGEST, LARGEST_HIDDEN = 0.05, 0.5
 """Largest standard deviation of a Gaussian along each axis, as fractions of its distance from the nearest camera: where
 all of its light reaches that camera, and where none does. Far places in murky water have so little contrast that only
 large Gaussians cover them (benchmarks/largest_size.py)."""
+COVERING = 2.0
+"""Mean distances between the Gaussians of an image, as a standard deviation, that are never too large: few Gaussians
+must be large to cover a surface."""
 MARGIN = 0.15
 """Fraction of an image's size beyond its edges in which a Gaussian still counts as seen (Mip-Splatting)."""
 NEAREST = 0.01
@@ -29,8 +32,8 @@ NEAREST = 0.01
 
 
 @torch.no_grad()
-def sampling_rates(means: Tensor, cameras: Sequence[Camera], median_range: float) -> Tensor:
-    """Compute how finely the images sample the scene at each Gaussian.
+def sampling(means: Tensor, cameras: Sequence[Camera], median_range: float) -> tuple[Tensor, Tensor]:
+    """Compute how finely images and Gaussians sample the scene at each Gaussian.
 
     Args:
         means: (N, 3) centres, scene units.
@@ -38,10 +41,10 @@ def sampling_rates(means: Tensor, cameras: Sequence[Camera], median_range: float
         median_range: Median range of the scene, scene units.
 
     Returns:
-        (N,) the highest number of pixels per scene unit over the images that see the Gaussian, occluded or not; 0 where
-        none does.
+        (N,) the highest number of pixels per scene unit over the images that see the Gaussian, occluded or not; and
+        (N,) the mean distance between the Gaussians of that image, scene units. Both are 0 where no image sees it.
     """
-    rates = means.new_zeros(len(means))
+    rates, spacings = means.new_zeros(len(means)), means.new_zeros(len(means))
     for camera in cameras:
         pose = torch.from_numpy(camera.world_to_camera).to(means)
         x, y, z = torch.addmm(pose[:3, 3], means, pose[:3, :3].T).unbind(-1)
@@ -51,8 +54,13 @@ def sampling_rates(means: Tensor, cameras: Sequence[Camera], median_range: float
         seen = z > NEAREST * median_range
         for position, size in ((u, camera.width), (v, camera.height)):
             seen &= (position > -MARGIN * size) & (position < (1 + MARGIN) * size)
-        rates = torch.maximum(rates, torch.where(seen, focal / depth, 0.0))
-    return rates
+        rate = torch.where(seen, focal / depth, 0.0)
+        finer = rate > rates
+        area = (1 + 2 * MARGIN) ** 2 * camera.width * camera.height
+        pixels = (area / seen.sum().clamp(min=1)).sqrt()
+        spacings = torch.where(finer, pixels / rate, spacings)
+        rates = torch.where(finer, rate, rates)
+    return rates, spacings
 
 
 @torch.no_grad()
@@ -68,27 +76,33 @@ def nearest_offsets(means: Tensor, cameras: Sequence[Camera]) -> Tensor:
 
 
 @torch.no_grad()
-def largest_scales(
+def size_limits(
     means: Tensor, cameras: Sequence[Camera], median_range: float, visibility: Callable[[Tensor], Tensor]
-) -> Tensor:
-    """Compute the largest standard deviation (N,) that Gaussians may have, scene units.
+) -> tuple[Tensor, Tensor]:
+    """Compute the least and the largest standard deviation (N,) that Gaussians may have, scene units.
 
     Args:
         means: (N, 3) centres, scene units.
         cameras: Cameras of the training images.
         median_range: Median range of the scene, scene units.
         visibility: Computes the fraction (N,) of the light that reaches a camera from offsets (N, 3) from it.
+
+    Returns:
+        The least, 0 where no image sees the centre, and the largest.
     """
+    rates, spacings = sampling(means, cameras, median_range)
+    least = torch.where(rates > 0, math.sqrt(LEAST_VARIANCE) / rates, 0.0)
     offsets = nearest_offsets(means, cameras)
     fraction = LARGEST_HIDDEN * (LARGEST / LARGEST_HIDDEN) ** visibility(offsets)
-    return fraction * offsets.norm(dim=1).clamp(min=NEAREST * median_range)
+    largest = fraction * offsets.norm(dim=1).clamp(min=NEAREST * median_range)
+    return least, torch.maximum(largest, COVERING * spacings)
 
 
 @torch.no_grad()
 def enforce_sizes(
     cloud: GaussianCloud, cameras: Sequence[Camera], median_range: float, visibility: Callable[[Tensor], Tensor]
 ) -> None:
-    """Enlarge axes that are thinner than LEAST_VARIANCE allows, and reduce those that exceed `largest_scales`.
+    """Enlarge axes that are thinner than `size_limits` allows, and reduce those that are larger.
 
     Args:
         cloud: The Gaussians; their `log_scales` are changed in place.
@@ -96,8 +110,5 @@ def enforce_sizes(
         median_range: Median range of the scene, scene units.
         visibility: Computes the fraction (N,) of the light that reaches a camera from offsets (N, 3) from it.
     """
-    largest = largest_scales(cloud.means, cameras, median_range, visibility)
-    scales = torch.minimum(cloud.log_scales, largest.log()[:, None])
-    rates = sampling_rates(cloud.means, cameras, median_range)
-    least = 0.5 * math.log(LEAST_VARIANCE) - rates.log()
-    cloud.log_scales.copy_(torch.where((rates > 0)[:, None], torch.maximum(scales, least[:, None]), scales))
+    least, largest = (limit.log()[:, None] for limit in size_limits(cloud.means, cameras, median_range, visibility))
+    cloud.log_scales.copy_(torch.maximum(torch.minimum(cloud.log_scales, largest), least))

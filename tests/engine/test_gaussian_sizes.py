@@ -10,12 +10,13 @@ import torch
 from swag_engine.gaussians import sizes
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.sizes import (
+    COVERING,
     LARGEST,
     LARGEST_HIDDEN,
     LEAST_VARIANCE,
     enforce_sizes,
-    largest_scales,
-    sampling_rates,
+    sampling,
+    size_limits,
 )
 from swag_engine.rasterize.api import rasterize
 from swag_engine.rendering.importance import visibility
@@ -55,10 +56,10 @@ def cloud_at(means, sigma):
 
 def test_the_nearest_image_that_sees_a_gaussian_samples_it_most_finely():
     means = torch.tensor([[0.0, 0, 8], [0, 0, 3], [100, 0, 8], [0, 0, -5]])
-    rates = sampling_rates(means, [camera_at(0), camera_at(4)], 8.0)
+    rates, _ = sampling(means, [camera_at(0), camera_at(4)], 8.0)
     # The second is behind the nearer camera, the third beside both images, the fourth behind both cameras.
     torch.testing.assert_close(rates, torch.tensor([FOCAL / 4, FOCAL / 3, 0, 0]))
-    torch.testing.assert_close(sampling_rates(means[:1], [camera_at(0, "orthographic")], 8.0), torch.tensor([FOCAL]))
+    torch.testing.assert_close(sampling(means[:1], [camera_at(0, "orthographic")], 8.0)[0], torch.tensor([FOCAL]))
 
 
 def test_only_axes_that_no_image_could_show_are_enlarged():
@@ -70,12 +71,18 @@ def test_only_axes_that_no_image_could_show_are_enlarged():
 
 
 def test_axes_that_are_large_beside_the_distance_from_the_nearest_camera_are_reduced():
-    cloud = cloud_at([[0.0, 0, 8], [0, 30, 0], [0, 0, 0]], 50.0)
+    cloud = cloud_at([[0.0, 0, 8], [0, 30, 0], [0, 0, 0], *[[0, 0, 7]] * 3000], 50.0)
     cloud.log_scales[0, 1] = math.log(0.1)
     enforce_sizes(cloud, [camera_at(0), camera_at(4)], 8.0, in_air)
     torch.testing.assert_close(cloud.scales[0], torch.tensor([LARGEST * 4, 0.1, LARGEST * 4]))
     torch.testing.assert_close(cloud.scales[1], torch.full((3,), LARGEST * 30))  # in no view
     assert 0 < cloud.scales[2, 0] < LARGEST, "the place of a camera"
+
+
+def test_few_gaussians_may_be_as_large_as_covering_an_image_takes():
+    cloud = cloud_at([[0.0, 0, 8], [1, 0, 8], [0, 1, 8], [0, 0, 16]], 50.0)
+    enforce_sizes(cloud, [camera_at(0)], 8.0, in_air)  # a pixel is 8 / FOCAL wide at distance 8
+    torch.testing.assert_close(cloud.scales[0], torch.full((3,), COVERING * 1.3 * 64 / 2 * 8 / FOCAL))
 
 
 def test_gaussians_that_the_water_hides_may_be_larger():
@@ -86,8 +93,9 @@ def test_gaussians_that_the_water_hides_may_be_larger():
         seen.append(offsets)
         return torch.exp(-0.5 * offsets.norm(dim=1))
 
-    fractions = largest_scales(means, [camera_at(0), camera_at(9)], 8.0, visibility) / torch.tensor([1.0, 4, 20])
-    torch.testing.assert_close(seen[0][:, 2], torch.tensor([1.0, -4, 20]))
+    _, largest = size_limits(means.repeat(1000, 1), [camera_at(0), camera_at(9)], 8.0, visibility)
+    fractions = largest[:3] / torch.tensor([1.0, 4, 20])
+    torch.testing.assert_close(seen[0][:3, 2], torch.tensor([1.0, -4, 20]))
     assert LARGEST < fractions[0] < fractions[1] < fractions[2] < LARGEST_HIDDEN
     assert fractions[2] > 0.99 * LARGEST_HIDDEN
 
@@ -115,6 +123,7 @@ def test_a_surface_that_is_closed_in_training_is_closed_from_nearer_and_farther(
 @pytest.mark.parametrize("water", ["on", "off", "found", "unknown"])
 def test_no_gaussian_of_a_result_is_thinner_or_larger(tiny_scene, tmp_path, monkeypatch, water):
     """Without water, all light counts as seen only if the plan has found that there is none."""
+    monkeypatch.setattr(sizes, "COVERING", 0.0)
     monkeypatch.setattr(sizes, "LARGEST", 0.01)
     monkeypatch.setattr(sizes, "LARGEST_HIDDEN", 0.02)  # some Gaussians of this run would be larger
     checked = []
@@ -129,15 +138,13 @@ def test_no_gaussian_of_a_result_is_thinner_or_larger(tiny_scene, tmp_path, monk
     settings = TrainSettings(iterations=60, width=64, max_gaussians=300, effects=effects)
     train_with(tiny_scene, tmp_path / "run", settings, keep)
     state, inputs = checked[0].state, checked[0].inputs
-    cameras = [image.camera for image in inputs.training]
-    rates = sampling_rates(state.cloud.means, cameras, inputs.median_range)
-    pixels = state.cloud.scales * rates[:, None]
-    assert (rates > 0).any() and pixels[rates > 0].min() > 0.999 * math.sqrt(LEAST_VARIANCE)
 
     def seen(offsets):
         if water == "on":
             return visibility(state.effects.medium, offsets)
         return torch.full((len(offsets),), float(water == "found"))
 
-    largest = largest_scales(state.cloud.means, cameras, inputs.median_range, seen)
+    cameras = [image.camera for image in inputs.training]
+    least, largest = size_limits(state.cloud.means, cameras, inputs.median_range, seen)
+    assert (state.cloud.scales.amin(1) > 0.999 * least).all() and (least > 0).any()
     assert 0.99 < (state.cloud.scales.amax(1) / largest).max() < 1.01
