@@ -22,7 +22,7 @@ LARGEST, LARGEST_HIDDEN = 0.05, 0.5
 """Largest standard deviation of a Gaussian along each axis, as fractions of its distance from the nearest camera: where
 all of its light reaches that camera, and where none does. Far places in murky water have so little contrast that only
 large Gaussians cover them (benchmarks/largest_size.py)."""
-COVERING = 2.0
+COVERING = 4.0
 """Mean distances between the Gaussians of an image, as a standard deviation, that are never too large: few Gaussians
 must be large to cover a surface."""
 MARGIN = 0.15

@@ -71,7 +71,7 @@ def test_only_axes_that_no_image_could_show_are_enlarged():
 
 
 def test_axes_that_are_large_beside_the_distance_from_the_nearest_camera_are_reduced():
-    cloud = cloud_at([[0.0, 0, 8], [0, 30, 0], [0, 0, 0], *[[0, 0, 7]] * 3000], 50.0)
+    cloud = cloud_at([[0.0, 0, 8], [0, 30, 0], [0, 0, 0], *[[0, 0, 7]] * 20_000], 50.0)
     cloud.log_scales[0, 1] = math.log(0.1)
     enforce_sizes(cloud, [camera_at(0), camera_at(4)], 8.0, in_air)
     torch.testing.assert_close(cloud.scales[0], torch.tensor([LARGEST * 4, 0.1, LARGEST * 4]))
@@ -93,7 +93,7 @@ def test_gaussians_that_the_water_hides_may_be_larger():
         seen.append(offsets)
         return torch.exp(-0.5 * offsets.norm(dim=1))
 
-    _, largest = size_limits(means.repeat(1000, 1), [camera_at(0), camera_at(9)], 8.0, visibility)
+    _, largest = size_limits(means.repeat(9000, 1), [camera_at(0), camera_at(9)], 8.0, visibility)
     fractions = largest[:3] / torch.tensor([1.0, 4, 20])
     torch.testing.assert_close(seen[0][:3, 2], torch.tensor([1.0, -4, 20]))
     assert LARGEST < fractions[0] < fractions[1] < fractions[2] < LARGEST_HIDDEN
