@@ -93,7 +93,7 @@ def size_limits(
     rates, spacings = sampling(means, cameras, median_range)
     least = torch.where(rates > 0, math.sqrt(LEAST_VARIANCE) / rates, 0.0)
     offsets = nearest_offsets(means, cameras)
-    fraction = LARGEST_HIDDEN * (LARGEST / LARGEST_HIDDEN) ** visibility(offsets)
+    fraction = LARGEST_HIDDEN * (LARGEST / LARGEST_HIDDEN) ** visibility(offsets).square()
     largest = fraction * offsets.norm(dim=1).clamp(min=NEAREST * median_range)
     return least, torch.maximum(largest, COVERING * spacings)
 
