@@ -343,10 +343,10 @@ def test_a_rough_surface_keeps_its_area_under_noise(step):
 
 
 def test_the_surface_does_not_grow_with_smaller_pixels(tmp_path):
-    """Level splats, a fifth of them 1 cm higher or lower: most of what their edges add is no surface at any pixel."""
+    """Level splats, a fifth of them 12 mm higher or lower: most of what their edges add is no surface at any pixel."""
     ground = sheet(0, 0, 1.5, 1, 0.025)
     random = np.random.default_rng(0)
-    ground.positions[:, 2] += 0.01 * random.choice([-1, 0, 1], len(ground), p=[0.1, 0.8, 0.1])
+    ground.positions[:, 2] += 0.012 * random.choice([-1, 0, 1], len(ground), p=[0.1, 0.8, 0.1])
     run = write_run(tmp_path, [ground])
     found = []
     for pixel in (0.015, 0.005, 0.0025):
@@ -355,7 +355,7 @@ def test_the_surface_does_not_grow_with_smaller_pixels(tmp_path):
             assert dataset.read(1).mean() == pytest.approx(made["rugosity"], abs=0.01)
         found.append(made["rugosity"])
     heights = read_heights(tmp_path / "dem.tif")
-    assert surface_factor(heights, 0.0025).mean() > 1.08 > 1.05 > max(found), found
+    assert surface_factor(heights, 0.0025).mean() > 1.1 > 1.05 > max(found), found
 
 
 # -- what cannot be mapped --------------------------------------------------------------------------------------------
