@@ -6,9 +6,9 @@ Results: benchmarks/results/products.json
 For each seed, photos of a seabed of known heights, labels and scale (tests/scenes/seabed.py) are written to FOLDER in
 four kinds of water and trained there. The scale is measured from the coded targets, the axes from the places of their
 middles. Labels are learned from masks of the training photos. Later surveys, in which three corals are gone, one has
-grown by 10 % and a bank of sand has moved, are compared with the survey in ocean water, in air or under a lamp. Seed 0
-is the seabed of the documentation; others move what lies on it and have another texture, other noise and other initial
-values.
+grown by 10 % and a bank of sand has moved, are compared with the survey in ocean water, in air or under a lamp; `every
+pair` compares each two surveys of a seed. Seed 0 is the seabed of the documentation; others move what lies on it and
+have another texture, other noise and other initial values.
 
 The run can be stopped at any time and started again with the same FOLDER: a training continues from its newest
 checkpoint, and what is trained and labelled is not made again. Figures replace those of the same seed and name in the
@@ -21,6 +21,7 @@ import sys
 from argparse import ArgumentParser
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,7 @@ PAIRS: dict[str, dict[str, Any]] = {
     "under a lamp; other path": {"water": LAMP, "turned": True, "seed": 5},
 }
 """Later surveys."""
+EVERY_PAIR = "every pair"
 EARLIER = {"in air; other light and path": "air", "under a lamp; other path": "lamp"}
 """Surveys that later ones are compared with; "ocean" where none is given."""
 
@@ -220,7 +222,11 @@ def change_figures(first: Path, second: Path, before: Seabed, after: Seabed, out
 def compare(
     folder: Path, seed: int, settings: TrainSettings, only: Sequence[str]
 ) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Write, train and compare the surveys of a seed; yield `surveys` or `changes`, a name, and the figures."""
+    """Write, train and compare the surveys of a seed.
+
+    Yields:
+        `surveys`, `changes` or `pairs`, a name, and the figures.
+    """
     bed = Seabed.scattered(seed) if seed else Seabed()
 
     def survey(name: str) -> tuple[Path, dict[str, Any]]:
@@ -240,11 +246,44 @@ def compare(
             run, _ = trained(place, after, replace(settings, seed=options["seed"]), **options)
             before, _ = survey(EARLIER.get(name, "ocean"))
             yield "changes", name, change_figures(before, run, bed, after, place / "change")
+    if EVERY_PAIR in only:
+        yield "pairs", EVERY_PAIR, compare_every_pair(folder, bed)
+
+
+def compare_every_pair(folder: Path, bed: Seabed) -> dict[str, dict[str, int]]:
+    """Compare each two trained surveys of a seed, those that were made after the changes as the later ones.
+
+    Args:
+        folder: Folder of the seed's surveys.
+        bed: The seabed before the changes.
+
+    Returns:
+        For pairs of one kind of light, and for those of a lamp with daylight: numbers of pairs, of true changes, of
+        found ones and of invented ones.
+    """
+    places = {name: name for name in WATERS} | {
+        name: f"later-{later['seed']}" for name, later in PAIRS.items()
+    }  # the folder of each survey
+    unchanged = [name for name in places if name in WATERS or name.startswith("nothing")]
+    changed = [name for name in places if name not in unchanged]
+    kinds = ("one kind of light", "a lamp and daylight")
+    totals = {kind: dict.fromkeys(("pairs", "expected", "found", "invented"), 0) for kind in kinds}
+    for first, second in [*combinations(unchanged, 2), *product(unchanged, changed)]:
+        lamps = ["lamp" in name for name in (first, second)]
+        after = bed.changed() if second in changed else bed
+        runs = [folder / places[name] / "run" for name in (first, second)]
+        figures = change_figures(runs[0], runs[1], bed, after, folder / "pair")
+        total = totals[kinds[lamps[0] != lamps[1]]]
+        total["pairs"] += 1
+        total["expected"] += len(figures["expected"])
+        total["found"] += figures["found"]
+        total["invented"] += len(figures["invented"])
+    return totals
 
 
 def main() -> None:
     """Write, train and compare the chosen surveys."""
-    names = [*WATERS, *PAIRS]
+    names = [*WATERS, *PAIRS, EVERY_PAIR]
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--iterations", type=int, default=1500)
@@ -255,7 +294,7 @@ def main() -> None:
     for seed in options.seeds:
         for kind, name, figures in compare(options.folder / f"seed-{seed}", seed, settings, options.only):
             document = json.loads((RESULTS / "products.json").read_text())  # other parts may run at the same time
-            found = document["seeds"].setdefault(str(seed), {"surveys": {}, "changes": {}})[kind]
+            found = document["seeds"].setdefault(str(seed), {}).setdefault(kind, {})
             found[name] = json.loads(json.dumps(figures), parse_float=lambda text: round(float(text), DIGITS))
             print(seed, name, json.dumps(found[name]), flush=True)
             write_results("products", document | {"settings": settings.to_json(), "pixel": PIXEL})

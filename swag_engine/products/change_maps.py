@@ -33,9 +33,9 @@ FAR_TAIL = 3.3
 """Limit over that quantile at least. About one difference in a thousand is larger where nothing changed: there are far
 more large ones than in a normal distribution (one in 50 000). In trained surveys it was 3.2 to 4.8 times the quantile
 (benchmarks/products.py)."""
-LEAST_EXCESS = 7.0
+LEAST_EXCESS = 15.0
 """Sum over the pixels of an object of what exceeds the limit, in limits, at least. Errors make spots that exceed it a
-little. 20 pixels that exceed it by a third are told, or 70 by a tenth."""
+little. 20 pixels that exceed it by three quarters are told, or 45 by a third."""
 DOUBT = 0.5
 """Error of a height over the distance of the median height from the first surface. Where splats lie in two layers it is
 not certain which of them is the surface: in trained surveys errors grew with that distance by .3 to .8 of it."""
@@ -43,6 +43,16 @@ MOST_ERROR = 2.0
 """Predicted error of a height, relative to the survey's median, above which a place is not compared."""
 LEAST_COLOR = 0.05
 """Smallest difference of color, display values, that counts as a change."""
+SLOPES = (0.4, 0.8, 1.6)
+"""Slopes between which differences of color are taken as equally large: other light changes the shading of slopes."""
+SLOPE_QUANTILE = 0.25
+"""Quantile that these are compared by: most of what is steep may have changed."""
+MOST_BY_SLOPE = 2.0
+"""Largest factor of the limit of color on a slope; a larger one is a change of all that is steep. Above a slope of 1.6
+it was 1.7 to 2 under other light, 1.4 to 1.6 with other noise only and 1.2 to 1.4 in air and under a lamp
+(benchmarks/products.py)."""
+SUPPORT = 1 / 3
+"""Difference of height, in its limits, from which other light alone does not explain another color of a slope."""
 MARGIN = 4
 """Pixels around a tile that its differences depend on, except labels."""
 SAMPLE = 1_000_000
@@ -87,6 +97,7 @@ class Differences:
         height: (H, W) later minus earlier height, NaN where one was not seen.
         limit: (H, W) smallest difference of height that is told at 95 %.
         color: (H, W) difference of color after the light of the later survey is matched to the earlier, NaN likewise.
+        slope: (H, W) largest slope to a neighbour within two pixels, in either survey.
         told: (H, W) uint8 with the bit 1 << flag for each flag of FLAGS that is told.
         excess: (H, W) by flag, by how many limits a difference exceeds its limit; 1 for labels, which have none.
     """
@@ -94,6 +105,7 @@ class Differences:
     height: np.ndarray
     limit: np.ndarray
     color: np.ndarray
+    slope: np.ndarray
     told: np.ndarray
     excess: dict[int, np.ndarray]
 
@@ -106,7 +118,8 @@ class Comparison:
     are not compared. To it comes what an error of place makes of steps and slopes: the range of heights within a pixel
     and its neighbours; and what is not certain where splats lie in two layers. Where the differences still have more
     large values than that lets expect, limits are raised. The colors of the later survey are matched to those of the
-    earlier by a robust affine map. Borders of labels may differ by the error of places.
+    earlier by a robust affine map. Other light also changes the shading of slopes: if colors differ more there, their
+    limit is larger unless the height differs too. Borders of labels may differ by the error of places.
 
     Args:
         before: The earlier survey.
@@ -128,15 +141,24 @@ class Comparison:
         self.noise = _noise((second.heights - first.heights)[clear] / errors[clear])
         self.light, self.color_limit = _match_light(first.colors[known] / 255, second.colors[known] / 255)
         self.border = int(np.ceil(TOLD * residual / grid.pixel))
-        self.tail = 1.0  # `_usual_ratio` takes limits that are not raised
-        self.tail = max(1.0, FAR_TAIL * self._usual_ratio())
+        self.tail, self.color_factors = 1.0, np.ones(len(SLOPES) + 1)  # of the differences that these are found from
+        self.tail, self.color_factors = self._raised_limits()
 
-    def _usual_ratio(self) -> float:
-        """Quantile TAIL of the differences of height over their limits, of some tiles."""
+    def _raised_limits(self) -> tuple[float, np.ndarray]:
+        """Return the factors of the limits of height, and of those of color by slope, from some tiles."""
         every = max(1, self.grid.width * self.grid.height // SAMPLE)
-        ratios = [self.differences(tile).excess[1] + 1 for tile in [*tiles_of(self.grid)][::every]]
-        known = np.concatenate([ratio[np.isfinite(ratio)] for ratio in ratios])
-        return float(np.quantile(known, TAIL)) if len(known) else 0.0
+        differences = [self.differences(tile) for tile in [*tiles_of(self.grid)][::every]]
+        known = [np.isfinite(part.height) for part in differences]
+        ratios, colors, slopes = (
+            np.concatenate([values[mask] for values, mask in zip(parts, known, strict=True)])
+            for parts in (
+                [part.excess[1] + 1 for part in differences],
+                [part.color for part in differences],
+                [part.slope for part in differences],
+            )
+        )
+        tail = max(1.0, FAR_TAIL * float(np.quantile(ratios, TAIL))) if len(ratios) else 1.0
+        return tail, _color_factors(colors, slopes)
 
     def differences(self, tile: Tile) -> Differences:
         """Compare a tile."""
@@ -154,7 +176,9 @@ class Comparison:
         color = np.linalg.norm(_lit(after.colors / 255, self.light) - before.colors / 255, axis=2)
         color = np.where(known, color, np.nan)
         by_height = np.abs(smooth) / np.maximum(limit, 1e-12) - 1
-        excess = {1: by_height, 2: by_height, 3: _median(color) / (errors * self.color_limit) - 1}
+        by_light = np.where(by_height + 1 < SUPPORT, self.color_factors[np.digitize(slope, SLOPES)], 1.0)
+        by_color = _median(color) / (errors * self.color_limit * by_light) - 1
+        excess = {1: by_height, 2: by_height, 3: by_color}
         told = {1: smooth > limit, 2: smooth < -limit, 3: excess[3] > 0}
         if before.labels is not None and after.labels is not None:
             told[4], excess[4] = _other_labels(before.labels, after.labels, self.border), np.ones(known.shape)
@@ -162,7 +186,7 @@ class Comparison:
         for flag, mask in told.items():
             bits |= (known & mask).astype(np.uint8) << flag
         excess = {flag: values[inner] for flag, values in excess.items()}
-        return Differences(height[inner], limit[inner], color[inner], bits[inner], excess)
+        return Differences(height[inner], limit[inner], color[inner], slope[inner], bits[inner], excess)
 
     def _comparable(self, before: Survey, after: Survey) -> tuple[np.ndarray, np.ndarray]:
         """Return which pixels (H, W) of a part can be compared, and their error relative to the usual one."""
@@ -339,6 +363,19 @@ def _match_light(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, flo
         distances = np.linalg.norm(design @ solution - first, axis=1)
         weights = (distances <= max(2 * float(np.median(distances)), LEAST_COLOR)).astype(np.float64)
     return solution, max(float(np.median(distances)) + 3 * TOLD * _spread(distances), LEAST_COLOR)
+
+
+def _color_factors(distances: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Find how much larger differences of color (N,) are on slopes (N,) than on level ground, by class of SLOPES."""
+    classes = np.digitize(slopes, SLOPES)
+    level = distances[classes == 0]
+    factors = np.ones(len(SLOPES) + 1)
+    for number in range(1, len(factors)):
+        steep = distances[classes == number]
+        if min(len(level), len(steep)) >= LEAST_PIXELS:
+            ratio = np.quantile(steep, SLOPE_QUANTILE) / max(float(np.quantile(level, SLOPE_QUANTILE)), 1e-6)
+            factors[number] = np.clip(ratio, 1.0, MOST_BY_SLOPE)
+    return factors
 
 
 def _lit(colors: np.ndarray, light: np.ndarray) -> np.ndarray:

@@ -368,6 +368,36 @@ def test_spots_that_hardly_exceed_the_limit_are_no_change():
     ]  # fmt: skip
 
 
+def textured(surveys, change):
+    """The surveys with one texture, and a change (H, W) of gray values of the later one."""
+    texture = np.random.default_rng(4).integers(80, 160, (200, 200, 3))
+    return [
+        replace(survey, colors=(texture + np.asarray(added)[..., None]).astype(np.uint8))
+        for survey, added in zip(surveys, (np.zeros((200, 200)), change), strict=True)
+    ]
+
+
+def test_other_light_on_slopes_is_no_change_of_color_unless_heights_differ():
+    """On a slope all colors differ more: a spot is told on level ground, and on the slope if its height differs."""
+    before, after = flat_surveys()
+    slope = np.maximum(0, 2 * (np.arange(200, dtype=np.float32) - 100))
+    before.heights[:], after.heights[:] = before.heights + slope, after.heights + slope
+    even = 6 * np.random.default_rng(3).standard_normal((200, 200))
+    spots = np.zeros((200, 200), bool)
+    for row, column in ((50, 40), (50, 140), (120, 140)):
+        spots[row : row + 20, column : column + 20] = True
+    change = np.where(spots, 50, np.where(slope > 0, 2, 1) * even)
+    steep = textured((before, after), change)
+    assert Comparison(*textured((before, after), even), GROUND, 0.0).color_factors[-1] < 1.1
+    assert Comparison(*steep, GROUND, 0.0).color_factors[-1] > 1.5
+    assert [(item["change"], round(item["column"])) for item in objects_of(*steep)] == [("color", 50)]
+    (tile,) = tiles.tiles_of(GROUND)
+    limit = Comparison(*steep, GROUND, 0.0).differences(tile).limit[120:140, 140:160]
+    after.heights[120:140, 140:160] = before.heights[120:140, 140:160] + 0.6 * limit
+    found = objects_of(*textured((before, after), change))
+    assert sorted((round(item["row"], -1), round(item["column"])) for item in found) == [(60, 50), (130, 150)]
+
+
 def test_limits_are_raised_where_large_differences_are_frequent():
     """Noise that neighbours share, as that of large splats, is not removed by the median filter."""
     before, after = flat_surveys()
