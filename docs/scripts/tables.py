@@ -536,6 +536,17 @@ def camera_pairs() -> str:
     )
 
 
+@table
+def change_pairs() -> str:
+    """Changes between every two trained surveys of a seabed, sums over seeds."""
+    seeds = [figures["pairs"]["every pair"] for figures in results("products")["seeds"].values() if "pairs" in figures]
+    rows = []
+    for kind in seeds[0]:
+        total = {name: sum(seed[kind][name] for seed in seeds) for name in seeds[0][kind]}
+        rows.append([kind, total["pairs"], of(total["found"], total["expected"]), total["invented"]])
+    return markdown(["both surveys in", "pairs", "changes found", "invented"], rows)
+
+
 # Surveys
 
 
@@ -1264,26 +1275,21 @@ def change_truth() -> str:
 
 @table
 def survey_quality() -> str:
-    """Surveys against one run of the same scene, means over seeds."""
-    rows = results("survey")["quality"]
-    lines = []
-    for scene, cut in dict.fromkeys((row["scene"], row["cut"]) for row in rows):
-        same = [row for row in rows if (row["scene"], row["cut"]) == (scene, cut)]
-
-        def average(model: str, name: str, same: Sequence[Mapping[str, Any]] = same) -> float:
-            return sum(row[model][name] for row in same) / len(same)
-
-        seam = average("survey", "seam_psnr") - average("single", "seam_psnr")
-        interior = average("survey", "interior_psnr") - average("single", "interior_psnr")
-        lines.append(
+    """Surveys against one run of the same scene."""
+    rows = []
+    for row in sorted(results("survey")["quality"], key=lambda row: (row["scene"], row["cut"], row["seed"])):
+        single, survey = row["single"], row["survey"]
+        at_seams = [model["seam_psnr"] - model["interior_psnr"] for model in (single, survey)]
+        rows.append(
             [
-                scene, same[0]["blocks"], len(same), f"{average('single', 'test_psnr'):.2f} dB",
-                f"{average('survey', 'test_psnr'):.2f} dB", f"{seam:+.2f} dB", f"{interior:+.2f} dB",
-                f"{100 * (average('survey', 'density') / average('single', 'density') - 1):+.1f} %",
+                row["scene"], row["blocks"], row["seed"], f"{single['test_psnr']:.2f} dB",
+                f"{survey['test_psnr']:.2f} dB", *(f"{difference:+.2f} dB" for difference in at_seams),
+                f"{at_seams[1] - at_seams[0]:+.2f} dB", f"{100 * (survey['density'] / single['density'] - 1):+.1f} %",
             ]
         )  # fmt: skip
-    heads = ["scene", "blocks", "seeds", "test PSNR, one run", "test PSNR, survey", "at seams", "elsewhere"]
-    return markdown([*heads, "splats at borders"], lines)
+    heads = ["scene", "blocks", "seed", "test PSNR, one run", "test PSNR, survey"]
+    heads += ["at seams minus elsewhere: one run", "survey", "survey minus one run"]
+    return markdown([*heads, "splats at borders"], rows)
 
 
 @table

@@ -15,6 +15,9 @@ from ..scene.images import TrainingImage
 
 SEARCHED_AT = (0.3, 0.6)
 """Fractions of the run after which the next densification searches for moving objects."""
+SAMPLE = 60
+"""Images that are compared first, spread evenly over all. If a tenth of all showed objects, which is LEAST_IMAGES, no
+more than one of 60 would in one search of 70 (binomial distribution)."""
 STORED = "moved."
 """Prefix of the masks in a checkpoint."""
 
@@ -81,12 +84,19 @@ def find_motion(
     Returns:
         By image name, masks (H, W) bool of moving objects; empty where too few images show any.
     """
-    residuals = []
-    for image in images:
+
+    def compared(image: TrainingImage) -> tuple[np.ndarray, np.ndarray]:
+        """Its residuals, and its mask as if other images showed none: what they show only makes it smaller."""
         shown = render_image(cloud, image.camera, sh_degree, backend, effects)
-        residuals.append(residual(image.pixels / np.float32(255), shown.numpy(), image.valid))
-    # What other images show only makes masks smaller: it is rendered where there can be a mask at all.
-    masks = [moving_mask(here, np.zeros_like(here), image.valid) for image, here in zip(images, residuals, strict=True)]
+        here = residual(image.pixels / np.float32(255), shown.numpy(), image.valid)
+        return here, moving_mask(here, np.zeros_like(here), image.valid)
+
+    step = max(1, len(images) // SAMPLE)
+    found = {index: compared(images[index]) for index in range(0, len(images), step)}
+    if step > 1 and sum(fraction_with_objects([mask]) for _, mask in found.values()) <= 1:
+        return {}
+    found |= {index: compared(image) for index, image in enumerate(images) if index not in found}
+    residuals, masks = (list(values) for values in zip(*(found[index] for index in range(len(images))), strict=True))
     if fraction_with_objects(masks) >= LEAST_IMAGES:
         possible = [index for index, mask in enumerate(masks) if mask.any()]
         elsewhere = residuals_elsewhere(cloud, [image.camera for image in images], residuals, possible, backend)

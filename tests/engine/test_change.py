@@ -348,7 +348,10 @@ def flat_surveys():
 
 
 def objects_of(before, after, residual=0.0):
-    comparison = Comparison(before, after, GROUND, residual)
+    return objects_in(Comparison(before, after, GROUND, residual))
+
+
+def objects_in(comparison):
     flags, numbers = (np.zeros((200, 200), kind) for kind in (np.uint8, np.int32))
     (tile,) = tiles.tiles_of(GROUND)
     return comparison.find_objects(comparison.differences(tile).told, flags, numbers)
@@ -368,13 +371,13 @@ def test_spots_that_hardly_exceed_the_limit_are_no_change():
     ]  # fmt: skip
 
 
-def textured(surveys, change):
-    """The surveys with one texture, and a change (H, W) of gray values of the later one."""
+def textured_comparison(surveys, change):
+    """A comparison of the surveys with one texture, and a change (H, W) of gray values of the later one."""
     texture = np.random.default_rng(4).integers(80, 160, (200, 200, 3))
-    return [
-        replace(survey, colors=(texture + np.asarray(added)[..., None]).astype(np.uint8))
-        for survey, added in zip(surveys, (np.zeros((200, 200)), change), strict=True)
-    ]
+    before, after = surveys
+    changed = (texture + change[..., None]).astype(np.uint8)
+    before, after = replace(before, colors=texture.astype(np.uint8)), replace(after, colors=changed)
+    return Comparison(before, after, GROUND, 0.0)
 
 
 def test_other_light_on_slopes_is_no_change_of_color_unless_heights_differ():
@@ -387,14 +390,14 @@ def test_other_light_on_slopes_is_no_change_of_color_unless_heights_differ():
     for row, column in ((50, 40), (50, 140), (120, 140)):
         spots[row : row + 20, column : column + 20] = True
     change = np.where(spots, 50, np.where(slope > 0, 2, 1) * even)
-    steep = textured((before, after), change)
-    assert Comparison(*textured((before, after), even), GROUND, 0.0).color_factors[-1] < 1.1
-    assert Comparison(*steep, GROUND, 0.0).color_factors[-1] > 1.5
-    assert [(item["change"], round(item["column"])) for item in objects_of(*steep)] == [("color", 50)]
+    assert textured_comparison((before, after), even).color_factors[-1] < 1.1
+    steep = textured_comparison((before, after), change)
+    assert steep.color_factors[-1] > 1.5
+    assert [(item["change"], round(item["column"])) for item in objects_in(steep)] == [("color", 50)]
     (tile,) = tiles.tiles_of(GROUND)
-    limit = Comparison(*steep, GROUND, 0.0).differences(tile).limit[120:140, 140:160]
+    limit = steep.differences(tile).limit[120:140, 140:160]
     after.heights[120:140, 140:160] = before.heights[120:140, 140:160] + 0.6 * limit
-    found = objects_of(*textured((before, after), change))
+    found = objects_in(textured_comparison((before, after), change))
     assert sorted((round(item["row"], -1), round(item["column"])) for item in found) == [(60, 50), (130, 150)]
 
 

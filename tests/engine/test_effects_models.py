@@ -236,6 +236,30 @@ def test_motion_is_looked_for_in_other_images_only_where_there_may_be_some(monke
     assert find_motion(wall, effects, static, 0, "cpu") == {} and not rendered.called
 
 
+def test_motion_is_looked_for_in_all_images_only_where_a_sample_shows_some(monkeypatch):
+    """A hundred and twenty copies of two images: every second one is compared first."""
+    wall, (camera, *_) = wall_and_cameras()
+    effects = SceneEffects({})
+    shown = render_image(wall, camera, 0, "cpu", effects).numpy()
+    static = TrainingImage(camera, (255 * shown).round().astype(np.uint8), np.ones((60, 80), bool))
+    with_fish = replace(static, pixels=static.pixels.copy())
+    with_fish.pixels[10:30, 20:50] = 255
+    monkeypatch.setattr(motion, "residuals_elsewhere", lambda cloud, cameras, residuals, wanted, backend: [
+        np.zeros((60, 80), np.float32) for _ in wanted
+    ])  # fmt: skip
+    monkeypatch.setattr(motion, "render_image", rendered := Mock(wraps=render_image))
+    # The number of images with a fish among those compared first and the others, and of renders.
+    for among_first, among_others, renders in ((0, 0, 60), (1, 12, 60), (2, 0, 120), (6, 6, 120)):
+        images = [static] * 120
+        images[: 2 * among_first : 2] = [with_fish] * among_first
+        images[1 : 2 * among_others : 2] = [with_fish] * among_others
+        images = [replace(one, camera=replace(camera, name=str(k))) for k, one in enumerate(images)]
+        rendered.reset_mock()
+        found = find_motion(wall, effects, images, 0, "cpu")
+        assert rendered.call_count == renders
+        assert len(found) == (12 if among_first == among_others == 6 else 0)
+
+
 def test_brightness_edges_and_invalid_pixels_are_no_objects():
     picture, photograph = noisy_image()
     valid = np.ones((90, 160), bool)
