@@ -29,6 +29,7 @@ PAGE = "report.html"
 """Name of the page in the run's folder."""
 SHOWN = 6
 """Test views that are shown with images, at most, so that the report takes seconds in any scene."""
+OUTSIDE = "outside of iterations: validation, previews, trials of effects"
 LOGGED = ("seconds", "psnr", "ssim", "gaussians")
 """Numbers that each validation in metrics.jsonl has."""
 
@@ -81,7 +82,7 @@ def write_report(folder: Path) -> Path:
         *_curves(log, _ranges(forecast)),
         *_forecast(forecast),
         *_held_out(evaluation, views, comparisons),
-        *_ledger(metrics.get("ledger", {})),
+        *_ledger(metrics),
         *_effects(_optional(folder / "plan.json").get("effects", {})),
         *_water(_optional(run.water)),
         *_development(development),
@@ -237,8 +238,14 @@ def _held_out(evaluation: dict[str, Any], views: dict[str, Any], comparisons: Se
     return lines + views_html(comparisons, captions)
 
 
-def _ledger(ledger: dict[str, float]) -> list[str]:
-    return ["<h2>Time by part</h2>", bars_html(ledger, "part", "ms per iteration")] if ledger else []
+def _ledger(metrics: dict[str, Any]) -> list[str]:
+    """Show the time of each part, which together are the time of the run."""
+    ledger = metrics.get("ledger", {})
+    if not ledger:
+        return []
+    whole = 1000 * metrics.get("seconds", 0.0) / max(1, metrics.get("iteration", 0))
+    parts = ledger | {OUTSIDE: max(0.0, whole - sum(ledger.values()))}
+    return ["<h2>Time by part</h2>", bars_html(parts, "part", "ms per iteration")]
 
 
 def _effects(effects: dict[str, Any]) -> list[str]:

@@ -48,6 +48,9 @@ def test_the_page_says_what_was_reached_and_how_to_repeat_it(run):
     assert page.count("<svg") == 3  # PSNR, SSIM and Gaussians against seconds
     assert f"PSNR {metrics['test_psnr']:.2f} dB" in page and f"{metrics['control_psnr']:.2f} dB" in page
     assert all(f"{part}</td>" in page for part in metrics["ledger"])
+    whole = re.search(r'<th>sum</th><th class="number">([\d.,]+)</th>', page[page.index("Time by part") :])
+    per_iteration = 1000 * metrics["seconds"] / metrics["iteration"]
+    assert whole and float(whole[1].replace(",", "")) == pytest.approx(per_iteration, rel=0.01)
     assert "max gaussians" in page and "--max-gaussians 400" in page
     assert "engine 0." in page and "torch 2." in page
     assert "nan" not in page.lower()
