@@ -256,7 +256,8 @@ def _blocks(
     parts: Sequence[Part], names: Sequence[str], split: Split, sizes: Sizes, largest: int, seed: int
 ) -> list[Block]:
     members = [_members(part.images, names, split) for part in parts]
-    iterations = sizes.block_iterations([len(member["training"]) for member in members])
+    training = [len(member["training"]) for member in members]
+    iterations = [sizes.part_iterations(images, training) for images in training]
     return [
         Block(
             name=f"B-{number:03d}",
@@ -303,7 +304,7 @@ def _seams(
                 extended=seam.extended,
                 **member,
                 seed=first.seed,
-                iterations=sizes.seam_iterations(len(member["training"]), training),
+                iterations=sizes.part_iterations(len(member["training"]), training),
                 max_gaussians=max(1, round(sizes.block_gaussians(seam) * seam.core_points / max(1, seam.points))),
                 points=seam.points,
                 memory=sizes.block_memory(seam, largest),

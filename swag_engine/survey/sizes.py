@@ -20,9 +20,6 @@ COARSE_WIDTHS = (320, 240)
 """Widths of the images of the coarse model, pixels: the second where memory does not suffice for the first."""
 PROCESS_MEMORY = 400_000_000
 """Memory of a process before it reads images, bytes: Python with torch and the engine, measured on Linux."""
-SEAM_VISITS = 0.25
-"""Iterations of a seam for each of its images, as a fraction of those of a block. With as many as a block's, what is
-trained fits errors elsewhere in its images: on a generated reef PSNR fell by .3 dB far from the seams."""
 FEWEST_ITERATIONS = 30
 """Iterations of a run, at least, unless fewer are asked for."""
 
@@ -134,23 +131,12 @@ class Sizes:
         """Return whether a block's run fits into the memory; arguments as those of `block_memory`."""
         return self.memory is None or self.block_memory(part, largest) <= self.memory
 
-    def block_iterations(self, training: Sequence[int]) -> list[int]:
-        """Return the iterations of each block: in all of them, an image is visited equally often.
-
-        Args:
-            training: Numbers of training images of the blocks.
-        """
-        visits = self.iterations * len(training) / sum(training)
-        return [self._at_least(visits * count) for count in training]
-
-    def seam_iterations(self, images: int, training: Sequence[int]) -> int:
-        """Return the iterations of a seam.
+    def part_iterations(self, images: int, training: Sequence[int]) -> int:
+        """Return the iterations of a block or a seam: in all of them, an image is visited equally often.
 
         Args:
             images: Number of its training images.
             training: Numbers of training images of the blocks.
         """
-        return self._at_least(SEAM_VISITS * self.iterations * len(training) / sum(training) * images)
-
-    def _at_least(self, iterations: float) -> int:
-        return max(min(FEWEST_ITERATIONS, self.iterations), round(iterations))
+        visits = self.iterations * len(training) / sum(training)
+        return max(min(FEWEST_ITERATIONS, self.iterations), round(visits * images))
