@@ -12,7 +12,7 @@ import numpy as np
 from .components import Components
 from .geotiff import NO_LABEL
 from .grid import MapGrid
-from .heights import gradients
+from .heights import gradients, smoothed
 from .tiles import Tile, tiles_of
 
 TOLD = 1.96
@@ -51,9 +51,14 @@ MOST_BY_SLOPE = 2.0
 """Largest factor of the limit of color on a slope; a larger one is a change of all that is steep. Above a slope of 1.6
 it was 1.7 to 2 under other light, 1.4 to 1.6 with other noise only and 1.2 to 1.4 in air and under a lamp
 (benchmarks/products.py)."""
-SUPPORT = 1 / 3
-"""Difference of height, in its limits, from which other light alone does not explain another color of a slope."""
-MARGIN = 4
+BROAD_STEP = 2
+"""Distance in pixels of the 5 x 5 differences of height whose median tells broad changes."""
+BROAD_PIXELS = 200
+"""Pixels of a broad change, at least."""
+BROAD_NOISE = 2.0
+"""Noise of the median of a broad change over that of a difference: errors of neighbours are alike. With 1.5 and 500
+pixels the same changes are told in trained surveys (benchmarks/products.py)."""
+MARGIN = 8
 """Pixels around a tile that its differences depend on, except labels."""
 SAMPLE = 1_000_000
 """Pixels that noise and light are estimated from."""
@@ -95,7 +100,7 @@ class Differences:
 
     Attributes:
         height: (H, W) later minus earlier height, NaN where one was not seen.
-        limit: (H, W) smallest difference of height that is told at 95 %.
+        limit: (H, W) smallest difference of height that is told at 95 %; of a broad change, its own.
         color: (H, W) difference of color after the light of the later survey is matched to the earlier, NaN likewise.
         slope: (H, W) largest slope to a neighbour within two pixels, in either survey.
         told: (H, W) uint8 with the bit 1 << flag for each flag of FLAGS that is told.
@@ -117,9 +122,10 @@ class Comparison:
     proportional to the error that the positions of the photos let expect; places where that is much larger than usual
     are not compared. To it comes what an error of place makes of steps and slopes: the range of heights within a pixel
     and its neighbours; and what is not certain where splats lie in two layers. Where the differences still have more
-    large values than that lets expect, limits are raised. The colors of the later survey are matched to those of the
-    earlier by a robust affine map. Other light also changes the shading of slopes: if colors differ more there, their
-    limit is larger unless the height differs too. Borders of labels may differ by the error of places.
+    large values than that lets expect, limits are raised. Broad changes are told by medians of differences, which have
+    less noise. The colors of the later survey are matched to those of the earlier by a robust affine map. Other light
+    also changes the shading of slopes: if colors differ more there, their limit is larger. Borders of labels may differ
+    by the error of places.
 
     Args:
         before: The earlier survey.
@@ -172,14 +178,21 @@ class Comparison:
         doubt = _doubt(before, after)
         limit = TOLD * np.sqrt(errors**2 * (self.noise**2 + self.residual**2) + (slope * place) ** 2 + doubt**2)
         limit *= self.tail
-        smooth = _median(height)
+        smooth, broad = _median(height), smoothed(height, BROAD_STEP)
+        broad_limit = self._broad_limit(errors, slope, doubt)
+        is_broad = np.abs(broad) > broad_limit
         color = np.linalg.norm(_lit(after.colors / 255, self.light) - before.colors / 255, axis=2)
         color = np.where(known, color, np.nan)
         by_height = np.abs(smooth) / np.maximum(limit, 1e-12) - 1
-        by_light = np.where(by_height + 1 < SUPPORT, self.color_factors[np.digitize(slope, SLOPES)], 1.0)
-        by_color = _median(color) / (errors * self.color_limit * by_light) - 1
+        by_height = np.where(is_broad, np.maximum(by_height, LEAST_EXCESS / BROAD_PIXELS), by_height)
+        by_color = _median(color) / (errors * self.color_limit * self.color_factors[np.digitize(slope, SLOPES)]) - 1
         excess = {1: by_height, 2: by_height, 3: by_color}
-        told = {1: smooth > limit, 2: smooth < -limit, 3: excess[3] > 0}
+        told = {
+            1: (smooth > limit) | (broad > broad_limit),
+            2: (smooth < -limit) | (broad < -broad_limit),
+            3: by_color > 0,
+        }
+        limit = np.where(is_broad, np.minimum(limit, broad_limit), limit)
         if before.labels is not None and after.labels is not None:
             told[4], excess[4] = _other_labels(before.labels, after.labels, self.border), np.ones(known.shape)
         bits = np.zeros(known.shape, np.uint8)
@@ -187,6 +200,15 @@ class Comparison:
             bits |= (known & mask).astype(np.uint8) << flag
         excess = {flag: values[inner] for flag, values in excess.items()}
         return Differences(height[inner], limit[inner], color[inner], slope[inner], bits[inner], excess)
+
+    def _broad_limit(self, errors: np.ndarray, slope: np.ndarray, doubt: np.ndarray) -> np.ndarray:
+        """Return the smallest median difference (H, W) of a broad change.
+
+        It does not hold the residual of the alignment: a median has no large errors of single places.
+        """
+        slope, doubt = (smoothed(values, BROAD_STEP) for values in (slope, doubt))
+        variance = (BROAD_NOISE * errors * self.noise) ** 2 + (slope * SCATTER * self.grid.pixel) ** 2 + doubt**2
+        return TOLD * np.sqrt(variance)
 
     def _comparable(self, before: Survey, after: Survey) -> tuple[np.ndarray, np.ndarray]:
         """Return which pixels (H, W) of a part can be compared, and their error relative to the usual one."""

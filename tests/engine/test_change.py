@@ -230,10 +230,12 @@ def test_the_size_of_tiles_does_not_matter(pair, tmp_path, monkeypatch):
     found = whole_and_tiles(
         monkeypatch, lambda name: make_change(earlier, later, tmp_path / name, PIXEL) | {"name": name}
     )
-    objects = [[(item["change"], item["pixels"]) for item in one["objects"]] for one in found]
-    assert objects[0] == objects[1] and len(objects[0]) >= 4
+    kinds, pixels = ([[item[key] for item in one["objects"]] for one in found] for key in ("change", "pixels"))
+    assert kinds[0] == kinds[1] and len(kinds[0]) >= 4
+    # Heights depend a little on the layers of a tile.
+    assert pixels[1] == pytest.approx(pixels[0], rel=0.03)
     flags = [rasterio.open(tmp_path / one["name"] / "changed.tif").read(1) for one in found]
-    assert np.array_equal(*flags)
+    assert (flags[0] != flags[1]).mean() < 0.002
     assert not list((tmp_path / "tiles").glob(".*"))  # no scratch is left
 
 
@@ -380,25 +382,41 @@ def textured_comparison(surveys, change):
     return Comparison(before, after, GROUND, 0.0)
 
 
-def test_other_light_on_slopes_is_no_change_of_color_unless_heights_differ():
-    """On a slope all colors differ more: a spot is told on level ground, and on the slope if its height differs."""
+def test_other_light_on_slopes_is_no_change_of_color():
+    """Where all colors differ more on a slope, a spot there is not told, and the same on level ground is."""
     before, after = flat_surveys()
     slope = np.maximum(0, 2 * (np.arange(200, dtype=np.float32) - 100))
     before.heights[:], after.heights[:] = before.heights + slope, after.heights + slope
     even = 6 * np.random.default_rng(3).standard_normal((200, 200))
     spots = np.zeros((200, 200), bool)
-    for row, column in ((50, 40), (50, 140), (120, 140)):
+    for row, column in ((50, 40), (50, 140)):
         spots[row : row + 20, column : column + 20] = True
     change = np.where(spots, 50, np.where(slope > 0, 2, 1) * even)
     assert textured_comparison((before, after), even).color_factors[-1] < 1.1
     steep = textured_comparison((before, after), change)
     assert steep.color_factors[-1] > 1.5
     assert [(item["change"], round(item["column"])) for item in objects_in(steep)] == [("color", 50)]
+
+
+def test_broad_changes_are_told_from_less():
+    """What is too low to be told is told where it is 400 pixels large, not where it is 100; slopes and layers count."""
+    before, after = flat_surveys()
     (tile,) = tiles.tiles_of(GROUND)
-    limit = steep.differences(tile).limit[120:140, 140:160]
-    after.heights[120:140, 140:160] = before.heights[120:140, 140:160] + 0.6 * limit
-    found = objects_in(textured_comparison((before, after), change))
-    assert sorted((round(item["row"], -1), round(item["column"])) for item in found) == [(60, 50), (130, 150)]
+    comparison = Comparison(before, after, GROUND, 1.0)
+    limit = float(np.median(comparison.differences(tile).limit))
+    flat, none = np.zeros((200, 200)), np.ones((200, 200))
+    broad = float(comparison._broad_limit(none, flat, flat).max())
+    assert broad < 0.8 * limit
+    height = (broad + limit) / 2
+    after.heights[20:40, 20:40], after.heights[20:30, 100:110] = height, height
+    after.heights[120:140, 20:40] = -height
+    found = objects_of(before, after, 1.0)
+    assert [(item["change"], round(item["row"], -1), round(item["column"], -1)) for item in found] == [
+        ("higher", 30, 30), ("lower", 130, 30),
+    ]  # fmt: skip
+    assert all(item["height_limit"] < abs(item["height_change"]) < limit for item in found)
+    before.layers[:, :60] = 4
+    assert not objects_of(before, after, 1.0)
 
 
 def test_limits_are_raised_where_large_differences_are_frequent():
