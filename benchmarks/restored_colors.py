@@ -63,9 +63,9 @@ LABEL = 20
 """Height of the line above each row of the picture, pixels."""
 EXPOSURES = np.arange(-5, 3.01, 0.25)
 """Exposures that are tried under a lamp, stops."""
-PICTURE_SCALE = 0.75
+PICTURE_SCALE = 0.64
 """Size of the picture over that of the views."""
-MOST_BYTES = 70_000
+MOST_BYTES = 52_000
 """Of the picture: it is compressed as much as this needs."""
 
 

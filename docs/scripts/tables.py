@@ -536,17 +536,6 @@ def camera_pairs() -> str:
     )
 
 
-@table
-def change_pairs() -> str:
-    """Changes between every two trained surveys of a seabed, sums over seeds."""
-    seeds = [figures["pairs"]["every pair"] for figures in results("products")["seeds"].values() if "pairs" in figures]
-    rows = []
-    for kind in seeds[0]:
-        total = {name: sum(seed[kind][name] for seed in seeds) for name in seeds[0][kind]}
-        rows.append([kind, total["pairs"], of(total["found"], total["expected"]), total["invented"]])
-    return markdown(["both surveys in", "pairs", "changes found", "invented"], rows)
-
-
 # Surveys
 
 
@@ -1256,18 +1245,33 @@ def maps_truth() -> str:
 
 @table
 def change_truth() -> str:
-    """Changes between trained surveys of known seabeds."""
+    """Changes between trained surveys of known seabeds, sums and ranges over seeds."""
+    seeds = [figures["changes"] for figures in results("products")["seeds"].values()]
     rows = []
-    for seed, figures in results("products")["seeds"].items():
-        for name, pair in figures["changes"].items():
-            rows.append(
-                [
-                    name, seed, of(pair["found"], len(pair["expected"])), len(pair["invented"]),
-                    percent(pair["compared"]), f"{pair['height_limit']:.1f} px",
-                ]
-            )  # fmt: skip
-    heads = "later survey", "seed", "changes found", "invented", "compared", "told from"
+    for name in seeds[0]:
+        pairs = [seed[name] for seed in seeds]
+        expected, invented = (sum(len(pair[key]) for pair in pairs) for key in ("expected", "invented"))
+        found = sum(pair["found"] for pair in pairs)
+        compared, limit = ([pair[key] for pair in pairs] for key in ("compared", "height_limit"))
+        rows.append(
+            [
+                name, len(pairs), of(found, expected) if expected else "-", invented,
+                f"{percent(min(compared))} to {percent(max(compared))}", f"{min(limit):.1f} to {max(limit):.1f} px",
+            ]
+        )  # fmt: skip
+    heads = "later survey", "seeds", "changes found", "invented", "compared", "told from"
     return markdown(heads, rows)
+
+
+@table
+def change_pairs() -> str:
+    """Changes between every two trained surveys of a seabed, sums over seeds."""
+    seeds = [figures["pairs"]["every pair"] for figures in results("products")["seeds"].values() if "pairs" in figures]
+    rows = []
+    for kind in seeds[0]:
+        total = {name: sum(seed[kind][name] for seed in seeds) for name in seeds[0][kind]}
+        rows.append([kind, total["pairs"], of(total["found"], total["expected"]), total["invented"]])
+    return markdown(["light", "pairs", "changes found", "invented"], rows)
 
 
 # Surveys
