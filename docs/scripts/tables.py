@@ -411,6 +411,26 @@ def long_runs() -> str:
     )
 
 
+@table
+def large_run() -> str:
+    """A run with many Gaussians on large images."""
+    run = results("large_run")
+    return markdown(
+        ["figure", "value"],
+        [
+            ["iterations", run["iterations"]],
+            ["Gaussians", run["gaussians"]],
+            ["steps skipped, rollbacks", f"{run['skipped']}, {run['put_back']}"],
+            ["iteration with all Gaussians, median", f"{run['ms of such an iteration, median']:.0f} ms"],
+            ["memory of a Gaussian", f"{run['bytes of a Gaussian']:.0f} bytes"],
+            ["memory at the end", f"{run['MB at the end'] / 1000:.2f} GB"],
+            ["time of the run", f"{run['seconds']:.0f} s"],
+            ["sum of the parts of its iterations", f"{run['seconds by parts']:.0f} s"],
+            ["test PSNR", f"{run['test_psnr']:.2f} dB"],
+        ],
+    )
+
+
 # Cameras
 
 CAMERA_CASES = {
