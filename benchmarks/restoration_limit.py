@@ -23,13 +23,11 @@ from swag_engine.evaluation.metrics import render_image, restored_error, score_i
 from swag_engine.experiments.evaluate_run import load_run, true_image
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.rendering.model import cloud_from_checkpoint
 from swag_engine.rendering.restoration import RESTORED_FROM, render_confidence
 from swag_engine.scene.colmap import Scene, load_scene
 from swag_engine.scene.images import TrainingImage, load_images
 from swag_engine.scene.split import split_views
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
 from tests.scenes.effect_scenes import camera_poses, rendered, settings_for
 from tests.scenes.make_scene import Rendered, Water, focal_length, make_scene
@@ -98,14 +96,13 @@ def main() -> None:
         out = folder / f"run-{scene_folder.name}"
         if not RunFolder(out).finished():
             train(scene_folder, out, SETTINGS)
-        run, stored = load_run(out), load_checkpoint(out)
-        assert stored and run.confidence is not None
-        trained = cloud_from_checkpoint(stored[0]).to(run.cloud.means.device)
+        run = load_run(out)
+        assert run.confidence is not None
         scene, images = test_images(out)
         maps = [render_confidence(run.cloud, run.confidence, image.camera).cpu() for image in images]
         seen = torch.cat([found[found.isfinite()] for found in maps])
         rows[name] = {
-            "as trained": scores(trained, run.effects, scene, images),
+            "as trained": scores(run.trained, run.effects, scene, images),
             "limited": scores(run.cloud, run.effects, scene, images),
             "not_restored": round(float((seen < RESTORED_FROM).float().mean()), 4),
         }
@@ -113,7 +110,7 @@ def main() -> None:
         if name == PICTURED[0]:
             image, found = images[PICTURED[1]], maps[PICTURED[1]]
             shown = [render_image(of, image.camera, SETTINGS.sh_degree, effects=run.effects, amount=0).numpy()
-                     for of in (trained, run.cloud)]  # fmt: skip
+                     for of in (run.trained, run.cloud)]  # fmt: skip
             truth = true_image(scene, image)
             assert truth
             grey = found.nan_to_num(0.5)[..., None].expand(-1, -1, 3).numpy()

@@ -72,7 +72,8 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
     """
     run = RunFolder(folder)
     scene_folder, settings, _ = run.read_config()
-    cloud, effects, state = load_newest(folder)
+    loaded = load_run(folder)
+    photographed, cloud, effects, state = loaded.through(1), loaded.cloud, loaded.effects, loaded.state
     lpips, notes = load_lpips(weights_dir)
     scene = load_scene(scene_folder)
     split = split_views([view.name for view in scene.views])
@@ -84,7 +85,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
     development = color_view(folder, "auto", cloud, effects).at(0)
     scores, views, comparisons = [], {}, []
     for image in test:
-        color = render_image(cloud, image.camera, settings.sh_degree, effects=effects)
+        color = render_image(photographed, image.camera, settings.sh_degree, effects=effects)
         restored = render_image(cloud, image.camera, settings.sh_degree, effects=effects, amount=0)
         shown_color, target, _ = mask_invalid(image, color)
         score = score_image(image, color)
@@ -234,13 +235,14 @@ def render_run(
     if not 0 <= water <= 1:
         raise InputError(f"The amount of water must be from 0 to 1, not {water}.")
     scene_folder, settings, _ = RunFolder(folder).read_config()
-    cloud, effects, _ = load_newest(folder)
+    run = load_run(folder)
+    cloud, effects = run.through(water), run.effects
     scene = load_scene(scene_folder)
     names = [view.camera.name for view in scene.views]
     wanted = split_views(names).test if camera is None else [camera]
     if not set(wanted) <= set(names):
         raise InputError(f"{scene.folder} has no photo named {camera}; the first is {names[0]}.")
-    development = color_view(folder, develop, cloud, effects).at(water)
+    development = color_view(folder, develop, run.cloud, effects).at(water)
     files = []
     for view in scene.views:
         if view.camera.name not in wanted:
@@ -292,23 +294,37 @@ def write_view(
 
 @dataclass(frozen=True)
 class LoadedRun:
-    """Model of a run as its result files have it.
+    """Model of a run.
 
     Attributes:
-        cloud: The Gaussians, with limited colors where restored ones are not certain.
+        trained: The Gaussians as trained.
         effects: The effects.
         state: The stored state.
-        confidence: (N,) confidence in the restored colors, 0..1; None where the run restores none or has not ended.
+        limit: Limit of the restored colors; None where the run restores none or has not ended.
     """
 
-    cloud: GaussianCloud
+    trained: GaussianCloud
     effects: SceneEffects
     state: dict[str, Any]
-    confidence: Tensor | None
+    limit: RestorationLimit | None
+
+    def through(self, water: float) -> GaussianCloud:
+        """Return the Gaussians as they are seen through a fraction of the water, 0..1."""
+        return self.limit.apply(self.trained, water) if self.limit else self.trained
+
+    @property
+    def cloud(self) -> GaussianCloud:
+        """The Gaussians as the result files have them, with limited colors where restored ones are not certain."""
+        return self.through(0.0)
+
+    @property
+    def confidence(self) -> Tensor | None:
+        """(N,) confidence in the restored colors, 0..1; None without a limit."""
+        return None if self.limit is None else self.limit.least_confidence.to(self.trained.means)
 
 
 def load_newest(folder: Path) -> tuple[GaussianCloud, SceneEffects, dict[str, Any]]:
-    """Load Gaussians, effects and stored state of a run, as `load_run`."""
+    """Load the Gaussians of the result files, effects and stored state of a run, as `load_run`."""
     run = load_run(folder)
     return run.cloud, run.effects, run.state
 
@@ -331,7 +347,4 @@ def load_run(folder: Path) -> LoadedRun:
     tensors, state = loaded
     device = device_for("auto")
     model = SceneModel.from_checkpoint(tensors, state).to(device)
-    limit = RestorationLimit.from_checkpoint(tensors)
-    if limit is None:
-        return LoadedRun(model.cloud, model.effects, state, None)
-    return LoadedRun(limit.apply(model.cloud), model.effects, state, limit.least_confidence.to(device))
+    return LoadedRun(model.cloud, model.effects, state, RestorationLimit.from_checkpoint(tensors))

@@ -70,8 +70,8 @@ def write_report(folder: Path) -> Path:
     comparisons: list[ViewComparison] = []
     for image in load_images(scene, [by_name[name] for name in chosen if name in by_name], settings.width):
         rendered = [
-            render_image(cloud, image.camera, settings.sh_degree, "auto", effects, amount, colors.at(amount))
-            for amount in (1, 0)
+            render_image(shown, image.camera, settings.sh_degree, "auto", effects, amount, colors.at(amount))
+            for shown, amount in ((loaded.through(1), 1), (cloud, 0))
         ]
         sure = None if loaded.confidence is None else render_confidence(cloud, loaded.confidence, image.camera)
         comparisons.append(compare_view(image, rendered[0], rendered[1] if effects.models else None, sure))

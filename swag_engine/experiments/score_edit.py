@@ -14,7 +14,7 @@ from ..gaussians.cloud import GaussianCloud
 from ..scene.colmap import load_scene
 from ..scene.images import load_images
 from ..scene.split import split_views
-from .evaluate_run import load_newest
+from .evaluate_run import load_run
 
 
 def score_edit(
@@ -34,7 +34,8 @@ def score_edit(
         InputError: Where there is no run or no test image, a file cannot be read, or the masks are of other Gaussians.
     """
     scene_folder, settings, _ = RunFolder(folder).read_config()
-    cloud, effects, _ = load_newest(folder)
+    run = load_run(folder)
+    cloud, effects = run.through(1), run.effects
     try:
         kept = np.load(masks)
     except (OSError, ValueError) as error:

@@ -19,7 +19,7 @@ from ..scene.colmap import load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
 from .ablate import metrics_of_run
-from .evaluate_run import load_newest, machine
+from .evaluate_run import load_run, machine
 from .grid import Grid
 from .page import BLUE, INK, new_plots, plot_html
 
@@ -124,7 +124,8 @@ def score_run(folder: Path, images: Sequence[TrainingImage], lpips: dict[str, Lp
     Returns:
         Mean of each of QUALITIES over the images, None where it is not known.
     """
-    cloud, effects, _ = load_newest(folder)
+    run = load_run(folder)
+    cloud, effects = run.through(1), run.effects
     _, settings, _ = RunFolder(folder).read_config()
     scores: list[ViewScore] = []
     distances: dict[str, list[float]] = {name: [] for name in lpips}

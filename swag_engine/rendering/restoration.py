@@ -75,10 +75,24 @@ class RestorationLimit:
         return self.confidence.min(dim=1).values
 
     @torch.no_grad()
-    def apply(self, cloud: GaussianCloud) -> GaussianCloud:
-        """Return the cloud with the likely colors, which change with direction as far as they are certain."""
-        sh0 = (self.color.to(cloud.means)[:, None] - 0.5) / C0
-        return replace(cloud, sh0=sh0, shN=self.confidence.to(cloud.means)[:, None] * cloud.shN)
+    def apply(self, cloud: GaussianCloud, water: float = 0.0) -> GaussianCloud:
+        """Return the cloud with the likely colors, which change with direction as far as they are certain.
+
+        Through all of the water the colors as trained are right, as they were compared with the photos through it.
+        Through a fraction w of it, errors of colors count as 1 - w of what they are without water.
+
+        Args:
+            cloud: The Gaussians as trained.
+            water: Fraction of the water that they are seen through, 0..1.
+        """
+        if water == 1:
+            return cloud
+        confidence, color = (values.to(cloud.means)[:, None] for values in (self.confidence, self.color))
+        # A confidence is s / (s + e) of the variances s of colors and e of errors; e becomes (1 - w)^2 e.
+        left = (1 - water) ** 2
+        certain = confidence / (confidence + left * (1 - confidence))
+        sh0 = torch.lerp((color - 0.5) / C0, cloud.sh0, certain * (1 - left))
+        return replace(cloud, sh0=sh0, shN=certain * cloud.shN)
 
 
 @dataclass

@@ -575,7 +575,7 @@ class Trainer:
             self.guidance.write(self.run.path, splats, inputs.scene.up.tolist(), state.cloud)
         else:
             self.run.write_result(splats, inputs.scene.up)
-        scores = self._scores(inputs.test, cloud)
+        scores = self._scores(inputs.test, state.cloud)
         test_psnr, test_ssim = mean_score(scores)
         overfitting = dropout_note(dropped, self.training_psnr, state.psnr)
         guard_note = self.guard.note(state.guarded, state.iteration)

@@ -150,6 +150,33 @@ def test_bright_blue_noise_far_away_becomes_a_usual_color_while_the_image_throug
     assert (before - after).abs().max() < 0.01
 
 
+@pytest.mark.parametrize("water", [0.0, 0.3, 0.9])
+def test_through_less_water_the_errors_of_colors_count_less(water):
+    colors = np.tile([0.4, 0.5, 0.4], (len(RANGES), 1))
+    colors[-1] = (0.0, 0.2, 1.0)
+    cloud = row_of_gaussians(colors)
+    cloud.shN += 0.1
+    limit = restoration_limit(cloud, [CAMERA], BLUE, NOISE)[0]
+    seen = limit.apply(cloud, water)
+    c = limit.confidence.double().numpy()
+    ratio = (1 - c) / np.maximum(c, 1e-30) * (1 - water) ** 2  # variance of the error over that of colors
+    np.testing.assert_allclose(
+        seen.shN / cloud.shN, np.broadcast_to((1 / (1 + ratio))[:, None], cloud.shN.shape), atol=1e-6
+    )
+    J, likely = cloud.sh0[:, 0].double().numpy(), limit.apply(cloud).sh0[:, 0].double().numpy()
+    # The estimate of each channel alone, m + s / (s + e) (J - m), with the m that gives the limited color.
+    m = likely - (J - likely) * c / (1 - c)
+    np.testing.assert_allclose(seen.sh0[:, 0], m + (J - m) / (1 + ratio), atol=1e-4)
+
+
+def test_through_all_of_the_water_colors_are_as_trained():
+    cloud = row_of_gaussians(np.random.default_rng(0).random((len(RANGES), 3)))
+    limit = restoration_limit(cloud, [CAMERA], BLUE, NOISE)[0]
+    assert torch.equal(limit.apply(cloud, 1).sh0, cloud.sh0) and torch.equal(limit.apply(cloud, 1).shN, cloud.shN)
+    nearly = render(limit.apply(cloud, 0.999), CAMERA, 1, BLUE).color
+    assert (nearly - render(cloud, CAMERA, 1, BLUE).color).abs().max() < 1e-3
+
+
 def test_more_noise_and_a_lamp_that_does_not_reach_lower_the_confidence():
     cloud = row_of_gaussians()
     plain = restoration_limit(cloud, [CAMERA], BLUE, NOISE)[0].confidence

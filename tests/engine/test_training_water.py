@@ -74,6 +74,7 @@ def test_the_result_has_limited_colors_and_their_confidence_and_the_checkpoint_t
     changed = (loaded.cloud.sh0 - trained).abs().amax((1, 2)).numpy()
     assert 0 < np.median(changed[confidence > 0.99]) < 0.02 < np.quantile(changed[confidence < 0.97], 0.9)
     assert read_glb(runs / "swag" / "result.glb").extras.keys() == {"confidence"}
+    assert torch.equal(loaded.through(1).sh0, trained) and torch.equal(loaded.through(0).sh0, loaded.cloud.sh0)
 
 
 def test_the_report_maps_the_confidence(runs):
