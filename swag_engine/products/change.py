@@ -29,6 +29,7 @@ from .label_map import label_name, tile_labels
 from .map_frame import MapScene, load_map_scene
 from .ortho import map_answer
 from .packages import require_packages
+from .photo_check import SurveyPhotos
 from .preview import write_preview
 from .tiles import Progress, TileRenderer, tiles_of
 from .views import height_errors, training_cameras
@@ -108,7 +109,8 @@ def make_change(
             for scene, which in ((first, "earlier"), (moved, "later"))
         )
         _same_labels(first, second, after)
-        comparison = Comparison(before, after, grid, alignment.residual)
+        photos = SurveyPhotos.of(first), SurveyPhotos.of(moved)
+        comparison = Comparison(before, after, grid, alignment.residual, photos)
         if not comparison.overlap:
             raise InputError("The two surveys have no pixel in common: check that they show one place, or --box.")
         flags = _scratch_array(folder / "flags", (grid.height, grid.width), np.uint8)
@@ -134,7 +136,7 @@ def make_change(
             "height_noise": limit,
             "changed": int(counts[1:NO_LABEL].sum()) / max(seen, 1),
             "objects": objects,
-            "notes": [*first.notes, *_notes(alignment, before, after)],
+            "notes": [*first.notes, *_notes(alignment, comparison)],
         }
         _write_page(files["page"], answer, before, after, flags)
     write_json(files["answer"], answer)
@@ -324,14 +326,19 @@ def _write_csv(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> No
         temporary.write_text(text.getvalue(), encoding="utf-8")
 
 
-def _notes(alignment: Alignment, before: Survey, after: Survey) -> list[str]:
-    notes = []
+def _notes(alignment: Alignment, comparison: Comparison) -> list[str]:
+    notes, before, after = [], comparison.before, comparison.after
     if alignment.static < 0.5:
         notes.append(
             f"Only {alignment.static:.0%} of the splats agree with the alignment: the surveys may not show one place."
         )
     if before.labels is None or after.labels is None:
         notes.append("Labels are not compared: both runs need them.")
+    if count := comparison.errors_found:
+        notes.append(
+            f"{count} {'difference' if count == 1 else 'differences'} of height are left out: the photos of one survey "
+            "show the surface there where the other survey has it."
+        )
     return notes
 
 

@@ -3,6 +3,7 @@
 Maps are compared tile by tile; what must be known of a whole map is estimated from a regular sample of its pixels.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from .components import Components
 from .geotiff import NO_LABEL
 from .grid import MapGrid
 from .heights import gradients, smoothed
+from .photo_check import SurveyPhotos, one_survey_is_wrong
 from .tiles import Tile, tiles_of
 
 TOLD = 1.96
@@ -64,6 +66,10 @@ SAMPLE = 1_000_000
 """Pixels that noise and light are estimated from."""
 FLAGS = {0: "no change told", 1: "higher", 2: "lower", 3: "color", 4: "label"}
 """Values of the map of changes."""
+HEIGHT_FLAGS = (1, 2)
+"""Those of other heights."""
+AROUND = 12
+"""Pixels around a change that its pattern in the photos is separated from larger ones with."""
 ORDER = (1, 2, 4, 3)
 """The order in which pixels get their flags: color may be that of another height or label."""
 
@@ -125,17 +131,29 @@ class Comparison:
     large values than that lets expect, limits are raised. Broad changes are told by medians of differences, which have
     less noise. The colors of the later survey are matched to those of the earlier by a robust affine map. Other light
     also changes the shading of slopes: if colors differ more there, their limit is larger. Borders of labels may differ
-    by the error of places.
+    by the error of places. Other heights are no change where the photos of one survey show the height of the other.
 
     Args:
         before: The earlier survey.
         after: The later one, aligned.
         grid: Its pixels.
         residual: Residual of the alignment, the unit of heights.
+        photos: Of both surveys; None where they are not there.
+
+    Attributes:
+        errors_found: Number of differences that were errors of one survey, by its photos.
     """
 
-    def __init__(self, before: Survey, after: Survey, grid: MapGrid, residual: float) -> None:
+    def __init__(
+        self,
+        before: Survey,
+        after: Survey,
+        grid: MapGrid,
+        residual: float,
+        photos: Sequence[SurveyPhotos | None] = (None, None),
+    ) -> None:
         self.before, self.after, self.grid, self.residual = before, after, grid, residual
+        self.photos, self.errors_found = photos, 0
         step = max(1, int(np.ceil(np.sqrt(grid.width * grid.height / SAMPLE))))
         every = slice(None, None, step), slice(None, None, step)
         first, second = before.part(every), after.part(every)
@@ -242,8 +260,34 @@ class Comparison:
                 differences, before, after = self.differences(tile), self.before.part(place), self.after.part(place)
                 for root in np.unique(roots[roots > 0]).tolist():
                     found.setdefault(root, _Object()).add(roots == root, tile, differences, before, after)
-            objects += [item.describe(flag, self.grid.pixel) for item in found.values()]
+            for root, item in found.items():
+                if flag in HEIGHT_FLAGS and self._is_error(item, root, components, numbers, told, flags):
+                    self.errors_found += 1
+                else:
+                    objects.append(item.describe(flag, self.grid.pixel))
         return objects
+
+    def _is_error(
+        self,
+        item: "_Object",
+        root: int,
+        components: Components,
+        numbers: np.ndarray,
+        told: np.ndarray,
+        flags: np.ndarray,
+    ) -> bool:
+        """Return whether another height is an error of one survey, and take it out of the maps if it is."""
+        if self.photos == (None, None):
+            return False
+        top, left = (max(first - AROUND, 0) for first in item.first)
+        place = slice(top, item.last[0] + AROUND), slice(left, item.last[1] + AROUND)
+        mask = components.chosen(np.array(numbers[place])) == root
+        heights = [np.array(survey.heights[place], np.float64) for survey in (self.before, self.after)]
+        if not one_survey_is_wrong(self.photos, self.grid, mask, (top, left), heights):
+            return False
+        for array in (told, flags):
+            array[place] = np.where(mask, 0, array[place])
+        return True
 
     def _components(self, flag: int, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray) -> Components:
         """Number the connected pixels that tell a flag and have none yet, and choose those that are objects."""
@@ -275,11 +319,14 @@ class _Object:
     def __init__(self) -> None:
         self.count, self.sums, self.labels = 0, np.zeros(5), np.zeros((2, 256), np.int64)
         self.labelled = False
+        self.first, self.last = (1 << 31, 1 << 31), (0, 0)  # row and column that it begins at, and that it ends before
 
     def add(self, mask: np.ndarray, tile: Tile, differences: Differences, before: Survey, after: Survey) -> None:
         """Add the pixels of a tile."""
         rows, columns = np.nonzero(mask)
         self.count += len(rows)
+        self.first = min(self.first[0], tile.row + rows.min()), min(self.first[1], tile.column + columns.min())
+        self.last = max(self.last[0], tile.row + rows.max() + 1), max(self.last[1], tile.column + columns.max() + 1)
         values = differences.height[mask], differences.limit[mask], differences.color[mask]
         self.sums += [(rows + tile.row).sum(), (columns + tile.column).sum(), *(value.sum() for value in values)]
         if before.labels is not None and after.labels is not None:
