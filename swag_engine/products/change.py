@@ -337,7 +337,7 @@ def _notes(alignment: Alignment, comparison: Comparison) -> list[str]:
     if count := comparison.errors_found:
         notes.append(
             f"{count} {'difference' if count == 1 else 'differences'} of height are left out: the photos of one survey "
-            "show the surface there where the other survey has it."
+            "show the surface where the other survey has it."
         )
     return notes
 

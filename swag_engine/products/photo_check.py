@@ -16,6 +16,7 @@ from ..scene.images import load_images
 from ..scene.split import split_views
 from .grid import MapGrid
 from .map_frame import MapScene
+from .tiles import Tile
 from .views import camera_centre, project
 
 MOST_PHOTOS = 12
@@ -28,16 +29,8 @@ WITHIN = 0.8
 """Fraction of a place that a photo must show."""
 DETAIL = 3.0
 """Standard deviation of the blur that is taken away, pixels: larger patterns look alike at many heights."""
-BETTER = 0.2
-"""Least difference of correlations that tells which of two heights is right. Where nothing had changed and one of two
-surveys was wrong by 3 to 5 pixels, its photos correlated by .45 to .9 more at the height of the other; where something
-had changed, by .3 to .95 less (benchmarks/products.py)."""
 ALIKE = 0.5
-"""Least correlation at the right height: below it photos show too little."""
-BLOCK = 128
-"""Edge of the parts that a change is checked in, pixels of the map."""
-MOST_BLOCKS = 8
-"""Parts of a large change that are checked, those with most of its pixels."""
+"""Least correlation at one of the heights: below it photos show too little."""
 KEPT_PHOTOS = 64
 """Photos that are kept in memory."""
 
@@ -76,36 +69,41 @@ class SurveyPhotos:
         grey = image.pixels.astype(np.float32).mean(axis=2)
         return _Photo(image.camera, grey, image.valid.astype(np.float32))
 
-    def other_height_is_right(self, grid: MapGrid, mask: np.ndarray, places: np.ndarray, other: np.ndarray) -> bool:
-        """Return whether the photos show a place at another height than the run has it.
+    def gain(self, grid: MapGrid, part: Tile, mask: np.ndarray, own: np.ndarray, other: np.ndarray) -> float | None:
+        """Compute by how much more alike the photos are at the heights that the run has than at other ones.
 
         Args:
             grid: Pixels of the map.
-            mask: (H, W) bool, the place within a part of the map.
-            places: (H, W, 3) that the run has in that part.
-            other: (H, W) other heights.
+            part: A part of it.
+            mask: (H, W) bool, the place in that part.
+            own: (H, W) heights that the run has, NaN where nothing was seen.
+            other: (H, W) other heights, likewise.
 
         Returns:
-            True if the photos at the other heights are alike, and clearly more so than at those of the run. False
-            where they cannot tell.
+            Difference of the mean correlations between the photos, -2..2; None where the photos cannot tell.
         """
+        mask = mask & np.isfinite(own) & np.isfinite(other)
+        if not mask.any():
+            return None
+        x = grid.left + grid.pixel * (part.column + np.arange(part.width) + 0.5)
+        y = grid.top - grid.pixel * (part.row + np.arange(part.height) + 0.5)
+        places, moved = (np.stack([*np.meshgrid(x, y), heights], axis=2) for heights in (own, other))
         chosen = self._nearest(places[mask])
         if len(chosen) < 2:
-            return False
+            return None
         try:
             photos = [self._photo(number) for number in chosen]
         except InputError:
-            return False
+            return None
         distances = np.linalg.norm(self._centres[chosen] - places[mask].mean(axis=0), axis=1)
         sizes = [distance / photo.camera.fx for photo, distance in zip(photos, distances, strict=True)]
         # Pixels of the map that are finer than those of the photos are skipped, photos finer than the map are reduced.
         step = max(1, round(float(np.median(sizes)) / grid.pixel))
         every = slice(None, None, step), slice(None, None, step)
-        mask, places, other = mask[every], places[every], other[every]
+        mask, places, moved = mask[every], places[every], moved[every]
         if mask.sum() < FEWEST_PIXELS:
-            return False
-        moved = np.concatenate([places[..., :2], other[..., None]], axis=2)
-        own, others = (
+            return None
+        at_own, at_other = (
             _mean_correlation(
                 [
                     photo.reduced(int(grid.pixel * step / size)).details(self._scene, mask, at)
@@ -114,7 +112,7 @@ class SurveyPhotos:
             )
             for at in (places, moved)
         )
-        return others >= ALIKE and others - own >= BETTER
+        return at_own - at_other if max(at_own, at_other) >= ALIKE else None
 
     def _nearest(self, places: np.ndarray) -> list[int]:
         """Return the numbers of the nearest photos that show places (N, 3) from above."""
@@ -169,50 +167,3 @@ def _mean_correlation(patterns: Sequence[np.ndarray]) -> float:
             a, b = (of[both] - of[both].mean() for of in (first, second))
             found.append(float((a * b).sum() / max(np.sqrt((a * a).sum() * (b * b).sum()), 1e-9)))
     return float(np.mean(found)) if found else -1.0
-
-
-def one_survey_is_wrong(
-    photos: Sequence[SurveyPhotos | None],
-    grid: MapGrid,
-    mask: np.ndarray,
-    corner: tuple[int, int],
-    heights: Sequence[np.ndarray],
-) -> bool:
-    """Return whether a difference of height between two surveys is an error of one: its photos show the other's height.
-
-    Args:
-        photos: Of both surveys; None where they are not there.
-        grid: Pixels of the map.
-        mask: (H, W) bool, what differs within a part of the map.
-        corner: Row and column of the part's first pixel.
-        heights: (H, W) of both surveys in the part, NaN where nothing was seen.
-    """
-    known = np.isfinite(heights[0]) & np.isfinite(heights[1])
-    x = grid.left + grid.pixel * (corner[1] + np.arange(mask.shape[1]) + 0.5)
-    y = grid.top - grid.pixel * (corner[0] + np.arange(mask.shape[0]) + 0.5)
-    level = np.stack(np.meshgrid(x, y), axis=2)
-    for survey, own, other in zip(photos, heights, reversed(heights), strict=True):
-        if survey is None:
-            continue
-        places = np.concatenate([level, own[..., None]], axis=2)
-        checked = wrong = 0
-        for rows, columns in _blocks(mask):
-            # A pixel more on each side: small changes have few pixels.
-            part = cv2.dilate(mask[rows, columns].astype(np.uint8), np.ones((3, 3))) > 0
-            part &= known[rows, columns]
-            if part.any():
-                checked += 1
-                wrong += survey.other_height_is_right(grid, part, places[rows, columns], other[rows, columns])
-        if 2 * wrong > checked:
-            return True
-    return False
-
-
-def _blocks(mask: np.ndarray) -> list[tuple[slice, slice]]:
-    """Return the parts of a mask (H, W) that are checked."""
-    parts = [
-        (slice(row, row + BLOCK), slice(column, column + BLOCK))
-        for row in range(0, mask.shape[0], BLOCK)
-        for column in range(0, mask.shape[1], BLOCK)
-    ]
-    return sorted(parts, key=lambda part: -int(mask[part].sum()))[:MOST_BLOCKS]

@@ -76,16 +76,21 @@ def scenes(tmp_path_factory):
     }
 
 
-def changes(scenes, before_height, after_height):
-    """Compare two surveys with photos, with these heights in the box and level ground elsewhere."""
+def changes(scenes, before_height, after_height, layers=0.0):
+    """Compare two surveys with photos, with these heights in the box and level ground elsewhere.
+
+    Their splats lie in layers so far apart.
+    """
     random = np.random.default_rng(0)
     surveys = []
     for height in (before_height, after_height):
         heights = 0.001 * random.standard_normal((100, 100)).astype(np.float32)
         heights[BOX] += height
-        errors, layers = np.ones_like(heights), np.zeros_like(heights)
-        surveys.append(Survey(np.full((100, 100, 3), 128, np.uint8), heights, errors, layers))
-    comparison = Comparison(*surveys, GRID, 0.001, tuple(scene and SurveyPhotos.of(scene) for scene in scenes))
+        errors, apart = np.ones_like(heights), np.full_like(heights, layers)
+        surveys.append(Survey(np.full((100, 100, 3), 128, np.uint8), heights, errors, apart))
+    comparison = Comparison(
+        surveys[0], surveys[1], GRID, 0.001, tuple(scene and SurveyPhotos.of(scene) for scene in scenes)
+    )
     flags, numbers = np.zeros((100, 100), np.uint8), np.zeros((100, 100), np.int32)
     (tile,) = tiles_of(GRID)
     found = comparison.find_objects(comparison.differences(tile).told, flags, numbers)
@@ -107,6 +112,14 @@ def test_a_height_that_the_photos_show_is_a_change(scenes):
     assert changes((scenes["box"], scenes["ground"]), BOX_HEIGHT, 0.0) == (["lower"], 0)
 
 
+def test_small_changes_are_told_where_photos_confirm_them(scenes):
+    """Splats in layers 10 cm apart leave heights uncertain by more than the box is high."""
+    ground, box, plain = (scenes[name] for name in ("ground", "box", "plain"))
+    assert changes((ground, box), 0.0, BOX_HEIGHT, layers=0.1) == (["higher"], 0)
+    for unsure in ((None, None), (ground, None), (None, box), (plain, plain), (ground, plain)):
+        assert changes(unsure, 0.0, BOX_HEIGHT, layers=0.1) == ([], 0)
+
+
 def test_photos_that_cannot_tell_leave_changes_as_they_are(scenes, tmp_path):
     """Photos without a pattern, and photos that are gone."""
     assert changes((scenes["plain"], scenes["plain"]), 0.0, WRONG) == (["higher"], 0)
@@ -124,6 +137,7 @@ def test_the_map_may_be_finer_or_coarser_than_the_photos(scenes, finer):
     size = round(100 * finer)
     grid = MapGrid(GRID.left, GRID.top, pixel, size, size)
     mask = np.ones((size, size), bool)
-    flat, wrong = np.zeros((size, size)), np.full((size, size), 3 * max(pixel, GRID.pixel))
-    assert photos.other_height_is_right(grid, mask, grid.places(wrong), flat)
-    assert not photos.other_height_is_right(grid, mask, grid.places(flat), wrong)
+    flat, wrong = np.zeros((size, size)), np.full((size, size), 6 * max(pixel, GRID.pixel))
+    (tile,) = tiles_of(grid)
+    assert photos.gain(grid, tile, mask, flat, wrong) > 0.4
+    assert photos.gain(grid, tile, mask, wrong, flat) < -0.4
