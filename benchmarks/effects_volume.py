@@ -8,8 +8,8 @@ way down as well as on its way to the camera and is scattered several times, so 
 model of docs/method.md section 1 exactly. The true attenuation lies between absorption alone (all scattered light still
 arrives) and absorption + scattering, the beam attenuation (none does).
 
-Beside the colors that the fit restores it gives those of the best gain and of the best laws of range, chosen with the
-truth at hand: no fit to the photos can do better with such a law.
+Beside the colors that the fit restores it gives those of a trained run, and those of the best gain and of the best laws
+of range, chosen with the truth at hand: no fit to the photos can do better with such a law.
 """
 
 import multiprocessing
@@ -32,6 +32,13 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.common import write_results
 from benchmarks.effects_matrix import EFFECTS, decide_effects
+from swag_engine.base.transfer import srgb_to_linear
+from swag_engine.evaluation.metrics import render_image
+from swag_engine.experiments.evaluate_run import load_run
+from swag_engine.formats.run_folder import RunFolder
+from swag_engine.scene.colmap import load_scene
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.trainer import train
 
 COMMON = {"surface": 5.0, "light": 1.4}
 WATERS: dict[str, dict] = {
@@ -61,6 +68,8 @@ takes more light and adds more light with range, linear between PIECES + 1 quant
 PIECES = 8
 STEPS = 700
 """Steps of Adam in which a law is found; with half as many delta E is up to 0.2 larger."""
+SETTINGS = TrainSettings(iterations=1000, width=320, max_gaussians=20_000, backend="cpu")
+"""Of the trained runs."""
 THERE = {effect: effect in ("attenuation", "backscatter") for effect in EFFECTS}
 
 
@@ -107,31 +116,47 @@ def run_case(name: str, pattern: str, seed: int, clean: Path) -> dict:
         with np.load(kept) as arrays:
             passes = [arrays[part] for part in ("clean", "range", "seen")]
         row["delta_e"] = color_errors(*passes, fit) | least_errors(*passes)
+        row["delta_e"]["trained"] = trained_error(settings.out, *passes[:2])
     return row
 
 
+def trained_error(scene_folder: Path, clean: np.ndarray, ranges: np.ndarray) -> float:
+    """Train a scene and measure its restored colors (result.ply) in all views, as `color_errors`."""
+    out = scene_folder.with_name(f"{scene_folder.name}-run")
+    if not RunFolder(out).finished():
+        train(scene_folder, out, SETTINGS, resume=out.exists())
+    run = load_run(out)
+    views = sorted(load_scene(scene_folder).views, key=lambda view: view.camera.name)
+    images = [
+        render_image(run.cloud, view.camera.resized(ranges.shape[2]), SETTINGS.sh_degree, effects=run.effects, amount=0)
+        for view in views
+    ]
+    solid = np.isfinite(ranges)
+    return color_error(clean[solid], srgb_to_linear(np.stack([image.numpy() for image in images]))[solid])
+
+
 def color_errors(clean: np.ndarray, ranges: np.ndarray, seen: np.ndarray, fit: object) -> dict[str, float]:
-    """Measure the median delta E (CIE 1976) to the clean colors (V, H, W, 3), as seen and as restored by the fit.
+    """Measure the error of colors (V, H, W, 3), as seen and as restored by the fit; see `color_error`."""
+    solid = np.isfinite(ranges)
+    r, light = (values[solid].astype(np.float64) for values in (ranges[..., None], seen))
+    restored = (light + fit.B * np.expm1(-fit.beta_B * r)).clip(0) * np.exp(fit.beta_D * r)  # type: ignore[attr-defined]
+    return {name: color_error(clean[solid], found) for name, found in (("seen", light), ("restored", restored))}
+
+
+def color_error(clean: np.ndarray, light: np.ndarray) -> float:
+    """Measure the median delta E (CIE 1976) of light (N, 3) to the clean light (N, 3), both linear.
 
     Each channel is scaled to the clean one's median, because light lost between surface and scene is not part of the
     water between scene and camera.
     """
     from tests.scenes.make_scene import srgb
 
-    solid = np.isfinite(ranges)
-    J, r, light = (
-        clean[solid].astype(np.float64),
-        ranges[solid].astype(np.float64)[:, None],
-        seen[solid].astype(np.float64),
+    J = clean.astype(np.float64)
+    scaled = light * np.median(J, 0) / np.maximum(np.median(light, 0), 1e-9)
+    first, second = (
+        cv2.cvtColor(srgb(values.clip(0, 1)).astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0] for values in (scaled, J)
     )
-    restored = (light + fit.B * np.expm1(-fit.beta_B * r)).clip(0) * np.exp(fit.beta_D * r)  # type: ignore[attr-defined]
-
-    def lab(values: np.ndarray) -> np.ndarray:
-        values = values * np.median(J, 0) / np.maximum(np.median(values, 0), 1e-9)
-        return cv2.cvtColor(srgb(values.clip(0, 1)).astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0]
-
-    pairs = {"seen": light, "restored": restored}
-    return {name: round(float(np.median(np.linalg.norm(lab(v) - lab(J), axis=1))), 2) for name, v in pairs.items()}
+    return round(float(np.median(np.linalg.norm(first - second, axis=1))), 2)
 
 
 def least_errors(clean: np.ndarray, ranges: np.ndarray, seen: np.ndarray) -> dict[str, float]:

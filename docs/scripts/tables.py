@@ -780,7 +780,8 @@ def effects_volume_colors() -> str:
     titles = {
         "seen": "as taken",
         "best gain": "best gain",
-        "restored": "restored",
+        "restored": "restored by the fit",
+        "trained": "restored, trained",
         "exponential": "best exponential",
         "two exponentials": "best two exponentials",
         "any law": "best law of range",
@@ -959,8 +960,8 @@ def restoration_limit() -> str:
         clipped = [f"{100 * of['clipped']:.2f} %" for of in (trained, limited)]
         rows.append([scene, percent(figures["not_restored"]), f"{change:+.3f} dB", *delta_e, *clipped])
     return markdown(
-        ["scene", "pixels not restored", "PSNR of the photos", "delta E as trained", "limited", "clipped as trained",
-         "limited"],
+        ["scene", "pixels not restored", "PSNR of photos with limited colors", "delta E as trained", "limited",
+         "clipped as trained", "limited"],
         rows,
     )  # fmt: skip
 
