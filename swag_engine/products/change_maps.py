@@ -69,6 +69,8 @@ FLAGS = {0: "no change told", 1: "higher", 2: "lower", 3: "color", 4: "label"}
 """Values of the map of changes."""
 HEIGHT_FLAGS = (1, 2)
 """Those of other heights."""
+BEYOND_PHOTOS = {5: 1, 6: 2}
+"""Bits of other heights that are told without photos, with their flags: for places that photos cannot check."""
 GAIN = 0.1
 """By how much more alike the photos of a survey must be at its own heights than at those of the other survey. In 410
 true changes of trained surveys this was .1 to 1; where one survey was wrong by 3 to 9 pixels, its photos had -.4 to -1
@@ -118,8 +120,8 @@ class Differences:
         limit: (H, W) smallest difference of height that is told at 95 %; of a broad change, its own.
         color: (H, W) difference of color after the light of the later survey is matched to the earlier, NaN likewise.
         slope: (H, W) largest slope to a neighbour within two pixels, in either survey.
-        told: (H, W) uint8 with the bit 1 << flag for each flag of FLAGS that is told.
-        excess: (H, W) by flag, by how many limits a difference exceeds its limit; 1 for labels, which have none.
+        told: (H, W) uint8 with the bit 1 << flag for each flag of FLAGS that is told, and those of BEYOND_PHOTOS.
+        excess: (H, W) by bit, by how many limits a difference exceeds its limit; 1 for labels, which have none.
     """
 
     height: np.ndarray
@@ -168,6 +170,7 @@ class Comparison:
         self.before, self.after, self.grid, self.residual = before, after, grid, residual
         self.photos, self.errors_found = photos, 0
         self.checked = None not in photos
+        self.unchecked: Comparison | None = None
         step = max(1, int(np.ceil(np.sqrt(grid.width * grid.height / SAMPLE))))
         every = slice(None, None, step), slice(None, None, step)
         first, second = before.part(every), after.part(every)
@@ -181,7 +184,8 @@ class Comparison:
         self.border = int(np.ceil(TOLD * residual / grid.pixel))
         self.tail, self.color_factors = 1.0, np.ones(len(SLOPES) + 1)  # of the differences that these are found from
         self.tail, self.color_factors = self._raised_limits()
-        self.unchecked = Comparison(before, after, grid, residual) if self.checked else self
+        if self.checked:
+            self.unchecked = Comparison(before, after, grid, residual)
 
     def _raised_limits(self) -> tuple[float, np.ndarray]:
         """Return the factors of the limits of height, and of those of color by slope, from some tiles."""
@@ -232,8 +236,13 @@ class Comparison:
         bits = np.zeros(known.shape, np.uint8)
         for flag, mask in told.items():
             bits |= (known & mask).astype(np.uint8) << flag
-        excess = {flag: values[inner] for flag, values in excess.items()}
-        return Differences(height[inner], limit[inner], color[inner], slope[inner], bits[inner], excess)
+        bits, excess = bits[inner], {flag: values[inner] for flag, values in excess.items()}
+        if self.unchecked:
+            plain = self.unchecked.differences(tile)
+            for bit, flag in BEYOND_PHOTOS.items():
+                bits |= np.where(plain.told >> flag & 1, np.uint8(1 << bit), np.uint8(0))
+                excess[bit] = plain.excess[flag]
+        return Differences(height[inner], limit[inner], color[inner], slope[inner], bits, excess)
 
     def _broad_limit(self, errors: np.ndarray, slope: np.ndarray, doubt: np.ndarray) -> np.ndarray:
         """Return the smallest median difference (H, W) of a broad change.
@@ -264,8 +273,10 @@ class Comparison:
             A dict for each object.
         """
         objects = []
-        for flag in ORDER:
-            components = self._components(flag, told, flags, numbers)
+        for bit in (*HEIGHT_FLAGS, *BEYOND_PHOTOS, *ORDER[2:]) if self.unchecked else ORDER:
+            flag = BEYOND_PHOTOS.get(bit, bit)
+            source = self.unchecked if self.unchecked and bit in BEYOND_PHOTOS else self
+            components = self._components(bit, told, flags, numbers)
             found: dict[int, _Object] = {}
             for tile in tiles_of(self.grid):
                 place = tile.place
@@ -273,44 +284,47 @@ class Comparison:
                 if not roots.any():
                     continue
                 flags[place] = np.where(roots > 0, flag, flags[place])
-                differences, before, after = self.differences(tile), self.before.part(place), self.after.part(place)
+                differences, before, after = source.differences(tile), self.before.part(place), self.after.part(place)
                 for root in np.unique(roots[roots > 0]).tolist():
                     found.setdefault(root, _Object()).add(roots == root, tile, differences, before, after)
-            wrong = [root for root, item in found.items() if not self._is_told(flag, item, root, components, numbers)]
-            for tile in tiles_of(self.grid) if wrong else ():
-                mask = np.isin(components.chosen(np.array(numbers[tile.place])), wrong)
-                for array in (told, flags):
-                    array[tile.place] = np.where(mask, 0, array[tile.place])
-            objects += [item.describe(flag, self.grid.pixel) for root, item in found.items() if root not in wrong]
+            is_height = flag in HEIGHT_FLAGS
+            needed = len(self.photos) if is_height and self.unchecked and source is self else 0
+            wrong, unsure = [], []
+            for root, item in found.items():
+                gains = self._gains(item, root, components, numbers) if is_height else []
+                if any(gain < -GAIN for gain in gains):
+                    wrong.append(root)
+                elif len(gains) >= needed and all(gain >= GAIN for gain in gains):
+                    objects.append(item.describe(flag, self.grid.pixel))
+                else:
+                    unsure.append(root)
+            self.errors_found += len(wrong)
+            for tile in tiles_of(self.grid) if wrong or unsure else ():
+                roots = components.chosen(np.array(numbers[tile.place]))
+                flags[tile.place] = np.where(np.isin(roots, wrong + unsure), 0, flags[tile.place])
+                told[tile.place] = np.where(np.isin(roots, wrong), 0, told[tile.place])
         return objects
 
-    def _is_told(self, flag: int, item: "_Object", root: int, components: Components, numbers: np.ndarray) -> bool:
-        """Return whether photos, where there are any, confirm another height."""
-        if flag not in HEIGHT_FLAGS or self.photos == (None, None):
-            return True
-        gains: list[list[float]] = [[], []]
-        excess = 0.0
-        for part in item.parts(self.grid):
+    def _gains(self, item: "_Object", root: int, components: Components, numbers: np.ndarray) -> list[float]:
+        """Return by how much more alike the photos of each survey that can tell are at its own heights."""
+        gains: list[list[float]] = [[] for _ in self.photos]
+        for part in item.parts(self.grid) if any(self.photos) else ():
             mask = components.chosen(np.array(numbers[part.place])) == root
-            over = self.unchecked.differences(part).excess[flag]
-            excess += float(over[mask].clip(0).sum())
             mask = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) > 0  # small changes have few pixels
             heights = [np.array(survey.heights[part.place], np.float64) for survey in (self.before, self.after)]
             for photos, own, other, found in zip(self.photos, heights, heights[::-1], gains, strict=True):
                 gain = photos.gain(self.grid, part, mask, own, other) if photos else None
                 found += [] if gain is None else [gain]
-        known = [float(np.mean(found)) for found in gains if found]
-        self.errors_found += any(gain < -GAIN for gain in known)
-        return all(gain >= GAIN for gain in known) and (len(known) == len(gains) or excess >= LEAST_EXCESS)
+        return [float(np.mean(found)) for found in gains if found]
 
-    def _components(self, flag: int, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray) -> Components:
-        """Number the connected pixels that tell a flag and have none yet, and choose those that are objects."""
+    def _components(self, bit: int, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray) -> Components:
+        """Number the connected pixels that have a bit and no flag yet, and choose those that are objects."""
         components = Components()
         for tile in tiles_of(self.grid):
             (rows, columns), inner = padded(tile, self.grid, OPENING)
-            mask = (told[rows, columns] >> flag & 1).astype(np.uint8) & (flags[rows, columns] == 0)
+            mask = (told[rows, columns] >> bit & 1).astype(np.uint8) & (flags[rows, columns] == 0)
             core = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((OPENING, OPENING), np.uint8))
-            excess = self.differences(tile).excess[flag] if mask.any() else np.zeros((tile.height, tile.width))
+            excess = self.differences(tile).excess[bit] if mask.any() else np.zeros((tile.height, tile.width))
             components.add(numbers, tile, mask[inner], core[inner], np.where(mask[inner], excess, 0))
         components.choose(LEAST_PIXELS, LEAST_PIXELS / 2, LEAST_EXCESS)
         return components

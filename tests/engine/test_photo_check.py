@@ -94,38 +94,48 @@ def changes(scenes, before_height, after_height, layers=0.0):
     flags, numbers = np.zeros((100, 100), np.uint8), np.zeros((100, 100), np.int32)
     (tile,) = tiles_of(GRID)
     found = comparison.find_objects(comparison.differences(tile).told, flags, numbers)
-    assert bool(found) == flags.any()
-    return [item["change"] for item in found], comparison.errors_found
+    assert sum(item["pixels"] for item in found) == np.count_nonzero(flags)
+    return [item["change"] for item in found], comparison.errors_found, np.count_nonzero(flags)
 
 
 def test_a_height_that_no_photo_shows_is_no_change(scenes):
     """The photos of both surveys show level ground; one of the surveys is wrong."""
     ground = scenes["ground"]
-    assert changes((ground, ground), 0.0, WRONG) == ([], 1)
-    assert changes((ground, ground), -WRONG, 0.0) == ([], 1)
-    assert changes((None, ground), 0.0, WRONG) == ([], 1)
-    assert changes((None, None), 0.0, WRONG) == (["higher"], 0)
+    assert changes((ground, ground), 0.0, WRONG)[:2] == ([], 1)
+    assert changes((ground, ground), -WRONG, 0.0)[:2] == ([], 1)
+    assert changes((None, ground), 0.0, WRONG)[:2] == ([], 1)
+    assert changes((None, None), 0.0, WRONG)[:2] == (["higher"], 0)
 
 
 def test_a_height_that_the_photos_show_is_a_change(scenes):
-    assert changes((scenes["ground"], scenes["box"]), 0.0, BOX_HEIGHT) == (["higher"], 0)
-    assert changes((scenes["box"], scenes["ground"]), BOX_HEIGHT, 0.0) == (["lower"], 0)
+    assert changes((scenes["ground"], scenes["box"]), 0.0, BOX_HEIGHT)[:2] == (["higher"], 0)
+    assert changes((scenes["box"], scenes["ground"]), BOX_HEIGHT, 0.0)[:2] == (["lower"], 0)
 
 
 def test_small_changes_are_told_where_photos_confirm_them(scenes):
     """Splats in layers 10 cm apart leave heights uncertain by more than the box is high."""
     ground, box, plain = (scenes[name] for name in ("ground", "box", "plain"))
-    assert changes((ground, box), 0.0, BOX_HEIGHT, layers=0.1) == (["higher"], 0)
+    assert changes((ground, box), 0.0, BOX_HEIGHT, layers=0.1)[:2] == (["higher"], 0)
     for unsure in ((None, None), (ground, None), (None, box), (plain, plain), (ground, plain)):
-        assert changes(unsure, 0.0, BOX_HEIGHT, layers=0.1) == ([], 0)
+        assert changes(unsure, 0.0, BOX_HEIGHT, layers=0.1)[:2] == ([], 0)
+
+
+def test_what_photos_cannot_check_is_told_as_without_photos(scenes):
+    """A step with a slope beside it, of which more is told where photos confirm it."""
+    ramp = np.tile(np.linspace(0, 0.2, 20), (20, 1))
+    counts = [
+        changes(photos, 0.0, ramp, layers=0.05)[2]
+        for photos in ((None, None), (scenes["plain"], scenes["plain"]), (scenes["ground"], scenes["plain"]))
+    ]
+    assert counts[0] == counts[1] == counts[2] > 20
 
 
 def test_photos_that_cannot_tell_leave_changes_as_they_are(scenes, tmp_path):
     """Photos without a pattern, and photos that are gone."""
-    assert changes((scenes["plain"], scenes["plain"]), 0.0, WRONG) == (["higher"], 0)
+    assert changes((scenes["plain"], scenes["plain"]), 0.0, WRONG)[:2] == (["higher"], 0)
     gone = survey(tmp_path, False)
     shutil.rmtree(tmp_path / "scene" / "images")
-    assert changes((None, gone), 0.0, WRONG) == (["higher"], 0)
+    assert changes((None, gone), 0.0, WRONG)[:2] == (["higher"], 0)
     shutil.rmtree(tmp_path / "scene")
     assert SurveyPhotos.of(gone) is None
 
