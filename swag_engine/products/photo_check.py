@@ -31,8 +31,8 @@ DETAIL = 3.0
 """Standard deviation of the blur that is taken away, pixels: larger patterns look alike at many heights."""
 ALIKE = 0.5
 """Least correlation at one of the heights: below it photos show too little."""
-KEPT_PHOTOS = 64
-"""Photos that are kept in memory."""
+KEPT_PHOTOS = 24
+"""Photos of a run that are kept in memory, 2 bytes a pixel."""
 
 
 class SurveyPhotos:
@@ -66,8 +66,7 @@ class SurveyPhotos:
 
     def _read(self, number: int) -> "_Photo":
         (image,) = load_images(self._loaded, [self._views[number]], self._settings.width)
-        grey = image.pixels.astype(np.float32).mean(axis=2)
-        return _Photo(image.camera, grey, image.valid.astype(np.float32))
+        return _Photo(image.camera, cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY), image.valid.astype(np.uint8))
 
     def gain(self, grid: MapGrid, part: Tile, mask: np.ndarray, own: np.ndarray, other: np.ndarray) -> float | None:
         """Compute by how much more alike the photos are at the heights that the run has than at other ones.
@@ -133,7 +132,7 @@ class SurveyPhotos:
 
 @dataclass(frozen=True, eq=False)
 class _Photo:
-    """A photo: grey values (H, W) and validity (H, W), float32."""
+    """A photo: grey values (H, W) and validity (H, W), 0 or 1, both uint8."""
 
     camera: Camera
     grey: np.ndarray
@@ -152,8 +151,9 @@ class _Photo:
         pixels = project(self.camera, scene, places.reshape(-1, 3)).reshape(*mask.shape, 2)
         inside = np.isfinite(pixels[..., 0])
         x, y = (np.where(inside, pixels[..., axis] - 0.5, -1).astype(np.float32) for axis in (0, 1))
-        shown = cv2.remap(self.grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        weight = cv2.remap(self.valid, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE) * inside
+        shown = cv2.remap(self.grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
+        valid = cv2.remap(self.valid, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+        weight = (valid * inside).astype(np.float32)
         blurred, weights = (cv2.GaussianBlur(of, (0, 0), DETAIL) for of in (shown * weight, weight))
         return np.where(mask & (weight > 0.5), shown - blurred / np.maximum(weights, 1e-3), np.nan)
 
