@@ -280,7 +280,7 @@ def _write_maps(
             known = np.isfinite(found.height)
             bands = np.stack([found.height, np.where(known, found.limit, np.nan), found.color], axis=2)
             writer.write(tile, np.where(np.isfinite(bands), bands, NO_HEIGHT))
-            told[tile.place] = found.told
+            told[tile.place] = comparison.told(tile, found)
             flags[tile.place] = np.where(known, 0, NO_LABEL)
             limits.append(found.limit[known][:: step**2])
     numbers = _scratch_array(folder / "numbers", flags.shape, np.int32)

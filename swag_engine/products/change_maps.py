@@ -120,8 +120,8 @@ class Differences:
         limit: (H, W) smallest difference of height that is told at 95 %; of a broad change, its own.
         color: (H, W) difference of color after the light of the later survey is matched to the earlier, NaN likewise.
         slope: (H, W) largest slope to a neighbour within two pixels, in either survey.
-        told: (H, W) uint8 with the bit 1 << flag for each flag of FLAGS that is told, and those of BEYOND_PHOTOS.
-        excess: (H, W) by bit, by how many limits a difference exceeds its limit; 1 for labels, which have none.
+        told: (H, W) uint8 with the bit 1 << flag for each flag of FLAGS that is told.
+        excess: (H, W) by flag, by how many limits a difference exceeds its limit; 1 for labels, which have none.
     """
 
     height: np.ndarray
@@ -236,13 +236,16 @@ class Comparison:
         bits = np.zeros(known.shape, np.uint8)
         for flag, mask in told.items():
             bits |= (known & mask).astype(np.uint8) << flag
-        bits, excess = bits[inner], {flag: values[inner] for flag, values in excess.items()}
-        if self.unchecked:
-            plain = self.unchecked.differences(tile)
-            for bit, flag in BEYOND_PHOTOS.items():
-                bits |= np.where(plain.told >> flag & 1, np.uint8(1 << bit), np.uint8(0))
-                excess[bit] = plain.excess[flag]
-        return Differences(height[inner], limit[inner], color[inner], slope[inner], bits, excess)
+        excess = {flag: values[inner] for flag, values in excess.items()}
+        return Differences(height[inner], limit[inner], color[inner], slope[inner], bits[inner], excess)
+
+    def told(self, tile: Tile, differences: Differences) -> np.ndarray:
+        """Return the bits (H, W) uint8 of what is told in a tile, from its differences: with those of BEYOND_PHOTOS."""
+        bits = differences.told
+        plain = self.unchecked.differences(tile).told if self.unchecked else np.zeros_like(bits)
+        for bit, flag in BEYOND_PHOTOS.items():
+            bits = bits | np.where(plain >> flag & 1, np.uint8(1 << bit), np.uint8(0))
+        return bits
 
     def _broad_limit(self, errors: np.ndarray, slope: np.ndarray, doubt: np.ndarray) -> np.ndarray:
         """Return the smallest median difference (H, W) of a broad change.
@@ -265,7 +268,7 @@ class Comparison:
         """Find connected changes that are large, thick and certain enough.
 
         Args:
-            told: (H, W) as in `Differences`.
+            told: (H, W), what `told` returns for all tiles.
             flags: (H, W) values of FLAGS, 0 or NO_LABEL before; the objects are written to it.
             numbers: (H, W) int32, scratch.
 
@@ -276,7 +279,7 @@ class Comparison:
         for bit in (*HEIGHT_FLAGS, *BEYOND_PHOTOS, *ORDER[2:]) if self.unchecked else ORDER:
             flag = BEYOND_PHOTOS.get(bit, bit)
             source = self.unchecked if self.unchecked and bit in BEYOND_PHOTOS else self
-            components = self._components(bit, told, flags, numbers)
+            components = self._components(source, bit, told, flags, numbers)
             found: dict[int, _Object] = {}
             for tile in tiles_of(self.grid):
                 place = tile.place
@@ -317,14 +320,16 @@ class Comparison:
                 found += [] if gain is None else [gain]
         return [float(np.mean(found)) for found in gains if found]
 
-    def _components(self, bit: int, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray) -> Components:
-        """Number the connected pixels that have a bit and no flag yet, and choose those that are objects."""
-        components = Components()
+    def _components(
+        self, source: "Comparison", bit: int, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray
+    ) -> Components:
+        """Number the connected pixels that have a bit and no flag yet, and choose objects by the limits of `source`."""
+        components, flag = Components(), BEYOND_PHOTOS.get(bit, bit)
         for tile in tiles_of(self.grid):
             (rows, columns), inner = padded(tile, self.grid, OPENING)
             mask = (told[rows, columns] >> bit & 1).astype(np.uint8) & (flags[rows, columns] == 0)
             core = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((OPENING, OPENING), np.uint8))
-            excess = self.differences(tile).excess[bit] if mask.any() else np.zeros((tile.height, tile.width))
+            excess = source.differences(tile).excess[flag] if mask.any() else np.zeros((tile.height, tile.width))
             components.add(numbers, tile, mask[inner], core[inner], np.where(mask[inner], excess, 0))
         components.choose(LEAST_PIXELS, LEAST_PIXELS / 2, LEAST_EXCESS)
         return components

@@ -93,7 +93,7 @@ def changes(scenes, before_height, after_height, layers=0.0):
     )
     flags, numbers = np.zeros((100, 100), np.uint8), np.zeros((100, 100), np.int32)
     (tile,) = tiles_of(GRID)
-    found = comparison.find_objects(comparison.differences(tile).told, flags, numbers)
+    found = comparison.find_objects(comparison.told(tile, comparison.differences(tile)), flags, numbers)
     assert sum(item["pixels"] for item in found) == np.count_nonzero(flags)
     return [item["change"] for item in found], comparison.errors_found, np.count_nonzero(flags)
 
