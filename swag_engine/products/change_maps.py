@@ -67,14 +67,18 @@ SAMPLE = 1_000_000
 """Pixels that noise and light are estimated from."""
 FLAGS = {0: "no change told", 1: "higher", 2: "lower", 3: "color", 4: "label"}
 """Values of the map of changes."""
-HEIGHT_FLAGS = (1, 2)
-"""Those of other heights."""
+HEIGHT_FLAGS, COLOR, LABEL = (1, 2), 3, 4
+"""Those of other heights, colors and labels."""
 BEYOND_PHOTOS = {5: 1, 6: 2}
 """Bits of other heights that are told without photos, with their flags: for places that photos cannot check."""
 GAIN = 0.1
 """By how much more alike the photos of a survey must be at its own heights than at those of the other survey. In 410
 true changes of trained surveys this was .1 to 1; where one survey was wrong by 3 to 9 pixels, its photos had -.4 to -1
 (benchmarks/products.py)."""
+ALIKE = 0.5
+"""Least correlation of photos that show a pattern, at its height."""
+LEAST_UNSURE = 100
+"""Smallest number of pixels of another label where photos do not show that the surfaces of both surveys are right."""
 BLOCK = 128
 """Edge of the parts in which photos check a large change, pixels."""
 MOST_BLOCKS = 8
@@ -146,7 +150,8 @@ class Comparison:
 
     Where both surveys have photos, these check each other height: they have to be more alike at the height of their own
     survey than at that of the other. Limits are lower then: errors of single places and of layers need not be allowed
-    for. A change that photos cannot check must exceed the limits of surveys without photos.
+    for. A change that photos cannot check must exceed the limits of surveys without photos. Other labels must be larger
+    where photos do not show that the surfaces are right: labels of half transparent places may be those behind them.
 
     Args:
         before: The earlier survey.
@@ -290,15 +295,20 @@ class Comparison:
                 differences, before, after = source.differences(tile), self.before.part(place), self.after.part(place)
                 for root in np.unique(roots[roots > 0]).tolist():
                     found.setdefault(root, _Object()).add(roots == root, tile, differences, before, after)
-            is_height = flag in HEIGHT_FLAGS
-            needed = len(self.photos) if is_height and self.unchecked and source is self else 0
+            needed = len(self.photos) if flag in HEIGHT_FLAGS and self.unchecked and source is self else 0
             wrong, unsure = [], []
             for root, item in found.items():
-                gains = self._gains(item, root, components, numbers) if is_height else []
-                if any(gain < -GAIN for gain in gains):
-                    wrong.append(root)
-                elif len(gains) >= needed and all(gain >= GAIN for gain in gains):
+                alike = self._alike(item, root, components, numbers) if flag != COLOR else []
+                gains = [own - other for own, other in alike if max(own, other) >= ALIKE]
+                if flag == LABEL:
+                    sure = len(alike) == len(self.photos) and min(own for own, _ in alike) >= ALIKE
+                    told_object = sure or not self.unchecked or item.count >= LEAST_UNSURE
+                else:
+                    told_object = len(gains) >= needed and all(gain >= GAIN for gain in gains)
+                if told_object:
                     objects.append(item.describe(flag, self.grid.pixel))
+                elif flag in HEIGHT_FLAGS and any(gain < -GAIN for gain in gains):
+                    wrong.append(root)
                 else:
                     unsure.append(root)
             self.errors_found += len(wrong)
@@ -308,17 +318,23 @@ class Comparison:
                 told[tile.place] = np.where(np.isin(roots, wrong), 0, told[tile.place])
         return objects
 
-    def _gains(self, item: "_Object", root: int, components: Components, numbers: np.ndarray) -> list[float]:
-        """Return by how much more alike the photos of each survey that can tell are at its own heights."""
-        gains: list[list[float]] = [[] for _ in self.photos]
+    def _alike(
+        self, item: "_Object", root: int, components: Components, numbers: np.ndarray
+    ) -> list[tuple[float, float]]:
+        """Return how much alike photos are at the heights of their own survey and at those of the other.
+
+        Surveys without photos, or with too few that show the object, are left out.
+        """
+        found: list[list[tuple[float, float]]] = [[] for _ in self.photos]
         for part in item.parts(self.grid) if any(self.photos) else ():
             mask = components.chosen(np.array(numbers[part.place])) == root
             mask = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) > 0  # small changes have few pixels
             heights = [np.array(survey.heights[part.place], np.float64) for survey in (self.before, self.after)]
-            for photos, own, other, found in zip(self.photos, heights, heights[::-1], gains, strict=True):
-                gain = photos.gain(self.grid, part, mask, own, other) if photos else None
-                found += [] if gain is None else [gain]
-        return [float(np.mean(found)) for found in gains if found]
+            for photos, own, other, values in zip(self.photos, heights, heights[::-1], found, strict=True):
+                alike = photos.alike(self.grid, part, mask, own, other) if photos else None
+                values += [] if alike is None else [alike]
+        means = [np.mean(values, axis=0).tolist() for values in found if values]
+        return [(own, other) for own, other in means]
 
     def _components(
         self, source: "Comparison", bit: int, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray

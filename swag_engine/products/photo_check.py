@@ -29,8 +29,6 @@ WITHIN = 0.8
 """Fraction of a place that a photo must show."""
 DETAIL = 3.0
 """Standard deviation of the blur that is taken away, pixels: larger patterns look alike at many heights."""
-ALIKE = 0.5
-"""Least correlation at one of the heights: below it photos show too little."""
 KEPT_PHOTOS = 24
 """Photos of a run that are kept in memory, 2 bytes a pixel."""
 
@@ -68,8 +66,10 @@ class SurveyPhotos:
         (image,) = load_images(self._loaded, [self._views[number]], self._settings.width)
         return _Photo(image.camera, cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY), image.valid.astype(np.uint8))
 
-    def gain(self, grid: MapGrid, part: Tile, mask: np.ndarray, own: np.ndarray, other: np.ndarray) -> float | None:
-        """Compute by how much more alike the photos are at the heights that the run has than at other ones.
+    def alike(
+        self, grid: MapGrid, part: Tile, mask: np.ndarray, own: np.ndarray, other: np.ndarray
+    ) -> tuple[float, float] | None:
+        """Compute how much alike the photos are at the heights that the run has, and at other ones.
 
         Args:
             grid: Pixels of the map.
@@ -79,7 +79,7 @@ class SurveyPhotos:
             other: (H, W) other heights, likewise.
 
         Returns:
-            Difference of the mean correlations between the photos, -2..2; None where the photos cannot tell.
+            Mean correlations between the photos, -1..1; None where too few of them show the place.
         """
         mask = mask & np.isfinite(own) & np.isfinite(other)
         if not mask.any():
@@ -111,7 +111,7 @@ class SurveyPhotos:
             )
             for at in (places, moved)
         )
-        return at_own - at_other if max(at_own, at_other) >= ALIKE else None
+        return at_own, at_other
 
     def _nearest(self, places: np.ndarray) -> list[int]:
         """Return the numbers of the nearest photos that show places (N, 3) from above."""

@@ -76,18 +76,20 @@ def scenes(tmp_path_factory):
     }
 
 
-def changes(scenes, before_height, after_height, layers=0.0):
+def changes(scenes, before_height, after_height, layers=0.0, labelled=0):
     """Compare two surveys with photos, with these heights in the box and level ground elsewhere.
 
-    Their splats lie in layers so far apart.
+    Their splats lie in layers so far apart. A square of the box with so many pixels a side has another label later.
     """
     random = np.random.default_rng(0)
     surveys = []
-    for height in (before_height, after_height):
+    for height, label in ((before_height, 1), (after_height, 2)):
         heights = 0.001 * random.standard_normal((100, 100)).astype(np.float32)
         heights[BOX] += height
         errors, apart = np.ones_like(heights), np.full_like(heights, layers)
-        surveys.append(Survey(np.full((100, 100, 3), 128, np.uint8), heights, errors, apart))
+        labels = np.ones_like(heights, np.uint8)
+        labels[42 : 42 + labelled, 52 : 52 + labelled] = label
+        surveys.append(Survey(np.full((100, 100, 3), 128, np.uint8), heights, errors, apart, labels))
     comparison = Comparison(
         surveys[0], surveys[1], GRID, 0.001, tuple(scene and SurveyPhotos.of(scene) for scene in scenes)
     )
@@ -130,6 +132,14 @@ def test_what_photos_cannot_check_is_told_as_without_photos(scenes):
     assert counts[0] == counts[1] == counts[2] > 20
 
 
+def test_small_changes_of_labels_need_surfaces_that_photos_show(scenes):
+    """At heights that are wrong alike in both surveys, labels may be those of what lies behind."""
+    ground = scenes["ground"]
+    for height, side, told in ((0.0, 6, True), (-WRONG, 6, False), (-WRONG, 12, True)):
+        assert changes((ground, ground), height, height, labelled=side)[0] == ["label"] * told, (height, side)
+    assert changes((None, None), -WRONG, -WRONG, labelled=6)[0] == ["label"]
+
+
 def test_photos_that_cannot_tell_leave_changes_as_they_are(scenes, tmp_path):
     """Photos without a pattern, and photos that are gone."""
     assert changes((scenes["plain"], scenes["plain"]), 0.0, WRONG)[:2] == (["higher"], 0)
@@ -149,5 +159,6 @@ def test_the_map_may_be_finer_or_coarser_than_the_photos(scenes, finer):
     mask = np.ones((size, size), bool)
     flat, wrong = np.zeros((size, size)), np.full((size, size), 6 * max(pixel, GRID.pixel))
     (tile,) = tiles_of(grid)
-    assert photos.gain(grid, tile, mask, flat, wrong) > 0.4
-    assert photos.gain(grid, tile, mask, wrong, flat) < -0.4
+    at_own, at_other = photos.alike(grid, tile, mask, flat, wrong)
+    assert at_own > 0.7 and at_own - at_other > 0.4
+    assert photos.alike(grid, tile, mask, wrong, flat) == pytest.approx((at_other, at_own), abs=0.1)
