@@ -146,6 +146,24 @@ def test_a_job_that_ends_after_it_was_reported_does_not_count_as_running(tmp_pat
     assert document["interrupted"] and "running" not in {row["state"] for row in document["blocks"]}
 
 
+INTERRUPTED = """
+import _thread, signal, threading
+from swag_engine.survey.executors import child
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+threading.Timer(1.0, _thread.interrupt_main).start()
+try:
+    child.run(["-c", "import time; time.sleep(60)"], 1, "")
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_a_job_can_be_cancelled_where_ray_was_started_in_the_background():
+    """A shell lets its background processes ignore interrupts, and with them Ray's workers."""
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED], cwd=ROOT, capture_output=True, text=True, timeout=50)
+    assert done.stdout == "interrupted\n", done.stderr
+
+
 DRIVER = """
 import sys, json; from pathlib import Path
 from swag_engine.survey import job as jobs

@@ -95,6 +95,9 @@ def run(words: Sequence[str], threads: int, root: str) -> Exit:
         threads: As `Child` takes them.
         root: As `Child` takes it.
     """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        # As in all processes that a shell starts in the background, with Ray's among them: Ray could not cancel.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     child = Child(words, threads, root)
     try:
         while child.running():
