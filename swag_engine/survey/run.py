@@ -5,7 +5,7 @@ and several of it may work on one survey. No clock of one machine is compared wi
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,8 +25,6 @@ ATTEMPTS = 3
 """Attempts of a block in which it gets no further than before; then it is left, and the others go on."""
 REFRESH_SECONDS = 1.0
 """Time between two reports."""
-SETTLE_SECONDS = 10.0
-"""Time in which jobs that were told to end may still give their claims back: Ray may report them before that."""
 RECHECK_SECONDS = 30.0
 """Time after which a block on which another process works is looked at again."""
 
@@ -141,7 +139,6 @@ class _SurveyRun:
             if self._should_stop():
                 self._interrupted = True
                 self._executor.cancel()
-                self._settle(running)
                 return
             now = time.monotonic()
             for name in [name for name, again in elsewhere.items() if again <= now]:
@@ -176,12 +173,6 @@ class _SurveyRun:
             with suppress(InputError):  # where the disk is full, the sentences at the end still say it
                 write_json(self._files.failed(ended.name), document)
         return not record.given_up
-
-    def _settle(self, names: Iterable[str]) -> None:
-        """Wait for a moment until jobs that were told to end count as running no more."""
-        until = time.monotonic() + SETTLE_SECONDS
-        while time.monotonic() < until and any(self._progress_of(name).state == "running" for name in names):
-            time.sleep(min(0.1, REFRESH_SECONDS))
 
     def _progress_of(self, name: str) -> Progress:
         """Return how far a job is; the files of one that is done are read once."""

@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import sys
-import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -125,25 +124,6 @@ def test_stopping_keeps_what_exists(tmp_path):
     assert document["interrupted"] and 0 < document["done"] < 5 and not document["sentences"]
     assert "begun" in {row["state"] for row in document["blocks"]}, "no checkpoint was kept"
     assert run_survey(folder, LocalExecutor("cpu"))["done"] == 5 and results(folder) == UNDISTURBED
-
-
-def test_a_job_that_ends_after_it_was_reported_does_not_count_as_running(tmp_path):
-    """Ray may report a task that was told to end while its process still writes a checkpoint."""
-    folder = make_survey(tmp_path / "survey")
-    seen: list[dict] = []
-
-    class Early(LocalExecutor):
-        def cancel(self):
-            super().cancel()
-            claim = SurveyFolder(folder).claim(seen[0]["name"])
-            claim.write_text('{"host": "other", "pid": 1, "token": "a", "beat": 3}')
-            threading.Timer(1.0, claim.unlink).start()
-
-    def at_work(event):
-        seen.extend(row for row in event["blocks"] if row["name"] in BLOCKS and row["state"] == "running")
-
-    document = run_survey(folder, Early("cpu", most=2), at_work, lambda: bool(seen))
-    assert document["interrupted"] and "running" not in {row["state"] for row in document["blocks"]}
 
 
 INTERRUPTED = """
