@@ -32,7 +32,7 @@ from .packages import require_packages
 from .photo_check import SurveyPhotos
 from .preview import write_preview
 from .tiles import Progress, TileRenderer, tiles_of
-from .views import height_errors, training_cameras
+from .views import height_errors
 
 ScaleChoice = Literal["fixed", "free"]
 PREVIEW = 1600
@@ -103,13 +103,13 @@ def make_change(
     grid = make_grid(first.splats, pixel, box)
     crs = map_crs(first)
     files = {name: out / file for name, file in FILES.items()}
+    photos = SurveyPhotos.of(first), SurveyPhotos.of(moved)
     with _scratch_folder(out) as folder:
         before, after = (
-            _survey(scene, grid, backend, folder / which, f"Rendering the {which} run", progress)
-            for scene, which in ((first, "earlier"), (moved, "later"))
+            _survey(scene, seen_by, grid, backend, folder / which, f"Rendering the {which} run", progress)
+            for scene, seen_by, which in zip((first, moved), photos, ("earlier", "later"), strict=True)
         )
         _same_labels(first, second, after)
-        photos = SurveyPhotos.of(first), SurveyPhotos.of(moved)
         comparison = Comparison(before, after, grid, alignment.residual, photos)
         if not comparison.overlap:
             raise InputError("The two surveys have no pixel in common: check that they show one place, or --box.")
@@ -194,13 +194,21 @@ def _scratch_array(path: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.n
         raise not_writable(path, error) from error
 
 
-def _survey(scene: MapScene, grid: MapGrid, backend: str, path: Path, stage: str, progress: Progress | None) -> Survey:
+def _survey(
+    scene: MapScene,
+    photos: SurveyPhotos | None,
+    grid: MapGrid,
+    backend: str,
+    path: Path,
+    stage: str,
+    progress: Progress | None,
+) -> Survey:
     """Render the arrays of a `Survey` to files whose names begin with `path`.
 
     Errors grow with transparency: splats that are seen through are spread in depth.
     """
     renderer = TileRenderer(scene.splats, grid, backend, scene.seen)
-    colors, cameras = renderer.colors(), training_cameras(scene)
+    colors, cameras = renderer.colors(), photos.cameras if photos else []
     labels = scene.splats.extras.get(LABEL)
     labels = labels.astype(np.int64) if labels is not None and labels.any() else None
     shape = grid.height, grid.width

@@ -67,8 +67,8 @@ SAMPLE = 1_000_000
 """Pixels that noise and light are estimated from."""
 FLAGS = {0: "no change told", 1: "higher", 2: "lower", 3: "color", 4: "label"}
 """Values of the map of changes."""
-HEIGHT_FLAGS, COLOR, LABEL = (1, 2), 3, 4
-"""Those of other heights, colors and labels."""
+HEIGHT_FLAGS, LABEL = (1, 2), 4
+"""Those of other heights and labels."""
 BEYOND_PHOTOS = {5: 1, 6: 2}
 """Bits of other heights that are told without photos, with their flags: for places that photos cannot check."""
 GAIN = 0.1
@@ -298,14 +298,15 @@ class Comparison:
             needed = len(self.photos) if flag in HEIGHT_FLAGS and self.unchecked and source is self else 0
             wrong, unsure = [], []
             for root, item in found.items():
-                alike = self._alike(item, root, components, numbers) if flag != COLOR else []
+                small_label = flag == LABEL and self.unchecked and item.count < LEAST_UNSURE
+                checked = flag in HEIGHT_FLAGS or small_label
+                alike = self._alike(item, root, components, numbers) if checked else []
                 gains = [own - other for own, other in alike if max(own, other) >= ALIKE]
-                if flag == LABEL:
-                    sure = len(alike) == len(self.photos) and min(own for own, _ in alike) >= ALIKE
-                    told_object = sure or not self.unchecked or item.count >= LEAST_UNSURE
+                if small_label:
+                    is_told = len(alike) == len(self.photos) and min(own for own, _ in alike) >= ALIKE
                 else:
-                    told_object = len(gains) >= needed and all(gain >= GAIN for gain in gains)
-                if told_object:
+                    is_told = len(gains) >= needed and all(gain >= GAIN for gain in gains)
+                if is_told:
                     objects.append(item.describe(flag, self.grid.pixel))
                 elif flag in HEIGHT_FLAGS and any(gain < -GAIN for gain in gains):
                     wrong.append(root)
@@ -333,8 +334,7 @@ class Comparison:
             for photos, own, other, values in zip(self.photos, heights, heights[::-1], found, strict=True):
                 alike = photos.alike(self.grid, part, mask, own, other) if photos else None
                 values += [] if alike is None else [alike]
-        means = [np.mean(values, axis=0).tolist() for values in found if values]
-        return [(own, other) for own, other in means]
+        return [(own, other) for own, other in (np.mean(values, axis=0).tolist() for values in found if values)]
 
     def _components(
         self, source: "Comparison", bit: int, told: np.ndarray, flags: np.ndarray, numbers: np.ndarray
@@ -415,11 +415,8 @@ class _Object:
 
 def _around(tile: Tile, grid: MapGrid) -> Tile:
     """Return a tile with the pixels around it that are in the grid."""
-    rows, columns = (
-        (max(first - AROUND, 0), min(first + size + AROUND, most))
-        for first, size, most in ((tile.row, tile.height, grid.height), (tile.column, tile.width, grid.width))
-    )
-    return Tile(columns[0], rows[0], columns[1] - columns[0], rows[1] - rows[0])
+    (rows, columns), _ = padded(tile, grid, AROUND)
+    return Tile(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
 
 
 def padded(tile: Tile, grid: MapGrid, margin: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:

@@ -62,6 +62,11 @@ class SurveyPhotos:
         except InputError:
             return None
 
+    @property
+    def cameras(self) -> list[Camera]:
+        """The cameras that the run was trained with, in the scene's coordinates."""
+        return [view.camera for view in self._views]
+
     def _read(self, number: int) -> "_Photo":
         (image,) = load_images(self._loaded, [self._views[number]], self._settings.width)
         return _Photo(image.camera, cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY), image.valid.astype(np.uint8))
@@ -84,9 +89,9 @@ class SurveyPhotos:
         mask = mask & np.isfinite(own) & np.isfinite(other)
         if not mask.any():
             return None
-        x = grid.left + grid.pixel * (part.column + np.arange(part.width) + 0.5)
-        y = grid.top - grid.pixel * (part.row + np.arange(part.height) + 0.5)
-        places, moved = (np.stack([*np.meshgrid(x, y), heights], axis=2) for heights in (own, other))
+        left, top = grid.left + grid.pixel * part.column, grid.top - grid.pixel * part.row
+        pixels = MapGrid(left, top, grid.pixel, part.width, part.height)
+        places, moved = pixels.places(own), pixels.places(other)
         chosen = self._nearest(places[mask])
         if len(chosen) < 2:
             return None

@@ -5,11 +5,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ..base.errors import InputError
-from ..formats.run_folder import RunFolder
 from ..scene.cameras import Camera
-from ..scene.colmap import load_scene
-from ..scene.split import split_views
 from .grid import MapGrid
 from .map_frame import MapScene
 from .tiles import Tile
@@ -21,18 +17,6 @@ SINGULAR = 1e-9
 """Determinant of an information matrix, relative to its trace^3, below which rays are taken as one line."""
 STEPS = 64
 """Places along a line at which the surface may hide it."""
-
-
-def training_cameras(scene: MapScene) -> list[Camera]:
-    """Return the cameras that a run was trained with; none for a splat file, or where the photos' model is gone."""
-    if scene.run is None:
-        return []
-    try:
-        loaded = load_scene(RunFolder(scene.run).read_config()[0])
-    except InputError:
-        return []
-    names = set(split_views([view.camera.name for view in loaded.views]).train)
-    return [view.camera for view in loaded.views if view.camera.name in names]
 
 
 def camera_centre(camera: Camera, scene: MapScene) -> np.ndarray:

@@ -4,6 +4,7 @@ import csv
 import json
 import tracemalloc
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -303,7 +304,8 @@ def test_places_whose_heights_photos_do_not_determine_are_not_compared(tmp_path,
     scene = load_map_scene(run)
     west = [(x, y) for x in (0.4, 0.8, 1.2) for y in (0.9, 1.5, 2.1)]
     cameras = cameras_above(scene, [*west, (3.2, 1.5), (3.25, 1.5)])
-    monkeypatch.setattr(change, "training_cameras", lambda scene: cameras)
+    photos = SimpleNamespace(cameras=cameras, alike=lambda *place: None)
+    monkeypatch.setattr(change.SurveyPhotos, "of", lambda scene: photos)
     make_change(run, run, tmp_path / "change", 0.1, (0, 0, 4, 3))
     flags = rasterio.open(tmp_path / "change" / "changed.tif").read(1)
     assert (flags[8:22, 3:13] == 0).all() and (flags[:, 24:] == 255).all()
@@ -445,7 +447,7 @@ def test_what_is_seen_through_needs_larger_changes(tmp_path):
     splats.opacities[splats.positions[:, 0] > 2] = 0.05
     scene = load_map_scene(write_run(tmp_path, [splats]))
     grid = make_grid(scene.splats, 0.05, (0, 0, 4, 3))
-    errors = change._survey(scene, grid, "auto", tmp_path / "survey", "", None).errors
+    errors = change._survey(scene, None, grid, "auto", tmp_path / "survey", "", None).errors
     assert np.median(errors[10:-10, 50:70]) > 1.3 * np.median(errors[10:-10, 10:30])
 
 
