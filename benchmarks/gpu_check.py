@@ -3,9 +3,10 @@
 Run: `python benchmarks/gpu_check.py [--backend cuda|wgpu] [--gaussians N ...]` (under eight minutes)
 Results: benchmarks/results/cuda_registers.json, benchmarks/results/gpu_check.json, benchmarks/results/wgpu_check.json
 
-cuda: records the registers of every kernel by ptxas (needs no card), runs tests/engine/test_cuda.py on the card and
-compute-sanitizer where the CUDA toolkit is installed, and times each stage and whole training iterations at 1280x720,
-beside gsplat where that is installed and steps of wgpu where that runs.
+cuda: records the registers of every kernel by ptxas (needs no card), runs the tests of the kernels and of the native
+step on the card and compute-sanitizer where the CUDA toolkit is installed, and times each stage, an iteration of both
+recipes by native and by autograd steps, and one of the simplest kind beside gsplat where that is installed and steps of
+wgpu where that runs, all at 1280x720.
 
 wgpu: runs tests/engine/test_webgpu.py and test_webgpu_step.py on the card, times whole steps on the same scenes, beside
 those of cuda where that runs, and counts dispatches and bytes.
@@ -19,25 +20,30 @@ import shutil
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import fields, replace
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import torch
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.common import RESULTS, write_results
+from benchmarks.step import CASES, both_steps
 from benchmarks.wgpu_scene import WgpuScene
+from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels import build
 from swag_engine.kernels.backends import KERNELS
 from swag_engine.kernels.cuda import GROUP, CudaKernels
 from swag_engine.kernels.protocol import Projection
 from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.rasterize.api import contributions, rasterize
+from swag_engine.scene.cameras import Camera
 
 PTXAS = "nvidia-cuda-nvcc-cu12"
 ARCHITECTURES = ("sm_75", "sm_80", "sm_86", "sm_89", "sm_90", "sm_100", "sm_120")
@@ -248,6 +254,20 @@ def stages(n: int, width: int, height: int) -> dict[str, Step]:
     }
 
 
+def training_steps(n: int) -> dict[str, object]:
+    """Measure milliseconds of the trainer's two steps on n Gaussians, by recipe and effects."""
+    rows: dict[str, object] = {}
+    values = {name: value.detach().cpu() for name, value in make_parameters(n, *SIZE).items()}
+    cloud = GaussianCloud(**values, background=torch.zeros(3))
+    width, height = SIZE
+    camera = Camera("benchmark", width, height, 0.8 * width, 0.8 * width, width / 2, height / 2, np.eye(4))
+    for case in CASES:
+        with tempfile.TemporaryDirectory() as folder:
+            for name, step in both_steps(case, cloud, camera, Path(folder) / "run", "cuda").items():
+                rows[f"{name} step, {case}"] = milliseconds(step)
+    return rows
+
+
 def milliseconds(step: Step) -> float:
     """Return the median over rounds, after two of warming up."""
     times = []
@@ -266,12 +286,14 @@ def timings(n: int) -> dict[str, object]:
     rows: dict[str, object] = {}
     try:
         rows |= {name: milliseconds(step) for name, step in stages(n, *SIZE).items()}
-        for name, make in {"iteration": iteration, "iteration by gsplat": gsplat_iteration}.items():
+        made = {"iteration": iteration} | ({"iteration by gsplat": gsplat_iteration} if version("gsplat") else {})
+        for name, make in made.items():
             torch.cuda.empty_cache()
             torch.cuda.reset_peak_memory_stats()
             rows[name] = milliseconds(make(n, *SIZE))
             rows[f"{name}, bytes a Gaussian"] = round(torch.cuda.max_memory_allocated() / n)
-    except (ImportError, torch.cuda.OutOfMemoryError) as error:
+        rows |= training_steps(n)
+    except torch.cuda.OutOfMemoryError as error:
         print(f"Timings at {n} Gaussians end early: {error}")
     return rows
 
@@ -362,7 +384,7 @@ def check_cuda(gaussians: list[int]) -> None:
         "torch": torch.__version__,
         "gsplat": version("gsplat"),
         "seconds to load the kernels": round(time.perf_counter() - start, 2),
-        "tests": run_tests("test_cuda.py"),
+        "tests": run_tests("test_cuda.py", "test_native_step.py"),
         "compute-sanitizer": sanitize(),
     }
     wgpu = KERNELS["wgpu"]

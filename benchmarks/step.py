@@ -25,6 +25,8 @@ import torch
 from benchmarks.common import DEMO, machine, write_results
 from benchmarks.raster import make_cloud, raster
 from swag_engine.formats.run_folder import RunFolder
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.scene.cameras import Camera
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.native_step import NativeStep
 from swag_engine.training.step import AutogradStep
@@ -47,21 +49,25 @@ THREADS = (1, 2)
 ROUNDS, WARM_UP = 15, 3
 
 
-def steps(recipe: str, effects: str, count: int, folder: Path) -> dict[str, Callable[[], object]]:
-    """Return what is timed: rasterising alone, and both steps on the same state."""
-    settings = TrainSettings(iterations=1000, width=WIDTH, max_gaussians=count, recipe=recipe, effects=effects)
+def both_steps(
+    case: str, cloud: GaussianCloud, camera: Camera, folder: Path, backend: str = "auto"
+) -> dict[str, Callable[[], object]]:
+    """Return both steps of a case of `CASES` on the same state."""
+    recipe, effects = CASES[case]
+    sizes = {"iterations": 1000, "width": WIDTH, "max_gaussians": len(cloud)}
+    settings = TrainSettings(**sizes, recipe=recipe, effects=effects, backend=backend)
     trainer = make_trainer(RunFolder(folder), DEMO, settings, False, lambda event: None, None, time.monotonic())
-    cloud, camera = make_cloud(count, WIDTH, HEIGHT)
-    camera = replace(camera, name=trainer.inputs.training[0].camera.name)
-    trainer.state.replace_free(cloud, torch.full((count,), -1))
+    device = trainer.inputs.device
+    trainer.state.replace_free(cloud.to(device), torch.full((len(cloud),), -1, device=device))
     config = replace(trainer.step_config(), fraction=0.6, sh_degree=3, water_degree=2)
-    coarse = torch.randint(0, 256, (HEIGHT // 8, WIDTH // 8, 3), generator=torch.Generator().manual_seed(0))
-    pixels = coarse.byte().repeat_interleave(8, 0).repeat_interleave(8, 1)
-    target = Target(camera, pixels, torch.ones(HEIGHT, WIDTH, dtype=torch.bool))
+    coarse = (camera.height // 8, camera.width // 8, 3)
+    pixels = torch.randint(0, 256, coarse, generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
+    pixels = pixels.repeat_interleave(8, 0).repeat_interleave(8, 1).to(device)
+    camera = replace(camera, name=trainer.inputs.training[0].camera.name)
+    target = Target(camera, pixels, torch.ones(pixels.shape[:2], dtype=torch.bool, device=device))
     autograd = AutogradStep(trainer.inputs, trainer.selection, None)
     native = NativeStep(trainer.inputs, trainer.selection, autograd)
     return {
-        "rasterise": raster(count, WIDTH, HEIGHT, "cpu"),
         "autograd": lambda: autograd(trainer.state, target, config),
         "native": lambda: native(trainer.state, target, config),
     }
@@ -82,10 +88,11 @@ def processor_ms(timed: dict[str, Callable[[], object]]) -> dict[str, float]:
 def main() -> None:
     """Time all cases, print and write the figures."""
     rows = []
-    for name, (recipe, effects) in CASES.items():
+    for name in CASES:
         for count in GAUSSIANS:
             with tempfile.TemporaryDirectory() as folder:
-                timed = steps(recipe, effects, count, Path(folder) / "run")
+                timed = {"rasterise": raster(count, WIDTH, HEIGHT, "cpu")}
+                timed |= both_steps(name, *make_cloud(count, WIDTH, HEIGHT), Path(folder) / "run")
                 for threads in THREADS:
                     torch.set_num_threads(threads)
                     rows.append({"case": name, "gaussians": count, "threads": threads, **processor_ms(timed)})

@@ -66,10 +66,24 @@ def score_views(
     Returns:
         One score for each image.
     """
-    return [score_image(image, render_image(cloud, image.camera, sh_degree, backend, effects)) for image in images]
+    return [score_image(image, in_8_bits(_color(cloud, image.camera, sh_degree, backend, effects))) for image in images]
 
 
 @torch.no_grad()
+def _color(
+    cloud: GaussianCloud,
+    camera: Camera,
+    sh_degree: int,
+    backend: str,
+    effects: SceneEffects | None,
+    amount: float = 1.0,
+) -> Tensor:
+    """As `render_color`, on the device of the cloud."""
+    effects = effects or SceneEffects()
+    color = render(cloud, camera, sh_degree, effects.medium, amount=amount, backend=backend, lamp=effects.lamp).color
+    return effects.apply_to_image(color, camera.name, amount)
+
+
 def render_color(
     cloud: GaussianCloud,
     camera: Camera,
@@ -83,9 +97,7 @@ def render_color(
     Returns:
         Image (H, W, 3) on the CPU, display values that may be above 1.
     """
-    effects = effects or SceneEffects()
-    color = render(cloud, camera, sh_degree, effects.medium, amount=amount, backend=backend, lamp=effects.lamp).color
-    return effects.apply_to_image(color, camera.name, amount).cpu()
+    return _color(cloud, camera, sh_degree, backend, effects, amount).cpu()
 
 
 def render_image(
@@ -128,14 +140,14 @@ def mask_invalid(image: TrainingImage, color: Tensor) -> tuple[Tensor, Tensor, T
 
     Args:
         image: The image to compare with.
-        color: Rendered image (H, W, 3), display values 0..1.
+        color: Rendered image (H, W, 3), display values 0..1, on any device.
 
     Returns:
         The rendered image (H, W, 3) with the pixels of the other where these are not valid, the other (H, W, 3), and
         the valid pixels (H, W) bool.
     """
-    target = torch.from_numpy(image.pixels).to(color.dtype) / 255
-    valid = torch.from_numpy(image.valid)
+    target = torch.from_numpy(image.pixels).to(color.device).to(color.dtype) / 255
+    valid = torch.from_numpy(image.valid).to(color.device)
     return torch.where(valid[..., None], color, target), target, valid
 
 
@@ -144,16 +156,17 @@ def score_image(image: TrainingImage, color: Tensor) -> ViewScore:
 
     Args:
         image: The image to compare with.
-        color: Rendered image (H, W, 3), display values 0..1.
+        color: Rendered image (H, W, 3), display values 0..1, on any device.
 
     Returns:
         The scores, NaN without valid pixels.
     """
     compared, target, valid = mask_invalid(image, color)
-    if not valid.any():
+    pixels = int(image.valid.sum())
+    if not pixels:
         return ViewScore(image.camera.name, float("nan"), float("nan"), float("nan"), 0)
-    mse = float(((compared - target)[valid] ** 2).mean())
-    return ViewScore(image.camera.name, psnr_from_mse(mse), float(ssim(compared, target)), mse, int(valid.sum()))
+    mse = float((compared - target).square().sum(dtype=torch.float64)) / (3 * pixels)
+    return ViewScore(image.camera.name, psnr_from_mse(mse), float(ssim(compared, target)), mse, pixels)
 
 
 def median_image_psnr(training: Sequence[TrainingImage], test: Sequence[TrainingImage]) -> float:

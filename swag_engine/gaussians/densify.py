@@ -241,17 +241,19 @@ class McmcStrategy:
         return REGULARISATION * (cloud.opacities.mean() + cloud.scales.mean() / median_range)
 
 
-def random_of(seed: int, iteration: int) -> torch.Generator:
-    """Make the random numbers of one iteration, on the CPU, so that a resumed run draws the same ones.
+def random_of(seed: int, iteration: int, device: torch.device | str = "cpu") -> torch.Generator:
+    """Make the random numbers of one iteration, so that a resumed run draws the same ones.
 
     Args:
         seed: Seed of the run.
         iteration: Number of the iteration.
+        device: Where numbers are drawn; each kind of device draws others.
 
     Returns:
         The generator.
     """
-    return torch.Generator().manual_seed(int(np.random.SeedSequence((seed, iteration)).generate_state(1)[0]))
+    state = int(np.random.SeedSequence((seed, iteration)).generate_state(1)[0])
+    return torch.Generator(device).manual_seed(state)
 
 
 def share_opacity(opacities: Tensor, counts: Tensor) -> tuple[Tensor, Tensor]:

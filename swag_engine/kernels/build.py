@@ -33,8 +33,10 @@ FLAGS = (
     *("-fno-exceptions", "-fno-rtti", "-nostdlib++", "-fvisibility=hidden", "-shared", "-s"),
     *("-Wall", "-Wextra"),
 )
-CUDA_SOURCES = ("adam.cu", "blend.cu", "project.cu", "sh.cu", "ssim.cu", "tiles.cu", "water.cu")
-CUDA_HEADERS = ("common.cuh", "constants.h", "splat.cuh")
+CUDA_SOURCES = (
+    *("adam.cu", "blend.cu", "gaussians.cu", "photo.cu", "project.cu", "sh.cu", "ssim.cu", "tiles.cu", "water.cu"),
+)
+CUDA_HEADERS = ("common.cuh", "constants.h", "light.cuh", "splat.cuh")
 CUDA_FLAGS = ("--std=c++17", "--gpu-architecture=compute_75", "--ftz=true")
 NVRTC = "nvidia-cuda-nvrtc-cu12"
 

@@ -44,3 +44,19 @@ __device__ inline int lane_value(int lane) {
         return inner < HALF ? inner + (lane & STEP ? HALF : 0) : N;
     }
 }
+
+// sums (blocks, N): totals of N values over the threads of each block.
+template <int N>
+__device__ inline void block_sums(const float (&given)[N], float *sums) {
+    __shared__ float of_warp[WARPS][N];
+    int lane = threadIdx.x % WARP, warp = threadIdx.x / WARP;
+    for (int k = 0; k < N; k++) {
+        float one[1] = {given[k]}, total = lane_sum(one, lane);
+        if (lane_value<1>(lane) == 0) of_warp[warp][k] = total;
+    }
+    __syncthreads();
+    if (threadIdx.x >= N) return;
+    float total = 0;
+    for (int w = 0; w < WARPS; w++) total += of_warp[w][threadIdx.x];
+    sums[(Index)blockIdx.x * N + threadIdx.x] = total;
+}

@@ -5,3 +5,4 @@ fn group_index(group: vec3u, groups: vec3u) -> u32 { return group.y * groups.x +
 
 // By the bits: a compiler may take for granted that a float is finite.
 fn is_finite(x: f32) -> bool { return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u; }
+fn is_nan(x: f32) -> bool { return (bitcast<u32>(x) & 0x7fffffffu) > 0x7f800000u; }

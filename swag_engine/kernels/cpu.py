@@ -6,7 +6,7 @@ Every result is the same to the bit for any number of threads (torch.get_num_thr
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import torch
@@ -15,15 +15,14 @@ from torch import Tensor
 from ..base.camera_kind import CameraKind
 from ..base.timing import part
 from . import elementwise
-from .cpu_library import CpuLibrary, load_library
-from .protocol import Projection, check_pairs
-from .reference.kernels import REFERENCE
+from .cpu_library import Argument, CpuLibrary, load_library
+from .protocol import Blended, Gradients, Projection, check_pairs
 
 RANK_CHUNKS = 8
 """Parts of the depth order that are binned in parallel; at most as many threads share that work."""
 FEW = 4096
 """Numbers that are updated sooner than other threads could start."""
-WATER_PARTS = 32
+SUM_PARTS = 32
 """Ranges whose sums are added in their order: the result does not depend on the number of threads."""
 
 
@@ -33,6 +32,8 @@ class CpuKernels:
     Args:
         load: Loads the compiled kernels when they are first needed; None where there are none.
     """
+
+    viewmat_dtype = torch.float32
 
     def __init__(self, load: Callable[[], CpuLibrary | None] = load_library) -> None:
         self._load = load
@@ -81,7 +82,7 @@ class CpuKernels:
     ) -> Projection:
         """See `Kernels.project`."""
         gaussians = means, quats, scales, opacities, channels
-        return elementwise.project(self.library.run, torch.float32, *gaussians, viewmat, K, width, height, kind)
+        return elementwise.project(self.library.run, self.viewmat_dtype, *gaussians, viewmat, K, width, height, kind)
 
     def blend(
         self, projected: Projection, opacities: Tensor, channels: Tensor, background: Tensor, width: int, height: int
@@ -130,9 +131,7 @@ class CpuKernels:
         self, colors: Tensor, offsets: Tensor, coefficients: Tensor, degree: int, linear: bool, amount: float
     ) -> Tensor:
         """See `Kernels.through_water`."""
-        if amount != 1:
-            return REFERENCE.through_water(colors, offsets, coefficients, degree, linear, amount)
-        return _Water.apply(colors, offsets, coefficients, degree, linear, self.library)
+        return elementwise.through_water(self, colors, offsets, coefficients, degree, linear, amount)
 
     def open_water(
         self,
@@ -146,9 +145,7 @@ class CpuKernels:
         amount: float,
     ) -> Tensor:
         """See `Kernels.open_water`."""
-        if amount != 1:
-            return REFERENCE.open_water(coefficients, viewmat, K, width, height, degree, linear, amount)
-        return _OpenWater.apply(coefficients, viewmat, K, width, height, degree, linear, self.library)
+        return elementwise.open_water(self, coefficients, viewmat, K, width, height, degree, linear, amount)
 
     def l1_ssim(self, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """See `Kernels.l1_ssim`."""
@@ -176,9 +173,40 @@ class CpuKernels:
         else:
             self.library.run("adam_step", count, *arguments)
 
+    def items_of_image(self, height: int, width: int) -> int:
+        """Return the number of rows, which kernels of images take one by one."""
+        return height
+
+    def run_each(self, kernel: str, count: int, *arguments: Argument) -> None:
+        """See `NativeKernels.run_each`."""
+        self.library.run(kernel, count, *arguments)
+
+    def run_by_channel(self, kernel: str, count: int, *arguments: Argument) -> None:
+        """See `NativeKernels.run_by_channel`; kernels take all channels of a color at once."""
+        self.library.run(kernel, count, *arguments)
+
+    def sum_each(self, kernel: str, count: int, size: int, *arguments: Argument) -> Tensor:
+        """See `NativeKernels.sum_each`."""
+        sums = torch.empty(SUM_PARTS, size, dtype=torch.float64)
+        self.library.run_parts(kernel, count, list(arguments), sums)
+        return sums.sum(0)
+
+    def blended(
+        self, projected: Projection, opacities: Tensor, channels: Tensor, background: Tensor, width: int, height: int
+    ) -> Blended:
+        """See `NativeKernels.blended`."""
+        image = blend(self.library, projected, opacities, channels, background, width, height)
+        backward = partial(blend_backward, self.library, image.saved(channels, background))
+        return Blended(image.out, image.transmittance, backward)
+
+    def similarity(self, image: Tensor, target: Tensor) -> tuple[Tensor, Callable[[float], Tensor]]:
+        """See `NativeKernels.similarity`."""
+        sums, derivatives = _l1_ssim(self.library, image, target)
+        return sums[1:], lambda factor: _l1_ssim_backward(self.library, image, target, derivatives, 0.0, factor)
+
 
 @dataclass
-class Blended:
+class BlendedTiles:
     """A blended image, and what another pass over its tiles needs."""
 
     out: Tensor
@@ -207,7 +235,7 @@ def blend(
     background: Tensor,
     width: int,
     height: int,
-) -> Blended:
+) -> BlendedTiles:
     """Blend as `Kernels.blend` does; channels (N, C) and background (C,) are contiguous."""
     n, channel_count = channels.shape
     splats = torch.empty(n, library.call("splat_bytes"), dtype=torch.uint8)
@@ -221,12 +249,12 @@ def blend(
     endings = torch.empty(height, width, dtype=torch.int32)
     inputs = width, height, channel_count, splats, channels, ids, tile_starts, background
     library.run("blend_forward", len(tile_starts) - 1, *inputs, out, transmittance, endings)
-    return Blended(out, transmittance, endings, splats, order, rank_starts, ids, slots, tile_starts)
+    return BlendedTiles(out, transmittance, endings, splats, order, rank_starts, ids, slots, tile_starts)
 
 
 def blend_backward(
     library: CpuLibrary, saved: Sequence[Tensor], out_gradient: Tensor, alpha_gradient: Tensor
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+) -> Gradients:
     """Go back through `blend`.
 
     Args:
@@ -317,18 +345,34 @@ def _bin(
     return order, rank_starts, tile_starts, ids, slots
 
 
+def _l1_ssim(library: CpuLibrary, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the sums of |image - target| and of SSIM, (2,) float64, and what `_l1_ssim_backward` takes."""
+    height, width, _ = image.shape
+    sums = torch.empty(height, 2, dtype=torch.float64)
+    derivatives = image.new_empty(3, *image.shape)
+    library.run("l1_ssim_forward", height, height, width, image, target, sums, derivatives)
+    return sums.sum(0), derivatives
+
+
+def _l1_ssim_backward(
+    library: CpuLibrary, image: Tensor, target: Tensor, derivatives: Tensor, by_l1: float, by_ssim: float
+) -> Tensor:
+    """Return the gradient by the image, from those by the two sums."""
+    height, width, _ = image.shape
+    gradient = torch.empty_like(image)
+    library.run("l1_ssim_backward", height, height, width, image, target, derivatives, by_l1, by_ssim, gradient)
+    return gradient
+
+
 class _L1Ssim(torch.autograd.Function):
     @staticmethod
     @part("loss L1 and SSIM")
     def forward(ctx: Any, image: Tensor, target: Tensor, library: CpuLibrary) -> tuple[Tensor, Tensor]:
         image, target = image.contiguous(), target.contiguous()
-        height, width, _ = image.shape
-        sums = torch.empty(height, 2, dtype=torch.float64)
-        derivatives = image.new_empty(3, *image.shape)
-        library.run("l1_ssim_forward", height, height, width, image, target, sums, derivatives)
+        sums, derivatives = _l1_ssim(library, image, target)
         ctx.library = library
         ctx.save_for_backward(image, target, derivatives)
-        l1, similarity = (sums.sum(0) / image.numel()).float()
+        l1, similarity = (sums / image.numel()).float()
         return l1, similarity
 
     @staticmethod
@@ -336,74 +380,5 @@ class _L1Ssim(torch.autograd.Function):
     @part("loss L1 and SSIM backward")
     def backward(ctx: Any, by_l1: Tensor, by_ssim: Tensor) -> tuple[Tensor, None, None]:
         image, target, derivatives = ctx.saved_tensors
-        height, width, _ = image.shape
-        gradient = torch.empty_like(image)
         factors = float(by_l1) / image.numel(), float(by_ssim) / image.numel()
-        ctx.library.run("l1_ssim_backward", height, height, width, image, target, derivatives, *factors, gradient)
-        return gradient, None, None
-
-
-class _Water(torch.autograd.Function):
-    @staticmethod
-    @part("water")
-    def forward(
-        ctx: Any,
-        colors: Tensor,
-        offsets: Tensor,
-        coefficients: Tensor,
-        degree: int,
-        linear: bool,
-        library: CpuLibrary,
-    ) -> Tensor:
-        colors, offsets, coefficients = colors.contiguous(), offsets.contiguous(), coefficients.contiguous()
-        shown = torch.empty_like(colors)
-        library.run("water_forward", len(colors), degree, int(linear), coefficients, colors, offsets, shown)
-        ctx.save_for_backward(colors, offsets, coefficients)
-        ctx.library = library
-        ctx.mode = degree, int(linear)
-        return shown
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    @part("water backward")
-    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
-        colors, offsets, coefficients = ctx.saved_tensors
-        by_colors, by_offsets = torch.empty_like(colors), torch.empty_like(offsets)
-        sums = torch.empty(WATER_PARTS, coefficients.numel(), dtype=torch.float64)
-        arguments = [*ctx.mode, coefficients, colors, offsets, by_shown.contiguous(), by_colors, by_offsets]
-        ctx.library.run_parts("water_backward", len(colors), arguments, sums)
-        return by_colors, by_offsets, sums.sum(0).float(), None, None, None
-
-
-class _OpenWater(torch.autograd.Function):
-    @staticmethod
-    @part("water")
-    def forward(
-        ctx: Any,
-        coefficients: Tensor,
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
-        degree: int,
-        linear: bool,
-        library: CpuLibrary,
-    ) -> Tensor:
-        coefficients, viewmat, K = coefficients.contiguous(), viewmat.contiguous(), K.contiguous()
-        shown = coefficients.new_empty(height, width, 3)
-        library.run("open_water_forward", height, width, degree, int(linear), coefficients, viewmat, K, shown)
-        ctx.save_for_backward(coefficients, viewmat, K)
-        ctx.library = library
-        ctx.mode = width, degree, int(linear)
-        return shown
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    @part("water backward")
-    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
-        coefficients, viewmat, K = ctx.saved_tensors
-        sums = torch.empty(WATER_PARTS, coefficients.numel(), dtype=torch.float64)
-        ctx.library.run_parts(
-            "open_water_backward", len(by_shown), [*ctx.mode, coefficients, viewmat, K, by_shown.contiguous()], sums
-        )
-        return sums.sum(0).float(), None, None, None, None, None, None, None
+        return _l1_ssim_backward(ctx.library, image, target, derivatives, *factors), None, None

@@ -6,7 +6,7 @@ There are no atomic sums: every result is the same to the bit each time.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import torch
@@ -16,8 +16,7 @@ from ..base.camera_kind import CameraKind
 from ..base.timing import part
 from . import elementwise
 from .cuda_driver import Argument, CudaUnavailable, Driver, Launcher
-from .protocol import Projection, check_pairs
-from .reference.kernels import REFERENCE
+from .protocol import Blended, Gradients, Projection, check_pairs
 
 THREADS = 256
 """Threads of every block; as in common.cuh."""
@@ -63,6 +62,8 @@ class CudaKernels:
         make_launcher: Makes what launches kernels when it is first needed; raises CudaUnavailable where that is
             impossible.
     """
+
+    viewmat_dtype = torch.float64
 
     def __init__(self, make_launcher: Callable[[], Launcher] = Driver) -> None:
         self._make_launcher = make_launcher
@@ -125,6 +126,16 @@ class CudaKernels:
         """Run a kernel with a thread for each channel of `count` colors; the kernel takes `count` first."""
         self.run(kernel, 3 * count, count, *arguments)
 
+    def items_of_image(self, height: int, width: int) -> int:
+        """Return the number of pixels, which kernels of images take one by one."""
+        return height * width
+
+    def sum_each(self, kernel: str, count: int, size: int, *arguments: Argument) -> Tensor:
+        """See `NativeKernels.sum_each`."""
+        sums = torch.empty(-(-count // THREADS), size, device=self.device())
+        self.run_each(kernel, count, *arguments, sums)
+        return sums.sum(0, dtype=torch.float64)
+
     def project(
         self,
         means: Tensor,
@@ -140,7 +151,7 @@ class CudaKernels:
     ) -> Projection:
         """See `Kernels.project`."""
         gaussians = means, quats, scales, opacities, channels
-        return elementwise.project(self.run_each, torch.float64, *gaussians, viewmat, K, width, height, kind)
+        return elementwise.project(self.run_each, self.viewmat_dtype, *gaussians, viewmat, K, width, height, kind)
 
     def tile_pairs(self, projected: Projection, opacities: Tensor, width: int, height: int) -> TilePairs:
         """List the Gaussians of each tile in depth order.
@@ -213,6 +224,87 @@ class CudaKernels:
         geometry = p.means2d, p.conics, opacities, channels, background, p.depths, p.radii
         return _Blend.apply(*geometry, width, height, self)
 
+    def blended(
+        self, projected: Projection, opacities: Tensor, channels: Tensor, background: Tensor, width: int, height: int
+    ) -> Blended:
+        """See `NativeKernels.blended`."""
+        pairs = self.tile_pairs(projected, opacities, width, height)
+        out, transmittance, endings = self.blend_pairs(pairs, channels, background, width, height)
+        saved = pairs, channels, background, transmittance, endings
+        return Blended(out, transmittance, partial(self.blend_backward, *saved))
+
+    def blend_backward(
+        self,
+        pairs: TilePairs,
+        channels: Tensor,
+        background: Tensor,
+        transmittance: Tensor,
+        endings: Tensor,
+        by_out: Tensor,
+        by_alpha: Tensor,
+    ) -> Gradients:
+        """Go back through `blend_pairs`.
+
+        Args:
+            pairs: What was blended.
+            channels: (N, C) values that were blended.
+            background: (C,) behind all Gaussians.
+            transmittance: (H, W) as `blend_pairs` returned it.
+            endings: (H, W) as `blend_pairs` returned them.
+            by_out: (H, W, C) gradient by the image.
+            by_alpha: (H, W) gradient by alpha.
+
+        Returns:
+            The gradients.
+        """
+        n, channel_count = channels.shape
+        height, width = transmittance.shape
+        by_out, by_alpha = by_out.contiguous(), by_alpha.contiguous()
+        gradients = channels.new_empty(len(pairs.ids), MOMENTS + channel_count)
+        threads = (len(pairs.tile_starts) - 1) * THREADS
+        lists = pairs.splats, channels, pairs.ids, pairs.tile_starts, background, transmittance, endings, pairs.slots
+        for first in range(0, channel_count, GROUP):
+            kernel = f"blend_backward_{min(GROUP, channel_count - first)}"
+            self.run(kernel, threads, width, height, channel_count, first, *lists, by_out, by_alpha, gradients)
+        outputs = [channels.new_empty(n, *shape) for shape in ((2,), (3,), (), (channel_count,))]
+        gathered = pairs.splats, pairs.order, pairs.rank_starts, gradients
+        self.run("gather_gradients", n * WARP, n, channel_count, *gathered, *outputs)
+        by_background = (transmittance[..., None] * by_out).sum((0, 1))
+        means2d, conics, opacities, by_channels = outputs
+        return means2d, conics, opacities, by_channels, by_background
+
+    def similarity(self, image: Tensor, target: Tensor) -> tuple[Tensor, Callable[[float], Tensor]]:
+        """See `NativeKernels.similarity`."""
+        sums, derivatives = self._l1_ssim(image, target)
+
+        def backward(factor: float) -> Tensor:
+            return self._l1_ssim_backward(image, target, derivatives, self._ssim_alone, factor)
+
+        return sums[1:], backward
+
+    @cached_property
+    def _ssim_alone(self) -> Tensor:
+        return torch.tensor([0.0, 1.0], device=self.device())
+
+    def _l1_ssim(self, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the sums of |image - target| and of SSIM, (2,) float64, and what `_l1_ssim_backward` takes."""
+        height, width, _ = image.shape
+        squares = -(-height // TILE) * -(-width // TILE)
+        sums, derivatives = image.new_empty(squares, 2), image.new_empty(3, *image.shape)
+        self.run("l1_ssim_forward", squares * THREADS, height, width, image, target, sums, derivatives)
+        return sums.sum(0, dtype=torch.float64), derivatives
+
+    def _l1_ssim_backward(
+        self, image: Tensor, target: Tensor, derivatives: Tensor, factors: Tensor, scale: float
+    ) -> Tensor:
+        """Return the gradient by the image, from those by the two sums: `factors` (2,) times `scale`."""
+        height, width, _ = image.shape
+        squares = -(-height // TILE) * -(-width // TILE)
+        gradient = torch.empty_like(image)
+        inputs = image, target, derivatives, factors, scale
+        self.run("l1_ssim_backward", squares * THREADS, height, width, *inputs, gradient)
+        return gradient
+
     def contributions(
         self,
         projected: Projection,
@@ -253,9 +345,7 @@ class CudaKernels:
         self, colors: Tensor, offsets: Tensor, coefficients: Tensor, degree: int, linear: bool, amount: float
     ) -> Tensor:
         """See `Kernels.through_water`."""
-        if amount != 1:
-            return REFERENCE.through_water(colors, offsets, coefficients, degree, linear, amount)
-        return _Water.apply(colors, offsets, coefficients, degree, linear, self)
+        return elementwise.through_water(self, colors, offsets, coefficients, degree, linear, amount)
 
     def open_water(
         self,
@@ -269,9 +359,7 @@ class CudaKernels:
         amount: float,
     ) -> Tensor:
         """See `Kernels.open_water`."""
-        if amount != 1:
-            return REFERENCE.open_water(coefficients, viewmat, K, width, height, degree, linear, amount)
-        return _OpenWater.apply(coefficients, viewmat, K, width, height, degree, linear, self)
+        return elementwise.open_water(self, coefficients, viewmat, K, width, height, degree, linear, amount)
 
     def l1_ssim(self, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """See `Kernels.l1_ssim`."""
@@ -324,24 +412,9 @@ class _Blend(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     @part("rasterise backward")
     def backward(ctx: Any, by_out: Tensor, by_alpha: Tensor) -> tuple[Tensor | None, ...]:
-        kernels: CudaKernels = ctx.kernels
         *lists, channels, background, transmittance, endings = ctx.saved_tensors
-        p = TilePairs(*lists)
-        n, channel_count = channels.shape
-        height, width = transmittance.shape
-        by_out, by_alpha = by_out.contiguous(), by_alpha.contiguous()
-        gradients = channels.new_empty(len(p.ids), MOMENTS + channel_count)
-        threads = (len(p.tile_starts) - 1) * THREADS
-        inputs = p.splats, channels, p.ids, p.tile_starts, background, transmittance, endings, p.slots
-        for first in range(0, channel_count, GROUP):
-            kernel = f"blend_backward_{min(GROUP, channel_count - first)}"
-            kernels.run(kernel, threads, width, height, channel_count, first, *inputs, by_out, by_alpha, gradients)
-        outputs = [channels.new_empty(n, *shape) for shape in ((2,), (3,), (), (channel_count,))]
-        kernels.run(
-            "gather_gradients", n * WARP, n, channel_count, p.splats, p.order, p.rank_starts, gradients, *outputs
-        )
-        by_background = (transmittance[..., None] * by_out).sum((0, 1))
-        return *outputs, by_background, None, None, None, None, None
+        saved = TilePairs(*lists), channels, background, transmittance, endings
+        return *ctx.kernels.blend_backward(*saved, by_out, by_alpha), None, None, None, None, None
 
 
 class _L1Ssim(torch.autograd.Function):
@@ -349,13 +422,10 @@ class _L1Ssim(torch.autograd.Function):
     @part("loss L1 and SSIM")
     def forward(ctx: Any, image: Tensor, target: Tensor, kernels: CudaKernels) -> tuple[Tensor, Tensor]:
         image, target = image.contiguous(), target.contiguous()
-        height, width, _ = image.shape
-        squares = -(-height // TILE) * -(-width // TILE)
-        sums, derivatives = image.new_empty(squares, 2), image.new_empty(3, *image.shape)
-        kernels.run("l1_ssim_forward", squares * THREADS, height, width, image, target, sums, derivatives)
+        sums, derivatives = kernels._l1_ssim(image, target)
         ctx.kernels = kernels
         ctx.save_for_backward(image, target, derivatives)
-        l1, similarity = (sums.sum(0, dtype=torch.float64) / image.numel()).float()
+        l1, similarity = (sums / image.numel()).float()
         return l1, similarity
 
     @staticmethod
@@ -363,77 +433,6 @@ class _L1Ssim(torch.autograd.Function):
     @part("loss L1 and SSIM backward")
     def backward(ctx: Any, by_l1: Tensor, by_ssim: Tensor) -> tuple[Tensor, None, None]:
         image, target, derivatives = ctx.saved_tensors
-        height, width, _ = image.shape
-        squares = -(-height // TILE) * -(-width // TILE)
         factors = torch.stack([by_l1, by_ssim])  # stay on the card: reading them would wait for it
-        gradient = torch.empty_like(image)
-        inputs = image, target, derivatives, factors, 1 / image.numel()
-        ctx.kernels.run("l1_ssim_backward", squares * THREADS, height, width, *inputs, gradient)
+        gradient = ctx.kernels._l1_ssim_backward(image, target, derivatives, factors, 1 / image.numel())
         return gradient, None, None
-
-
-class _Water(torch.autograd.Function):
-    @staticmethod
-    @part("water")
-    def forward(
-        ctx: Any,
-        colors: Tensor,
-        offsets: Tensor,
-        coefficients: Tensor,
-        degree: int,
-        linear: bool,
-        kernels: CudaKernels,
-    ) -> Tensor:
-        colors, offsets, coefficients = colors.contiguous(), offsets.contiguous(), coefficients.contiguous()
-        shown, n = torch.empty_like(colors), len(colors)
-        kernels.run_each("water_forward", n, degree, int(linear), coefficients, colors, offsets, shown)
-        ctx.save_for_backward(colors, offsets, coefficients)
-        ctx.kernels = kernels
-        ctx.mode = degree, int(linear)
-        return shown
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    @part("water backward")
-    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
-        colors, offsets, coefficients = ctx.saved_tensors
-        n, by_colors, by_offsets = len(colors), torch.empty_like(colors), torch.empty_like(offsets)
-        sums = coefficients.new_empty(-(-n // THREADS), len(coefficients))
-        inputs = coefficients, colors, offsets, by_shown.contiguous()
-        ctx.kernels.run_each("water_backward", n, *ctx.mode, *inputs, by_colors, by_offsets, sums)
-        return by_colors, by_offsets, sums.sum(0, dtype=torch.float64).float(), None, None, None
-
-
-class _OpenWater(torch.autograd.Function):
-    @staticmethod
-    @part("water")
-    def forward(
-        ctx: Any,
-        coefficients: Tensor,
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
-        degree: int,
-        linear: bool,
-        kernels: CudaKernels,
-    ) -> Tensor:
-        coefficients, viewmat, K = coefficients.contiguous(), viewmat.contiguous(), K.contiguous()
-        shown, pixels = coefficients.new_empty(height, width, 3), height * width
-        kernels.run_each("open_water_forward", pixels, width, degree, int(linear), coefficients, viewmat, K, shown)
-        ctx.save_for_backward(coefficients, viewmat, K)
-        ctx.kernels = kernels
-        ctx.mode = width, degree, int(linear)
-        return shown
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    @part("water backward")
-    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
-        coefficients, viewmat, K = ctx.saved_tensors
-        pixels = by_shown.numel() // 3
-        sums = coefficients.new_empty(-(-pixels // THREADS), len(coefficients))
-        ctx.kernels.run_each(
-            "open_water_backward", pixels, *ctx.mode, coefficients, viewmat, K, by_shown.contiguous(), sums
-        )
-        return sums.sum(0, dtype=torch.float64).float(), None, None, None, None, None, None, None

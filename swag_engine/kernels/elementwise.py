@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..base.camera_kind import CameraKind
 from ..base.timing import part
-from .protocol import Projection
+from .protocol import NativeKernels, Projection
 from .reference.kernels import REFERENCE
 
 Run = Callable[..., None]
@@ -177,3 +177,125 @@ def apply_gain(run: Run, display: Tensor, log_gain: Tensor) -> Tensor:
         return REFERENCE.apply_gain(display, log_gain)
     logs = log_gain.expand_as(display).reshape(-1, 3)
     return _Gain.apply(display.reshape(-1, 3), logs, run).view_as(display)
+
+
+class _Water(torch.autograd.Function):
+    @staticmethod
+    @part("water")
+    def forward(
+        ctx: Any,
+        colors: Tensor,
+        offsets: Tensor,
+        coefficients: Tensor,
+        degree: int,
+        linear: bool,
+        kernels: NativeKernels,
+    ) -> Tensor:
+        colors, offsets, coefficients = colors.contiguous(), offsets.contiguous(), coefficients.contiguous()
+        shown = torch.empty_like(colors)
+        kernels.run_each("water_forward", len(colors), degree, int(linear), coefficients, colors, offsets, shown)
+        ctx.save_for_backward(colors, offsets, coefficients)
+        ctx.kernels, ctx.mode = kernels, (degree, int(linear))
+        return shown
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    @part("water backward")
+    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
+        colors, offsets, coefficients = ctx.saved_tensors
+        by_colors, by_offsets = torch.empty_like(colors), torch.empty_like(offsets)
+        arguments = *ctx.mode, coefficients, colors, offsets, by_shown.contiguous(), by_colors, by_offsets
+        sums = ctx.kernels.sum_each("water_backward", len(colors), len(coefficients), *arguments)
+        return by_colors, by_offsets, sums.float(), None, None, None
+
+
+def through_water(
+    kernels: NativeKernels,
+    colors: Tensor,
+    offsets: Tensor,
+    coefficients: Tensor,
+    degree: int,
+    linear: bool,
+    amount: float,
+) -> Tensor:
+    """Show colors through water by a native kernel, or by torch where only a part of the water is wanted.
+
+    Args:
+        kernels: The backend.
+        colors: (N, 3) display values.
+        offsets: (N, 3) from the camera to the Gaussians, scene units.
+        coefficients: (33,) of the water as in `Kernels.through_water`.
+        degree: Degree of the background light, 0..2.
+        linear: Whether the water works on linear light.
+        amount: Amount of water, 0 (none) to 1.
+
+    Returns:
+        (N, 3) display values.
+    """
+    if amount != 1:
+        return REFERENCE.through_water(colors, offsets, coefficients, degree, linear, amount)
+    return _Water.apply(colors, offsets, coefficients, degree, linear, kernels)
+
+
+class _OpenWater(torch.autograd.Function):
+    @staticmethod
+    @part("water")
+    def forward(
+        ctx: Any,
+        coefficients: Tensor,
+        viewmat: Tensor,
+        K: Tensor,
+        width: int,
+        height: int,
+        degree: int,
+        linear: bool,
+        kernels: NativeKernels,
+    ) -> Tensor:
+        coefficients, viewmat, K = coefficients.contiguous(), viewmat.contiguous(), K.contiguous()
+        shown, items = coefficients.new_empty(height, width, 3), kernels.items_of_image(height, width)
+        kernels.run_each("open_water_forward", items, width, degree, int(linear), coefficients, viewmat, K, shown)
+        ctx.save_for_backward(coefficients, viewmat, K)
+        ctx.kernels, ctx.mode = kernels, (width, degree, int(linear))
+        return shown
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    @part("water backward")
+    def backward(ctx: Any, by_shown: Tensor) -> tuple[Tensor | None, ...]:
+        coefficients, viewmat, K = ctx.saved_tensors
+        items = ctx.kernels.items_of_image(*by_shown.shape[:2])
+        arguments = *ctx.mode, coefficients, viewmat, K, by_shown.contiguous()
+        sums = ctx.kernels.sum_each("open_water_backward", items, len(coefficients), *arguments)
+        return sums.float(), None, None, None, None, None, None, None
+
+
+def open_water(
+    kernels: NativeKernels,
+    coefficients: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    degree: int,
+    linear: bool,
+    amount: float,
+) -> Tensor:
+    """Show open water by a native kernel, or by torch where only a part of the water is wanted.
+
+    Args:
+        kernels: The backend.
+        coefficients: (33,) of the water as in `Kernels.through_water`.
+        viewmat: (4, 4) world to camera.
+        K: (3, 3) intrinsics, pixels.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+        degree: Degree of the background light, 0..2.
+        linear: Whether the water works on linear light.
+        amount: Amount of water, 0 (none) to 1.
+
+    Returns:
+        (H, W, 3) display values.
+    """
+    if amount != 1:
+        return REFERENCE.open_water(coefficients, viewmat, K, width, height, degree, linear, amount)
+    return _OpenWater.apply(coefficients, viewmat, K, width, height, degree, linear, kernels)

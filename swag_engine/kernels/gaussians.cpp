@@ -70,22 +70,23 @@ API void activate_backward(int64_t begin, int64_t end, const float *log_scales, 
 }
 
 // log_light (N,) of Gaussians [begin, end): the log of (tau + 1) / (tau + (range / unit_range)^2), as in effects/lamp.py.
-API void lamp_forward(int64_t begin, int64_t end, const float *offsets, float tau, float unit_range, float *log_light) {
+API void lamp_forward(int64_t begin, int64_t end, const float *offsets, const float *tau, float unit_range,
+                      float *log_light) {
     const float ln2 = .69314718f;
     for (int64_t i = begin; i < end; i += VW) {
         int count = (int)smaller<int64_t>(VW, end - i);
-        Vec light = (tau + 1) / (tau + squared_ranges(offsets, i, count, unit_range)), logs = log2(light) * ln2;
+        Vec light = (*tau + 1) / (*tau + squared_ranges(offsets, i, count, unit_range)), logs = log2(light) * ln2;
         memcpy(log_light + i, &logs, count * sizeof(float));
     }
 }
 
 // The sum over [begin, end) of the gradient by tau, from that by the log light of each channel (N, 3).
-API void lamp_backward(int64_t begin, int64_t end, const float *offsets, float tau, float unit_range,
+API void lamp_backward(int64_t begin, int64_t end, const float *offsets, const float *tau, float unit_range,
                        const float *by_log_light, double *by_tau) {
     Vec total = {};
     for (int64_t i = begin; i < end; i += VW) {
         int count = (int)smaller<int64_t>(VW, end - i);
-        Vec by[3], slope = 1 / (tau + 1) - 1.f / (tau + squared_ranges(offsets, i, count, unit_range));
+        Vec by[3], slope = 1 / (*tau + 1) - 1.f / (*tau + squared_ranges(offsets, i, count, unit_range));
         load_rows(by_log_light + 3 * i, count, by);  // 0 beyond the end: adds nothing
         total += (by[0] + by[1] + by[2]) * slope;
     }

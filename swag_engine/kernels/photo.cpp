@@ -83,12 +83,13 @@ inline Vec surface_seen(const Vec *wanted, const Vec *water, float least, float 
 }  // namespace
 
 // Rows [begin, end): photo (H, W, 3) = the blended image over the open water `behind` (H, W, 3) with the gain applied, and
-// equal to the target where a pixel is not valid; target (H, W, 3) from bytes; sums (H, 2) of each row's |photo - target|
-// and its square. behind and gain_numbers may be null.
+// equal to the target where a pixel is not valid; target (H, W, 3) from bytes; sums (2,) of |photo - target| and of its square. behind
+// and gain_numbers may be null.
 API void photo_forward(int64_t begin, int64_t end, int64_t height, int64_t width, const float *blended,
                        const float *transmittance, const float *behind, const float *gain_numbers, const uint8_t *pixels,
                        const uint8_t *valid, float *photo, float *target, double *sums) {
     const Gain gain(gain_numbers, height, width);
+    sums[0] = sums[1] = 0;
     for (int64_t y = begin; y < end; y++) {
         int64_t first = 3 * y * width, floats = 3 * width;
         float *__restrict row = photo + first, *__restrict wanted = target + first;
@@ -112,12 +113,12 @@ API void photo_forward(int64_t begin, int64_t end, int64_t height, int64_t width
             absolute += larger(error, -error);
             square += error * error;
         }
-        sums[2 * y] = sum(absolute);
-        sums[2 * y + 1] = sum(square);
+        sums[0] += sum(absolute);
+        sums[1] += sum(square);
     }
 }
 
-// Rows [begin, end) of the gradients by the blended image, by alpha and by what is behind, and each row's sums (H, 7) of
+// Rows [begin, end) of the gradients by the blended image, by alpha and by what is behind, and sums (7,) of
 // those by the logs of the gains and the polynomial's coefficients, and of what Gaussians leave open of the surfaces seen
 // (losses.uncovered_surface), (1 - alpha) times how sure it is that the target shows a surface. The gradient by the photo is
 // `by_photo` (H, W, 3), if it is not null, plus `absolute` sign(error) plus `square` error; that by what is left open of
@@ -127,6 +128,7 @@ API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t widt
                         const float *photo, const float *target, const float *by_photo, float absolute, float square,
                         float open, float least, float most, float *by_blended, float *by_alpha, float *by_behind, double *sums) {
     const Gain gain(gain_numbers, height, width);
+    for (int k = 0; k < SUMS; k++) sums[k] = 0;
     for (int64_t y = begin; y < end; y++) {
         int64_t first = 3 * y * width, floats = 3 * width;
         const float *__restrict seen = photo + first, *__restrict wanted = target + first;
@@ -185,6 +187,6 @@ API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t widt
                 store_rows(by, count, by_behind + 3 * pixel);
             }
         }
-        for (int k = 0; k < SUMS; k++) sums[SUMS * y + k] = sum(total[k]);
+        for (int k = 0; k < SUMS; k++) sums[k] += sum(total[k]);
     }
 }

@@ -1,5 +1,6 @@
 """What every backend offers, and the values that pass between its operations."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -274,4 +275,60 @@ class Kernels(Protocol):
             beta2: Decay of the second moment in a step.
             eps: Added to the root of the second moment.
             step: Number of the step, from 1.
+        """
+
+
+Gradients = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
+"""By means2d (N, 2), conics (N, 3), opacities (N,), channels (N, C) and background (C,)."""
+
+
+@dataclass
+class Blended:
+    """A blended image and the way back through it.
+
+    Attributes:
+        out: (H, W, C) as `Kernels.blend` returns it.
+        transmittance: (H, W) 1 - alpha.
+        backward: Returns the gradients from those by `out` (H, W, C) and by alpha (H, W).
+    """
+
+    out: Tensor
+    transmittance: Tensor
+    backward: Callable[[Tensor, Tensor], Gradients]
+
+
+class NativeKernels(Kernels, Protocol):
+    """A backend with all kernels of a training step, which run one by one on its tensors, without an autograd graph.
+
+    Arguments of kernels are tensors, numbers, and 0 in place of a tensor that there is not.
+
+    Attributes:
+        viewmat_dtype: The dtype in which the projection takes the view matrix.
+    """
+
+    viewmat_dtype: torch.dtype
+
+    def items_of_image(self, height: int, width: int) -> int:
+        """Return the number of items that kernels of images have: rows or pixels."""
+
+    def run_each(self, kernel: str, count: int, *arguments: Tensor | int | float) -> None:
+        """Run a kernel over `count` items."""
+
+    def run_by_channel(self, kernel: str, count: int, *arguments: Tensor | int | float) -> None:
+        """Run a kernel over the channels of `count` colors."""
+
+    def sum_each(self, kernel: str, count: int, size: int, *arguments: Tensor | int | float) -> Tensor:
+        """Run a kernel that sums over `count` items; return the `size` sums, float64."""
+
+    def blended(
+        self, projected: Projection, opacities: Tensor, channels: Tensor, background: Tensor, width: int, height: int
+    ) -> Blended:
+        """Blend as `blend` does; all tensors are contiguous and have no graph."""
+
+    def similarity(self, image: Tensor, target: Tensor) -> tuple[Tensor, Callable[[float], Tensor]]:
+        """Compare two images (H, W, 3) by SSIM.
+
+        Returns:
+            The sum of SSIM over pixels and channels, (1,), float64; and what returns the gradient (H, W, 3) of that sum
+            times a factor, by the image.
         """

@@ -27,7 +27,7 @@ fn sh_forward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) grou
     let source = 3u * call.higher * i + at % 3u;
     var color = 0.5 + basis[0] * sh0[at];
     for (var k = 0u; k < used; k++) { color += basis[k + 1u] * shN[source + 3u * k]; }
-    if (color < 0.0) { color = 0.0; }  // NaN stays NaN
+    if (color < 0.0 && !is_nan(color)) { color = 0.0; }
     colors[at] = color;
 }
 
@@ -43,7 +43,7 @@ fn sh_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) gro
     let to = 3u * call.higher * i + at % 3u;
     let gradient = select(by_colors[at], 0.0, shown[at] == 0.0);
     by_sh0[at] = basis[0] * gradient;
-    if (!is_finite(gradient)) { atomicOr(&flags[0], SH0); }
+    if (!is_finite(gradient) || is_nan(shown[at])) { atomicOr(&flags[0], SH0); }
     for (var k = 0u; k < call.higher; k++) {
         by_shN[to + 3u * k] = select(0.0, basis[min(k + 1u, 15u)] * gradient, k < used);
     }

@@ -1,32 +1,11 @@
 // Colors through water; Kernels.through_water in protocol.py has the formula. One thread per Gaussian or pixel.
 #include "common.cuh"
 #include "constants.h"
+#include "light.cuh"
 
 constexpr int BACKGROUND_BASIS = 9;                     // SH coefficients of the background light B per channel
 constexpr int COEFFICIENTS = 6 + 3 * BACKGROUND_BASIS;  // beta_D (3), beta_B (3), raw SH coefficients of B (9, 3)
-constexpr float DISPLAY_TOE = constants::DISPLAY_TOE;   // display value below which the sRGB curve is a straight line
-constexpr float LINEAR_TOE = constants::LINEAR_TOE;     // linear light at the same place
 constexpr float LEAST_LENGTH = 1e-37f;                  // scene units; keeps divisions by a length finite
-
-// The sRGB curve (IEC 61966-2-1) and its slope.
-__device__ inline float to_light(float display, float &slope) {
-    if (display <= DISPLAY_TOE) {
-        slope = 1 / 12.92f;
-        return display / 12.92f;
-    }
-    float base = (display + .055f) / 1.055f, power = powf(base, 1.4f);
-    slope = 2.4f / 1.055f * power;
-    return power * base;
-}
-__device__ inline float to_display(float light, float &slope) {
-    if (light <= LINEAR_TOE) {
-        slope = 12.92f;
-        return light * 12.92f;
-    }
-    float power = powf(light, 1 / 2.4f);
-    slope = 1.055f / 2.4f * power / light;
-    return 1.055f * power - .055f;
-}
 
 // B of one channel; the first `count` basis functions are used, the others are 0.
 __device__ inline float background_light(const float *basis, Index count, const float *coefficients, int channel) {
@@ -53,21 +32,6 @@ __device__ inline void pixel_direction(Index pixel, Index width, const float *vi
     for (int i = 0; i < 3; i++) direction[i] = (viewmat[i] * u + viewmat[4 + i] * v + viewmat[8 + i]) * inverse;
 }
 
-// sums (blocks, COEFFICIENTS): totals over the threads of each block.
-__device__ inline void block_sums(const float (&given)[COEFFICIENTS], float *sums) {
-    __shared__ float of_warp[WARPS][COEFFICIENTS];
-    int lane = threadIdx.x % WARP, warp = threadIdx.x / WARP;
-    for (int k = 0; k < COEFFICIENTS; k++) {
-        float one[1] = {given[k]}, total = lane_sum(one, lane);
-        if (lane_value<1>(lane) == 0) of_warp[warp][k] = total;
-    }
-    __syncthreads();
-    if (threadIdx.x >= COEFFICIENTS) return;
-    float total = 0;
-    for (int w = 0; w < WARPS; w++) total += of_warp[w][threadIdx.x];
-    sums[(Index)blockIdx.x * COEFFICIENTS + threadIdx.x] = total;
-}
-
 // shown (N, 3) of colors J (N, 3) at offsets (N, 3) from the camera.
 KERNEL(4)
 water_forward(Index n, Index degree, Index linear, const float *coefficients, const float *colors,
@@ -85,8 +49,8 @@ water_forward(Index n, Index degree, Index linear, const float *coefficients, co
     }
 }
 
-// Gradients by colors (N, 3), by the range as gradients by offsets (N, 3), and those by the coefficients, summed per
-// block.
+// Gradients by colors (N, 3), by the range as gradients by offsets (N, 3) unless that is null, and those by the
+// coefficients, summed per block.
 KERNEL(2)
 water_backward(Index n, Index degree, Index linear, const float *coefficients, const float *colors,
                const float *offsets, const float *by_shown, float *by_colors, float *by_offsets, float *sums) {
@@ -113,7 +77,7 @@ water_backward(Index n, Index degree, Index linear, const float *coefficients, c
             for (int k = 0; k < BACKGROUND_BASIS; k++)
                 if (k < count) given[6 + 3 * k + c] = by_raw * basis[k];
         }
-        for (int j = 0; j < 3; j++) by_offsets[3 * i + j] = by_range * direction[j];
+        for (int j = 0; by_offsets && j < 3; j++) by_offsets[3 * i + j] = by_range * direction[j];
     }
     block_sums(given, sums);
 }

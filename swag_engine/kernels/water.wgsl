@@ -38,6 +38,8 @@ fn lit(color: f32, light: f32) -> vec2f {
     return vec2f(display.x, display.y * light * linear.y);
 }
 
+fn undazzled(display: f32) -> f32 { return select(min(display, call.dazzling), display, is_nan(display)); }
+
 // Also sets the opacities of Gaussians to 0 whose color is not finite.
 @compute @workgroup_size(256)
 fn shade_forward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
@@ -51,7 +53,7 @@ fn shade_forward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) g
     for (var c = 0u; c < 3u; c++) {
         var value = lit(colors[3u * i + c], light).x;
         if ((call.mode & WATER) != 0u) {
-            if (value > call.dazzling) { value = call.dazzling; }
+            value = undazzled(value);
             if ((call.mode & LINEAR) != 0u) { value = to_light(value).x; }
             let B = background_light(&basis, (call.degree + 1u) * (call.degree + 1u), c);
             value = value * exp(-numbers[BETA_D + c] * place.w) + B * (1.0 - exp(-numbers[BETA_B + c] * place.w));
@@ -77,7 +79,7 @@ fn shade_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) 
             let under_lamp = lit(color, light);
             var by = gradients[i * call.row + 6u + c];
             if ((call.mode & WATER) != 0u) {
-                var J = vec2f(min(under_lamp.x, call.dazzling), 1.0);
+                var J = vec2f(undazzled(under_lamp.x), 1.0);
                 if ((call.mode & LINEAR) != 0u) { J = to_light(J.x); }
                 let transmission = exp(-numbers[BETA_D + c] * place.w);
                 let remains = exp(-numbers[BETA_B + c] * place.w);

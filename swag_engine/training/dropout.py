@@ -43,16 +43,15 @@ def dropout_note(rate: float, training_psnr: float | None, validation_psnr: floa
     )
 
 
-def opacity_factors(count: int, rate: float, random: torch.Generator, device: torch.device) -> Tensor:
+def opacity_factors(count: int, rate: float, random: torch.Generator) -> Tensor:
     """Draw the factors of opacity of one iteration.
 
     Args:
         count: Number of Gaussians.
         rate: Fraction to drop, 0..1.
-        random: Random numbers of the iteration.
-        device: Where the result goes.
+        random: Random numbers of the iteration; the result is on its device.
 
     Returns:
         (count,) float32: 0 for Gaussians that are dropped, 1 / (1 - rate) for the others.
     """
-    return (torch.rand(count, generator=random) >= rate).float().to(device) / (1 - rate)
+    return (torch.rand(count, generator=random, device=random.device) >= rate).float() / (1 - rate)

@@ -1,6 +1,7 @@
-"""The step by the CPU kernels alone, for recipes whose loss compares colors only."""
+"""The step by native kernels alone, for recipes whose loss compares colors only."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -13,8 +14,9 @@ from ..effects.vignetting import LEAST_GAIN, MOST_GAIN, TERMS, Vignetting
 from ..gaussians.densify import random_of
 from ..kernels.backends import kernels_for
 from ..kernels.cpu import CpuKernels
-from ..kernels.cpu_library import CpuLibrary
-from ..rendering.native_image import NativeImage, add_gradient
+from ..kernels.cuda import CudaKernels
+from ..kernels.protocol import NativeKernels
+from ..rendering.native_image import NativeImage, add_gradients
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
 from .densification import strategy_of
@@ -32,7 +34,7 @@ IMAGE_EFFECTS = ("exposure", "vignetting")
 
 
 class NativeStep:
-    """The step by the CPU kernels without an autograd graph, where `runs_natively` says so.
+    """The step by kernels of the CPU or of CUDA without an autograd graph, where `runs_natively` says so.
 
     Args:
         inputs: Images and settings of the run.
@@ -49,19 +51,19 @@ class NativeStep:
         kernels = kernels_for(settings.backend, cloud.means)
         objective = self.selection.objective(state.recipe)
         medium = state.effects.medium if config.with_water else None
-        native = isinstance(kernels, CpuKernels) and runs_natively(objective, state.effects, target, medium, fraction)
-        if not native:
+        known = isinstance(kernels, CpuKernels | CudaKernels)
+        if not (known and runs_natively(objective, state.effects, target, medium, fraction)):
             return self.otherwise(state, target, config)
-        assert isinstance(kernels, CpuKernels) and not isinstance(medium, WaterNetwork)
+        assert isinstance(kernels, CpuKernels | CudaKernels) and not isinstance(medium, WaterNetwork)
         factors = None
         if state.dropout:
-            random = random_of(settings.seed, state.iteration)
-            factors = opacity_factors(len(cloud), state.dropout, random, self.inputs.device)
+            random = random_of(settings.seed, state.iteration, self.inputs.device)
+            factors = opacity_factors(len(cloud), state.dropout, random)
         image = NativeImage(
             kernels, cloud, target.camera, config.sh_degree, medium, config.water_degree, state.effects.lamp, factors
         )
         weights = objective.photometric_weights(fraction)
-        loss, gradients = compare(kernels.library, image, state.effects, target, weights, state.recipe.coverage)
+        loss, gradients = compare(kernels, image, state.effects, target, weights, state.recipe.coverage)
         by_means2d = image.backward(*gradients, with_geometry=not config.stage_two)
         penalty = strategy_of(state.recipe).regularisation(cloud, self.inputs.median_range)
         if penalty is not None:
@@ -85,7 +87,7 @@ def runs_natively(
     medium: Medium | WaterNetwork | None,
     fraction: float,
 ) -> bool:
-    """Return whether the CPU kernels compute all that a step needs but the loss by which features are learned.
+    """Return whether native kernels compute all that a step needs but the loss by which features are learned.
 
     Args:
         objective: The loss of the run's recipe.
@@ -103,7 +105,7 @@ def runs_natively(
 
 @dataclass(frozen=True)
 class Gain:
-    """What the image effects do to the linear light of one image, for the kernels of photo.cpp.
+    """What the image effects do to the linear light of one image, for the kernels of photo.cpp and photo.cu.
 
     Attributes:
         log_gain: (1 or 3,) of the exposure, with its graph; None without.
@@ -116,30 +118,30 @@ class Gain:
     numbers: Tensor | int
 
     @classmethod
-    def of(cls, effects: SceneEffects, image: str) -> "Gain":
+    def of(cls, effects: SceneEffects, image: str, device: torch.device) -> "Gain":
         """Return the gain of an image by its name."""
         exposure, vignetting = effects.models.get("exposure"), effects.models.get("vignetting")
         assert isinstance(exposure, Exposure | None) and isinstance(vignetting, Vignetting | None)
         if exposure is None and vignetting is None:
             return cls(None, None, 0)
         log_gain = exposure.log_gain(image) if exposure else None
-        gains = torch.ones(3) if log_gain is None else log_gain.detach().exp().expand(3)
-        coefficients, centre = torch.zeros(TERMS), (0.5, 0.5)
+        gains = torch.ones(3, device=device) if log_gain is None else log_gain.detach().exp().expand(3)
+        coefficients, centre = torch.zeros(TERMS, device=device), (0.5, 0.5)
         if vignetting:
             coefficients, centre = vignetting.coefficients.detach(), vignetting.centre
-        bounds = torch.tensor([*centre, LEAST_GAIN, MOST_GAIN])
+        bounds = constants((*centre, LEAST_GAIN, MOST_GAIN), torch.float32, device)
         return cls(log_gain, vignetting, torch.cat([gains, coefficients, bounds]))
 
     def backward(self, sums: Tensor) -> None:
         """Set the gradients of the effects from those (6,) by the logs of the gains and by the coefficients."""
         if self.log_gain is not None:
-            add_gradient(self.log_gain, sums[:3].sum_to_size(self.log_gain.shape))
+            add_gradients([(self.log_gain, sums[:3].sum_to_size(self.log_gain.shape))])
         if self.vignetting:
             self.vignetting.coefficients.grad = sums[3:]
 
 
 def compare(
-    library: CpuLibrary,
+    kernels: NativeKernels,
     image: NativeImage,
     effects: SceneEffects,
     target: Target,
@@ -149,7 +151,7 @@ def compare(
     """Compare the photo of a rendered image with its target, and set the gradients of the image effects.
 
     Args:
-        library: The kernels.
+        kernels: The backend.
         image: The rendered image.
         effects: The effects that are modelled; their image effects make the photo.
         target: The training image.
@@ -162,36 +164,35 @@ def compare(
     l1, ssim, l2 = weights
     height, width = target.valid.shape
     size, count = (height, width), 3 * height * width
-    gain = Gain.of(effects, target.camera.name)
+    pixels, valid = target.pixels.contiguous(), target.valid.contiguous()
+    gain = Gain.of(effects, target.camera.name, pixels.device)
     behind = 0 if image.behind is None else image.behind
     sources = *size, image.blended, image.transmittance, behind, gain.numbers
-    photo, wanted = torch.empty(*size, 3), torch.empty(*size, 3)
-    pixels, valid, errors = target.pixels.contiguous(), target.valid.contiguous(), doubles(height, 2)
+    items, by_blended = kernels.items_of_image(*size), torch.empty_like(image.blended)
+    photo, wanted = torch.empty_like(by_blended), torch.empty_like(by_blended)
     with part("photo"):
-        library.run("photo_forward", height, *sources, pixels, valid, photo, wanted, errors)
-    absolute, square = (errors.sum(0) / count).tolist()
-    loss = l1 * absolute + l2 * square
+        errors = kernels.sum_each("photo_forward", items, 2, *sources, pixels, valid, photo, wanted)
     by_photo: Tensor | int = 0
+    similarity = errors[:0]
     if ssim:
-        by_photo, derivatives, rows = torch.empty(*size, 3), torch.empty(3, *size, 3), doubles(height, 2)
         with part("loss L1 and SSIM"):
-            library.run("l1_ssim_forward", height, *size, photo, wanted, rows, derivatives)
-        loss += ssim * (1 - float(rows[:, 1].sum()) / count)
+            similarity, similarity_backward = kernels.similarity(photo, wanted)
         with part("loss L1 and SSIM backward"):
-            factors = 0.0, -ssim / count
-            library.run("l1_ssim_backward", height, *size, photo, wanted, derivatives, *factors, by_photo)
-    by_blended, by_alpha, sums = torch.empty(*size, 3), torch.empty(size), doubles(height, 4 + TERMS)
-    by_behind = torch.empty(0 if image.behind is None else (*size, 3))
+            by_photo = similarity_backward(-ssim / count)
+    by_alpha = torch.empty_like(image.transmittance)
+    by_behind = by_blended.new_empty(0) if image.behind is None else torch.empty_like(by_blended)
     compared = valid, photo, wanted, by_photo, l1 / count, 2 * l2 / count
     surface = coverage / valid.numel(), LIKE_WATER, UNLIKE_WATER
+    outputs = by_blended, by_alpha, by_behind
     with part("photo backward"):
-        library.run("photo_backward", height, *sources, *compared, *surface, by_blended, by_alpha, by_behind, sums)
-    *by_gain, uncovered = sums.sum(0)
-    gain.backward(torch.stack(by_gain).float())
-    loss += surface[0] * float(uncovered)
-    return torch.tensor(loss), (by_blended, by_alpha, by_behind)
+        sums = kernels.sum_each("photo_backward", items, 4 + TERMS, *sources, *compared, *surface, *outputs)
+    gain.backward(sums[:-1].float())
+    terms = torch.cat([errors, similarity, sums[-1:]])
+    factors = l1 / count, l2 / count, *([-ssim / count] if ssim else []), surface[0]
+    return (ssim + terms @ constants(factors, terms.dtype, terms.device)).float(), outputs
 
 
-def doubles(*size: int) -> Tensor:
-    """Return an empty float64 tensor, for sums."""
-    return torch.empty(size, dtype=torch.float64)
+@lru_cache
+def constants(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Return numbers as a tensor that is not changed; to send them to a card waits for it, so that is done once."""
+    return torch.tensor(values, dtype=dtype, device=device)

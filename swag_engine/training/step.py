@@ -104,8 +104,8 @@ class AutogradStep:
         medium = state.effects.medium if config.with_water else None
         factors = None
         if state.dropout and not target.interpolated:
-            random = random_of(settings.seed, state.iteration)
-            factors = opacity_factors(len(state.cloud), state.dropout, random, self.inputs.device)
+            random = random_of(settings.seed, state.iteration, self.inputs.device)
+            factors = opacity_factors(len(state.cloud), state.dropout, random)
         picture = render(
             state.cloud,
             target.camera,

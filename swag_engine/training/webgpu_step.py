@@ -391,8 +391,7 @@ class WebGpuStep:
         shown = config.sh_degree, medium, config.water_degree, state.effects.lamp
         image = NativeImage(self.kernels.cpu, cloud, target.camera, *shown, None)
         weights = self.selection.objective(state.recipe).photometric_weights(config.fraction)
-        library = self.kernels.cpu.library
-        expected, by_image = compare(library, image, state.effects, target, weights, state.recipe.coverage)
+        expected, by_image = compare(self.kernels.cpu, image, state.effects, target, weights, state.recipe.coverage)
         image.backward(*by_image, with_geometry=not config.stage_two)
         differences = {"the loss": abs(loss - float(expected)) / max(float(expected), 1e-3)}
         for name in COMPARED:

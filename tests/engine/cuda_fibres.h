@@ -151,6 +151,8 @@ template <>
 constexpr char letter<long long *> = 'L';
 template <>
 constexpr char letter<short *> = 'S';
+template <>
+constexpr char letter<unsigned char *> = 'B';
 template <class T>
 constexpr char letter<const T *> = letter<T *>;
 

@@ -6,7 +6,8 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,8 @@ import pytest
 import torch
 
 from swag_engine.kernels import build, cuda_driver
+from swag_engine.kernels.backends import KERNELS
+from swag_engine.kernels.cuda import CudaKernels
 from swag_engine.kernels.cuda_driver import Argument, converted
 
 ON_CARD = bool(os.environ.get("SWAG_TEST_CUDA"))
@@ -34,6 +37,8 @@ LETTERS = {
     torch.int64: "L",
     torch.int32: "I",
     torch.int16: "S",
+    torch.uint8: "B",
+    torch.bool: "B",
 }
 
 
@@ -52,7 +57,7 @@ class Fibres:
 
     def launch(self, kernel: str, grid: int, block: int, arguments: list[Argument]) -> None:
         takes, given = self._library.fibres_signature(kernel.encode()).decode(), "".join(map(_letter, arguments))
-        if takes != given:
+        if not _fits(takes, given, arguments):
             raise TypeError(f"{kernel} takes {takes}, not {given}")
         values = [converted(argument, "cpu") for argument in arguments]
         self.run(kernel, grid, block, (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values)))
@@ -61,6 +66,20 @@ class Fibres:
         error = self._library.fibres_launch(kernel.encode(), grid, block, pointers, self.order)
         if error:
             raise RuntimeError(error.decode())
+
+
+@contextmanager
+def cuda_backend(folder: Path) -> Iterator[CudaKernels]:
+    """The CUDA backend, registered as such: on the card that is there, or on fibres compiled in a folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not ON_CARD:
+            if sys.platform != "linux":
+                pytest.skip("the fibres are for Linux")
+            fibres = Fibres(folder)
+            patch.setitem(KERNELS, "cuda", CudaKernels(lambda: fibres))
+        kernels = KERNELS["cuda"]
+        assert isinstance(kernels, CudaKernels) and kernels.unavailable_reason() is None
+        yield kernels
 
 
 class Libcuda:
@@ -111,6 +130,13 @@ def pretend_card(monkeypatch: pytest.MonkeyPatch, library: Any) -> None:
     }
     for name, answer in answers.items():
         monkeypatch.setattr(torch.cuda, name, lambda *_, answer=answer: answer)
+
+
+def _fits(takes: str, given: str, arguments: list[Argument]) -> bool:
+    """Whether the types are those that a kernel takes; 0 stands for a tensor that there is not."""
+    null = [not isinstance(argument, torch.Tensor) and argument == 0 for argument in arguments]
+    pairs = zip(takes, given, null, strict=False)
+    return len(takes) == len(given) and all(a == b or (a.isupper() and none) for a, b, none in pairs)
 
 
 def _letter(argument: Argument) -> str:

@@ -21,19 +21,23 @@ ALL = WATER.replace("lamp=off,exposure=off,vignetting=off", "lamp=on,exposure=on
 NO_BACKSCATTER = NONE.replace("water=off", "attenuation=on").replace("lamp=off", "lamp=on")
 
 
-def trainers(tiny_scene, tmp_path_factory):
-    """Return what makes a trainer of a recipe and effects; effects and Gaussians have left their initial values."""
+def trainers(tiny_scene, tmp_path_factory, backend="auto"):
+    """Return what makes a trainer of a recipe and effects; effects and Gaussians have left their initial values.
+
+    They start on whatever `auto` takes, and make their steps on `backend`.
+    """
 
     @cache
     def start(recipe, effects):
         settings = TrainSettings(iterations=400, width=64, max_gaussians=600, recipe=recipe, effects=effects)
         run = RunFolder(tmp_path_factory.mktemp("run"))
         trainer = make_trainer(run, tiny_scene, settings, False, lambda event: None, None, time.monotonic())
+        trainer.inputs = trainer.selection.inputs = replace(trainer.inputs, settings=replace(settings, backend=backend))
         trainer.selection.to_try = []
         random = torch.Generator().manual_seed(3)
         with torch.no_grad():
             for parameter in trainer.state.optimizer.parameters().values():
-                parameter += 0.1 * torch.randn(parameter.shape, generator=random)
+                parameter += 0.1 * torch.randn(parameter.shape, generator=random).to(parameter)
         return trainer, trainer.state
 
     def copied(recipe="swag", effects=ALL):

@@ -9,16 +9,17 @@ import pytest
 import torch
 
 from benchmarks import gpu_check
+from benchmarks.step import both_steps
 from swag_engine.base.errors import InputError
 from swag_engine.kernels import build, cuda, cuda_driver
-from swag_engine.kernels.backends import KERNELS, device_for
+from swag_engine.kernels.backends import device_for
 from swag_engine.kernels.cuda import CudaKernels
 from swag_engine.kernels.protocol import Projection
 from swag_engine.kernels.reference.projection import project
 from swag_engine.rasterize.api import contributions, rasterize
 from swag_engine.training.losses import photometric
 from swag_engine.water.medium import Medium, through_water
-from tests.engine.cuda_fibres import DEVICE, ON_CARD, Fibres, pretend_card
+from tests.engine.cuda_fibres import DEVICE, ON_CARD, Fibres, cuda_backend, pretend_card
 from tests.engine.kernel_suite import KernelSuite
 from tests.engine.raster_scenes import changed, clear_scenes, make_scene, relative_error
 from tests.engine.raster_scenes import run as run_with
@@ -26,21 +27,15 @@ from tests.engine.raster_scenes import run as run_with
 on_fibres = pytest.mark.skipif(ON_CARD, reason="about the fibres themselves")
 
 
-@pytest.fixture(scope="module")
-def fibres(request):
-    if sys.platform != "linux":
-        pytest.skip("the fibres are for Linux")
-    return Fibres(request.config.cache.mkdir("cuda_fibres"))
+@pytest.fixture(scope="module", autouse=True)
+def kernels(request):
+    with cuda_backend(request.config.cache.mkdir("cuda_fibres")) as kernels:
+        yield kernels
 
 
-@pytest.fixture(autouse=True)
-def kernels(request, monkeypatch):
-    """The CUDA backend, registered as such."""
-    if not ON_CARD:
-        fibres = request.getfixturevalue("fibres")
-        monkeypatch.setitem(KERNELS, "cuda", CudaKernels(lambda: fibres))
-    assert KERNELS["cuda"].unavailable_reason() is None
-    return KERNELS["cuda"]
+@pytest.fixture
+def fibres(kernels):
+    return kernels._launcher
 
 
 def on_device(values):
@@ -261,9 +256,14 @@ def test_wrong_arguments_are_refused(fibres):
 @on_fibres
 def test_what_gpu_check_times_runs(monkeypatch):
     monkeypatch.setattr(gpu_check, "DEVICE", torch.device("cpu"))
+    monkeypatch.setattr(gpu_check, "SIZE", (64, 48))
+    monkeypatch.setattr(gpu_check, "milliseconds", lambda step: step() and 1.0)
+    monkeypatch.setattr(gpu_check, "CASES", ["swag with water"])
+    monkeypatch.setattr(gpu_check, "both_steps", lambda *given: both_steps(*given[:-1]))  # fibres are slow
     gpu_check.small_scene()
     for step in gpu_check.stages(300, 64, 48).values():
         step()
+    assert len(gpu_check.training_steps(100)) == 2
 
 
 # -- PTX and the driver ------------------------------------------------------------------------------------------------

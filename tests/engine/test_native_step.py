@@ -1,4 +1,4 @@
-"""The step of the CPU kernels does what the step by automatic differentiation does, and only where it can."""
+"""The step of native kernels does what the step by automatic differentiation does, and only where it can."""
 
 from dataclasses import replace
 from typing import Any
@@ -10,6 +10,7 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.step import AutogradStep
 from swag_engine.training.trainer import train
+from tests.engine.cuda_fibres import cuda_backend
 from tests.engine.step_scenes import (
     ALL,
     NO_BACKSCATTER,
@@ -27,7 +28,18 @@ from tests.engine.step_scenes import (
 
 @pytest.fixture(scope="module")
 def make(tiny_scene, tmp_path_factory):
-    return trainers(tiny_scene, tmp_path_factory)
+    return trainers(tiny_scene, tmp_path_factory, "cpu")
+
+
+@pytest.fixture(scope="module")
+def make_on_card(tiny_scene, tmp_path_factory, request):
+    with cuda_backend(request.config.cache.mkdir("cuda_fibres")):
+        yield trainers(tiny_scene, tmp_path_factory, "cuda")
+
+
+@pytest.fixture(params=["make", "make_on_card"])
+def make_on_each(request):
+    return request.getfixturevalue(request.param)
 
 
 CASES: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
@@ -45,9 +57,9 @@ CASES: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_gradients_are_those_of_autograd(make, case):
+def test_gradients_are_those_of_autograd(make_on_each, case):
     recipe, effects, changes, config_changes = CASES[case]
-    trainer = make(recipe, effects)
+    trainer = make_on_each(recipe, effects)
     state = trainer.state
     state.recipe = replace(state.recipe, **changes)
     if case == "dropout":
@@ -62,8 +74,8 @@ def test_gradients_are_those_of_autograd(make, case):
     assert ("exposure.raw" in got[1]) == (effects == ALL)
 
 
-def test_gradients_are_those_of_the_float64_reference(make, monkeypatch):
-    trainer = make()
+def test_gradients_are_those_of_the_float64_reference(make_on_each, monkeypatch):
+    trainer = make_on_each()
     target, config = inputs_of_step(trainer)
     got = gradients(native(trainer), trainer.state, target, config)
     for owner in (trainer.state.cloud, *trainer.state.effects.models.values()):
@@ -99,8 +111,8 @@ def test_200_steps_follow_those_of_autograd(make):
 
 
 @pytest.mark.parametrize(("effects", "name"), [(NONE, "background"), (ALL, "opacity_logits"), (ALL, "exposure.raw")])
-def test_a_step_that_is_not_finite_changes_nothing(make, effects, name):
-    trainer = make(effects=effects)
+def test_a_step_that_is_not_finite_changes_nothing(make_on_each, effects, name):
+    trainer = make_on_each(effects=effects)
     state = trainer.state
     with torch.no_grad():
         state.optimizer.parameters()[name][0] = torch.nan
