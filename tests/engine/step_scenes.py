@@ -21,15 +21,17 @@ ALL = WATER.replace("lamp=off,exposure=off,vignetting=off", "lamp=on,exposure=on
 NO_BACKSCATTER = NONE.replace("water=off", "attenuation=on").replace("lamp=off", "lamp=on")
 
 
-def trainers(tiny_scene, tmp_path_factory, backend="auto"):
+def trainers(tiny_scene, tmp_path_factory, backend="cpu"):
     """Return what makes a trainer of a recipe and effects; effects and Gaussians have left their initial values.
 
-    They start on whatever `auto` takes, and make their steps on `backend`.
+    On fibres, which are slow, only the steps are made by the backend "cuda".
     """
 
     @cache
     def start(recipe, effects):
-        settings = TrainSettings(iterations=400, width=64, max_gaussians=600, recipe=recipe, effects=effects)
+        sizes = {"iterations": 400, "width": 64, "max_gaussians": 600}
+        first = "auto" if backend == "cuda" else backend
+        settings = TrainSettings(**sizes, recipe=recipe, effects=effects, backend=first)
         run = RunFolder(tmp_path_factory.mktemp("run"))
         trainer = make_trainer(run, tiny_scene, settings, False, lambda event: None, None, time.monotonic())
         trainer.inputs = trainer.selection.inputs = replace(trainer.inputs, settings=replace(settings, backend=backend))

@@ -4,6 +4,7 @@ import ctypes
 import math
 import subprocess
 import sys
+from importlib.util import find_spec
 
 import pytest
 import torch
@@ -293,7 +294,9 @@ def test_every_kernel_assembles_without_spills(architecture, ptx):
     assert not spilling
 
 
-def test_ptx_that_does_not_compile_says_why(ptx, tmp_path, monkeypatch):
+def test_ptx_that_does_not_compile_says_why(tmp_path, missing, monkeypatch):
+    if not find_spec("nvidia.cuda_nvrtc"):
+        missing(f"NVRTC is missing: pip install {build.NVRTC}.")
     (tmp_path / "wrong.cu").write_text("int wrong = nothing;")
     for name, value in {"FOLDER": tmp_path, "CUDA_SOURCES": ("wrong.cu",), "CUDA_HEADERS": ()}.items():
         monkeypatch.setattr(build, name, value)
@@ -335,7 +338,9 @@ int cuGetErrorString(int error, const char **to) { return *to = error == 500 ? "
 
 
 @pytest.fixture(scope="module")
-def fake_library(tmp_path_factory):
+def fake_library(tmp_path_factory, missing):
+    if not find_spec("ziglang"):
+        missing("The compiler is missing: pip install ziglang.")
     folder = tmp_path_factory.mktemp("fake driver")
     (folder / "fake.c").write_text(FAKE_DRIVER)
     command = [sys.executable, "-m", "ziglang", "cc", "-O1", "-shared", "-fPIC", "fake.c", "-o", "fake.so"]

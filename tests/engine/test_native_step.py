@@ -28,7 +28,7 @@ from tests.engine.step_scenes import (
 
 @pytest.fixture(scope="module")
 def make(tiny_scene, tmp_path_factory):
-    return trainers(tiny_scene, tmp_path_factory, "cpu")
+    return trainers(tiny_scene, tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
