@@ -4,9 +4,9 @@ Run: `python benchmarks/gpu_check.py [--backend cuda|wgpu] [--gaussians N ...]` 
 Results: benchmarks/results/cuda_registers.json, benchmarks/results/gpu_check.json, benchmarks/results/wgpu_check.json
 
 cuda: records the registers of every kernel by ptxas (needs no card), runs the tests of the kernels and of the native
-step on the card and compute-sanitizer where the CUDA toolkit is installed, and times each stage, an iteration of both
-recipes by native and by autograd steps, and one of the simplest kind beside gsplat where that is installed and steps of
-wgpu where that runs, all at 1280x720.
+step on the card and compute-sanitizer where the CUDA toolkit is installed, and times at 1280x720 each
+stage, both steps of a scene in water, and an iteration without water beside gsplat where that is installed and steps of
+wgpu where that runs.
 
 wgpu: runs tests/engine/test_webgpu.py and test_webgpu_step.py on the card, times whole steps on the same scenes, beside
 those of cuda where that runs, and counts dispatches and bytes.
@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.common import RESULTS, write_results
-from benchmarks.step import CASES, both_steps
+from benchmarks.step import both_steps
 from benchmarks.wgpu_scene import WgpuScene
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels import build
@@ -255,16 +255,15 @@ def stages(n: int, width: int, height: int) -> dict[str, Step]:
 
 
 def training_steps(n: int) -> dict[str, object]:
-    """Measure milliseconds of the trainer's two steps on n Gaussians, by recipe and effects."""
+    """Measure milliseconds of the trainer's two steps on n Gaussians in water."""
     rows: dict[str, object] = {}
     values = {name: value.detach().cpu() for name, value in make_parameters(n, *SIZE).items()}
     cloud = GaussianCloud(**values, background=torch.zeros(3))
     width, height = SIZE
     camera = Camera("benchmark", width, height, 0.8 * width, 0.8 * width, width / 2, height / 2, np.eye(4))
-    for case in CASES:
-        with tempfile.TemporaryDirectory() as folder:
-            for name, step in both_steps(case, cloud, camera, Path(folder) / "run", "cuda").items():
-                rows[f"{name} step, {case}"] = milliseconds(step)
+    with tempfile.TemporaryDirectory() as folder:
+        for name, step in both_steps("swag with water", cloud, camera, Path(folder) / "run", "cuda").items():
+            rows[f"{name} step in water"] = milliseconds(step)
     return rows
 
 

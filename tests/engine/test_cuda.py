@@ -259,7 +259,6 @@ def test_what_gpu_check_times_runs(monkeypatch):
     monkeypatch.setattr(gpu_check, "DEVICE", torch.device("cpu"))
     monkeypatch.setattr(gpu_check, "SIZE", (64, 48))
     monkeypatch.setattr(gpu_check, "milliseconds", lambda step: step() and 1.0)
-    monkeypatch.setattr(gpu_check, "CASES", ["swag with water"])
     monkeypatch.setattr(gpu_check, "both_steps", lambda *given: both_steps(*given[:-1]))  # fibres are slow
     gpu_check.small_scene()
     for step in gpu_check.stages(300, 64, 48).values():
