@@ -4,9 +4,9 @@ Run: `python benchmarks/gpu_check.py [--backend cuda|wgpu] [--gaussians N ...]` 
 Results: benchmarks/results/cuda_registers.json, benchmarks/results/gpu_check.json, benchmarks/results/wgpu_check.json
 
 cuda: records the registers of every kernel by ptxas (needs no card), runs the tests of the kernels and of the native
-step on the card and compute-sanitizer where the CUDA toolkit is installed, and times at 1280x720 each
-stage, both steps of a scene in water, and an iteration without water beside gsplat where that is installed and steps of
-wgpu where that runs.
+step on the card and compute-sanitizer where the CUDA toolkit is installed, and times at 1280x720 each stage, both steps
+of a scene in water, and an iteration without water beside gsplat where that is installed and steps of wgpu where that
+runs.
 
 wgpu: runs tests/engine/test_webgpu.py and test_webgpu_step.py on the card, times whole steps on the same scenes, beside
 those of cuda where that runs, and counts dispatches and bytes.
@@ -36,6 +36,10 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.common import RESULTS, write_results
 from benchmarks.step import both_steps
 from benchmarks.wgpu_scene import WgpuScene
+from swag_engine.effects.exposure import Exposure
+from swag_engine.effects.lamp import Lamp
+from swag_engine.effects.scene_effects import SceneEffects
+from swag_engine.effects.vignetting import Vignetting
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels import build
 from swag_engine.kernels.backends import KERNELS
@@ -43,7 +47,11 @@ from swag_engine.kernels.cuda import GROUP, CudaKernels
 from swag_engine.kernels.protocol import Projection
 from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.rasterize.api import contributions, rasterize
+from swag_engine.rendering.native_image import NativeImage
 from swag_engine.scene.cameras import Camera
+from swag_engine.training.native_step import compare
+from swag_engine.training.targets import Target
+from swag_engine.water.medium import Medium
 
 PTXAS = "nvidia-cuda-nvcc-cu12"
 ARCHITECTURES = ("sm_75", "sm_80", "sm_86", "sm_89", "sm_90", "sm_100", "sm_120")
@@ -155,6 +163,17 @@ def make_camera(width: int, height: int) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.eye(4).to(DEVICE), K.to(DEVICE)
 
 
+def make_view(width: int, height: int) -> Camera:
+    """The same camera."""
+    return Camera("view", width, height, 0.8 * width, 0.8 * width, width / 2, height / 2, np.eye(4))
+
+
+def make_cloud(n: int, width: int, height: int) -> GaussianCloud:
+    """The parameters of `make_parameters` as a cloud."""
+    values = {name: value.detach() for name, value in make_parameters(n, width, height).items()}
+    return GaussianCloud(**values, background=torch.zeros(3, device=DEVICE))
+
+
 def activated(p: Tensors) -> tuple[torch.Tensor, ...]:
     """Return means, quaternions, scales and opacities."""
     return p["means"], p["quats"], p["log_scales"].exp(), p["opacity_logits"].sigmoid()
@@ -257,10 +276,7 @@ def stages(n: int, width: int, height: int) -> dict[str, Step]:
 def training_steps(n: int) -> dict[str, object]:
     """Measure milliseconds of the trainer's two steps on n Gaussians in water."""
     rows: dict[str, object] = {}
-    values = {name: value.detach().cpu() for name, value in make_parameters(n, *SIZE).items()}
-    cloud = GaussianCloud(**values, background=torch.zeros(3))
-    width, height = SIZE
-    camera = Camera("benchmark", width, height, 0.8 * width, 0.8 * width, width / 2, height / 2, np.eye(4))
+    cloud, camera = make_cloud(n, *SIZE), make_view(*SIZE)
     with tempfile.TemporaryDirectory() as folder:
         for name, step in both_steps("swag with water", cloud, camera, Path(folder) / "run", "cuda").items():
             rows[f"{name} step in water"] = milliseconds(step)
@@ -309,6 +325,18 @@ def small_scene() -> None:
         pictures = (torch.rand(height, width, images, device=DEVICE) for images in (7, channels))
         rasterize(*inputs, backend="cuda").channels.sum().backward()
         contributions(*inputs, *pictures, backend="cuda")
+    gains = Exposure.starting({"view": 0.1, "other": -0.1}), Vignetting(torch.zeros(3))
+    models = Medium.starting(4.0), Lamp.starting(4.0, 8.0), *gains
+    effects = SceneEffects(dict(zip(("medium", "lamp", "exposure", "vignetting"), models, strict=True))).to(DEVICE)
+    for parameter in effects.parameters().values():
+        parameter.requires_grad_()
+    cloud = make_cloud(n, width, height)
+    seen = cloud, make_view(width, height), 3, effects.medium, 2, effects.lamp, None
+    pixels = torch.randint(0, 256, (height, width, 3), dtype=torch.uint8, device=DEVICE)
+    target = Target(seen[1], pixels, torch.rand(height, width, device=DEVICE) > 0.1)
+    image = NativeImage(cuda_kernels(), *seen)
+    _, gradients = compare(cuda_kernels(), image, effects, target, (0.8, 0.2, 0.1), 0.01)
+    image.backward(*gradients, with_geometry=True)
 
 
 def wgpu_timings(kernels: WebGpuKernels, n: int) -> dict[str, object]:

@@ -29,9 +29,8 @@ def trainers(tiny_scene, tmp_path_factory, backend="cpu"):
 
     @cache
     def start(recipe, effects):
-        sizes = {"iterations": 400, "width": 64, "max_gaussians": 600}
-        first = "auto" if backend == "cuda" else backend
-        settings = TrainSettings(**sizes, recipe=recipe, effects=effects, backend=first)
+        settings = TrainSettings(iterations=400, width=64, max_gaussians=600, recipe=recipe, effects=effects)
+        settings = replace(settings, backend="auto" if backend == "cuda" else backend)
         run = RunFolder(tmp_path_factory.mktemp("run"))
         trainer = make_trainer(run, tiny_scene, settings, False, lambda event: None, None, time.monotonic())
         trainer.inputs = trainer.selection.inputs = replace(trainer.inputs, settings=replace(settings, backend=backend))
