@@ -1,12 +1,11 @@
 """Check and time the backends cuda and wgpu on a machine with a graphics card.
 
 Run: `python benchmarks/gpu_check.py [--backend cuda|wgpu] [--gaussians N ...]` (under eight minutes)
-Results: benchmarks/results/cuda_registers.json, benchmarks/results/gpu_check.json, benchmarks/results/wgpu_check.json
+Results: benchmarks/results/gpu_check.json, benchmarks/results/wgpu_check.json
 
-cuda: records the registers of every kernel by ptxas (needs no card), runs the tests of the kernels and of the native
-step on the card and compute-sanitizer where the CUDA toolkit is installed, and times at 1280x720 each stage, both steps
-of a scene in water, and an iteration without water beside gsplat where that is installed and steps of wgpu where that
-runs.
+cuda: runs the tests of the kernels and of the native step on the card and compute-sanitizer where the CUDA toolkit is
+installed, and times at 1280x720 each stage, both steps of a scene in water, and an iteration without water beside
+gsplat where that is installed and steps of wgpu where that runs.
 
 wgpu: runs tests/engine/test_webgpu.py and test_webgpu_step.py on the card, times whole steps on the same scenes, beside
 those of cuda where that runs, and counts dispatches and bytes.
@@ -15,7 +14,6 @@ those of cuda where that runs, and counts dispatches and bytes.
 import argparse
 import json
 import os
-import re
 import shutil
 import statistics
 import subprocess
@@ -33,7 +31,7 @@ import torch
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.common import RESULTS, write_results
+from benchmarks.common import write_results
 from benchmarks.step import both_steps
 from benchmarks.wgpu_scene import WgpuScene
 from swag_engine.effects.exposure import Exposure
@@ -41,7 +39,6 @@ from swag_engine.effects.lamp import Lamp
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.effects.vignetting import Vignetting
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.kernels import build
 from swag_engine.kernels.backends import KERNELS
 from swag_engine.kernels.cuda import GROUP, CudaKernels
 from swag_engine.kernels.protocol import Projection
@@ -53,8 +50,6 @@ from swag_engine.training.native_step import compare
 from swag_engine.training.targets import Target
 from swag_engine.water.medium import Medium
 
-PTXAS = "nvidia-cuda-nvcc-cu12"
-ARCHITECTURES = ("sm_75", "sm_80", "sm_86", "sm_89", "sm_90", "sm_100", "sm_120")
 GAUSSIANS = (100_000, 1_000_000, 3_000_000)
 SIZE = 1280, 720
 ROUNDS = 16
@@ -73,38 +68,6 @@ def version(package: str) -> str | None:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return None
-
-
-def find_ptxas() -> Path | None:
-    """Return the path of CUDA's assembler, None where its package is not installed."""
-    files = (metadata.files(PTXAS) or []) if version(PTXAS) else []
-    return next((Path(str(f.locate())) for f in files if f.stem == "ptxas"), None)
-
-
-def assemble(ptx: Path, architecture: str) -> dict[str, dict[str, int]]:
-    """Assemble a PTX file; return per kernel the registers per thread and the bytes of stack and spills."""
-    command = [str(find_ptxas()), "-v", f"-arch={architecture}", str(ptx), "-o", os.devnull]
-    report = subprocess.run(command, check=True, capture_output=True, text=True).stderr
-    kernels = re.findall(
-        r"Compiling entry function '(\w+)'.*?(\d+) bytes stack frame, (\d+) bytes spill stores.*?Used (\d+) registers",
-        report,
-        re.DOTALL,
-    )
-    return {name: {"registers": int(r), "stack": int(st), "spills": int(sp)} for name, st, sp, r in kernels}
-
-
-def record_registers() -> None:
-    """Write the registers of every kernel on every architecture."""
-    if not find_ptxas():
-        print(f"{PTXAS} is not installed: registers are not recorded.")
-        return
-    ptx = build.build_ptx()
-    table: dict[str, dict[str, int]] = {}
-    for architecture in ARCHITECTURES:
-        for name, found in assemble(ptx, architecture).items():
-            table.setdefault(name, {})[architecture] = found["registers"]
-    rows = ",\n".join(f"  {json.dumps(name)}: {json.dumps(table[name])}" for name in sorted(table))
-    (RESULTS / "cuda_registers.json").write_text(f"{{\n{rows}\n}}\n")
 
 
 def run_tests(*files: str) -> dict[str, object]:
@@ -399,7 +362,6 @@ def main() -> None:
 
 def check_cuda(gaussians: list[int]) -> None:
     """Run all checks and timings of cuda, print and write the results."""
-    record_registers()
     start = time.perf_counter()
     if reason := cuda_kernels().unavailable_reason():
         sys.exit(f"There is no GPU to check here: {reason}")

@@ -1,4 +1,4 @@
-"""Count what a step of the backend wgpu moves and computes, and what five cards can be expected to take for it.
+"""Count what a step of the backend wgpu moves and computes, and what cards can be expected to take for it.
 
 Run: `SWAG_WGPU_SOFTWARE=1 python benchmarks/wgpu_cost.py` (a minute; any adapter will do, also one in software)
 Results: benchmarks/results/wgpu_cost.json
@@ -24,6 +24,7 @@ from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.kernels.webgpu_tiles import RADIX_BITS, TILE
 
 CARDS = {
+    "NVIDIA H200": (4800, 67.0),
     "NVIDIA RTX 4090": (1008, 82.6),
     "NVIDIA RTX 3060": (360, 12.7),
     "AMD RX 6600": (224, 8.9),

@@ -250,6 +250,50 @@ def wgpu_cost() -> str:
     return markdown(header, rows)
 
 
+def card_timings() -> dict[int, dict]:
+    """Return the figures of gpu_check by number of Gaussians."""
+    prefix = "ms, "
+    rows = {name: row for name, row in results("gpu_check").items() if name.startswith(prefix)}
+    return {int(name.removeprefix(prefix).split()[0]): row for name, row in rows.items()}
+
+
+@table
+def card_kernels() -> str:
+    """An iteration of the CUDA kernels and of gsplat's on a card."""
+    return markdown(
+        ["Gaussians", "iteration, ms", "by gsplat, ms", "bytes a Gaussian", "by gsplat"],
+        [
+            [f"{n:,}".replace(",", " "), *(row[name] for name in ("iteration", "iteration by gsplat"))]
+            + [row[f"{name}, bytes a Gaussian"] for name in ("iteration", "iteration by gsplat")]
+            for n, row in card_timings().items()
+        ],
+    )
+
+
+@table
+def card_steps() -> str:
+    """A training step of a scene in water on a card."""
+    names = {"native step in water": "`cuda`, native step, ms", "autograd step in water": "`cuda`, autograd step, ms"}
+    names |= {"step, by wgpu": "`wgpu`, ms"}
+    return markdown(
+        ["Gaussians", *names.values()],
+        [[f"{n:,}".replace(",", " "), *(row[name] for name in names)] for n, row in card_timings().items()],
+    )
+
+
+@table
+def card_runs() -> str:
+    """Runs on a graphics card."""
+    return markdown(
+        ["scene", "preset", "width", "iterations", "Gaussians", "runs beside it", "time", "test PSNR", "test SSIM"],
+        [
+            [row["scene"], f"`{row['preset']}`", row["width"], row["iterations"], row["gaussians"], row["others"]]
+            + [f"{row['seconds']:.0f} s", f"{row['test_psnr']:.1f} dB", f"{row['test_ssim']:.3f}"]
+            for row in results("card_runs")["rows"]
+        ],
+    )
+
+
 @table
 def step() -> str:
     """Processor time of a training step and of its rasterising."""
