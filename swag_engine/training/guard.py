@@ -249,13 +249,13 @@ def step_problem(loss: Tensor, parameters: Mapping[str, Tensor]) -> tuple[float,
     gradients = {f"the gradient of {name}": p.grad for name, p in parameters.items() if p.grad is not None}
     # shN's gradient is sh0's times the basis.
     asked = [gradient for name, gradient in gradients.items() if not name.endswith(" shN")]
-    value, total = torch.stack([loss.detach(), sum_of_sizes(asked).to(loss)]).tolist()
+    value, total = torch.stack([loss.detach(), norm_of_all(asked).to(loss)]).tolist()
     return value, "" if math.isfinite(value + total) else not_finite({"the loss": loss.detach()} | gradients)
 
 
-def sum_of_sizes(tensors: Sequence[Tensor]) -> Tensor:
-    """Return the sum of the absolute values of all tensors, (): where it is finite, all are. Far quicker than each."""
-    return get_total_norm(tensors, norm_type=1.0)
+def norm_of_all(tensors: Sequence[Tensor]) -> Tensor:
+    """Return the norm of tensors together, (): where it is finite, all values are. Far quicker than asking each."""
+    return get_total_norm(tensors)
 
 
 def finite_part(cloud: GaussianCloud) -> GaussianCloud:
@@ -279,7 +279,7 @@ def without(tensors: Mapping[str, Tensor], names: Collection[str]) -> dict[str, 
 
 def not_finite(tensors: Mapping[str, Tensor]) -> str:
     """Name the first tensor with values that are not finite, and the Gaussians they belong to; empty where none is."""
-    if math.isfinite(float(sum_of_sizes([t.detach() for t in tensors.values() if t.is_floating_point()]))):
+    if math.isfinite(float(norm_of_all([t.detach() for t in tensors.values() if t.is_floating_point()]))):
         return ""
     for name, tensor in ((name, tensor.detach()) for name, tensor in tensors.items()):
         if math.isfinite(float(tensor.sum())) or not (bad := ~torch.isfinite(tensor)).any():
