@@ -24,7 +24,7 @@ from swag_engine.kernels.cpu_library import CpuLibrary
 KERNELS["cpu"] = CpuKernels(lambda: CpuLibrary(Path(sys.argv[1])))
 skipped = "instruction_set or in_float32 or without_kernels or build_compiles"
 # What runs the reference alone calls none of these kernels.
-skipped += " or reference_blends or finite_differences or torch]"
+skipped += " or reference_blends or finite_differences or torch] or make_on_card"
 skipped += " or 200_steps or resumes or float64_reference or step_that_is_not_finite or left_to_autograd"
 sys.exit(pytest.main(["-x", "-v", "--capture=no", "-p", "no:cacheprovider", "-k", f"not ({skipped})", *sys.argv[2:]]))
 """
