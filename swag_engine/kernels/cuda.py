@@ -6,7 +6,7 @@ There are no atomic sums: every result is the same to the bit each time.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import torch
@@ -132,7 +132,8 @@ class CudaKernels:
 
     def sum_each(self, kernel: str, count: int, size: int, *arguments: Argument) -> Tensor:
         """See `NativeKernels.sum_each`."""
-        sums = torch.empty(-(-count // THREADS), size, device=self.device())
+        device = next(argument for argument in arguments if isinstance(argument, Tensor)).device
+        sums = torch.empty(-(-count // THREADS), size, device=device)
         self.run_each(kernel, count, *arguments, sums)
         return sums.sum(0, dtype=torch.float64)
 
@@ -278,13 +279,9 @@ class CudaKernels:
         sums, derivatives = self._l1_ssim(image, target)
 
         def backward(factor: float) -> Tensor:
-            return self._l1_ssim_backward(image, target, derivatives, self._ssim_alone, factor)
+            return self._l1_ssim_backward(image, target, derivatives, _ssim_alone(image.device), factor)
 
         return sums[1:], backward
-
-    @cached_property
-    def _ssim_alone(self) -> Tensor:
-        return torch.tensor([0.0, 1.0], device=self.device())
 
     def _l1_ssim(self, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """Return the sums of |image - target| and of SSIM, (2,) float64, and what `_l1_ssim_backward` takes."""
@@ -382,6 +379,12 @@ class CudaKernels:
         corrected = rate / (1 - beta1**step), math.sqrt(1 - beta2**step)
         tensors = parameter, gradient.contiguous(), exp_avg, exp_avg_sq
         self.run_each("adam_step", count, *tensors, *corrected, 1.0 - beta1, 1.0 - beta2, float(eps))
+
+
+@cache
+def _ssim_alone(device: torch.device) -> Tensor:
+    """Return the gradients by the sums of L1 and SSIM of a loss that is SSIM; sent to the card once."""
+    return torch.tensor([0.0, 1.0], device=device)
 
 
 class _Blend(torch.autograd.Function):
