@@ -364,11 +364,11 @@ class Trainer:
         if not result.problem:
             if result.means2d_gradient is not None and result.radii is not None and not target.interpolated:
                 state.statistics.add(result.means2d_gradient, result.radii, target.camera.width)
-            if not config.stage_two:
+            if densifies:
                 rate, fraction = config.learning_rates["means"], state.clock.fraction
                 self.densification.after_step(state, rate, self._sh_degree(fraction), self._water_degree(fraction))
                 # With densification, so that Gaussians on a device are read for both at once.
-                if densifies and "moving_objects" in state.recipe.effects and state.motion.search_due(fraction):
+                if "moving_objects" in state.recipe.effects and state.motion.search_due(fraction):
                     self._mask_motion()
         if self.guard.roll_back_if_bad(state.guarded, state.optimizer, state.iteration, state.on_device):
             state.reset_statistics()
