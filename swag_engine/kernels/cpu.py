@@ -12,10 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..base.camera_kind import CameraKind
 from ..base.timing import part
-from . import elementwise
 from .cpu_library import Argument, CpuLibrary, load_library
+from .elementwise import ElementwiseKernels
 from .protocol import Blended, Gradients, Projection, check_pairs
 
 RANK_CHUNKS = 8
@@ -26,7 +25,7 @@ SUM_PARTS = 32
 """Ranges whose sums are added in their order: the result does not depend on the number of threads."""
 
 
-class CpuKernels:
+class CpuKernels(ElementwiseKernels):
     """The backend "cpu".
 
     Args:
@@ -67,23 +66,6 @@ class CpuKernels:
         library = self._library_if_any
         return {"threads": torch.get_num_threads(), "kernels": library.path.name if library else None}
 
-    def project(
-        self,
-        means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        channels: Tensor,
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
-        kind: CameraKind = "perspective",
-    ) -> Projection:
-        """See `Kernels.project`."""
-        gaussians = means, quats, scales, opacities, channels
-        return elementwise.project(self.library.run, self.viewmat_dtype, *gaussians, viewmat, K, width, height, kind)
-
     def blend(
         self, projected: Projection, opacities: Tensor, channels: Tensor, background: Tensor, width: int, height: int
     ) -> tuple[Tensor, Tensor]:
@@ -118,34 +100,6 @@ class CpuKernels:
         sums = channels.new_zeros(n, size)
         library.run("gather_sums", len(b.rank_starts) - 1, size, b.order, b.rank_starts, results, sums)
         return sums[:, 2:], sums[:, 0], sums[:, 1]
-
-    def sh_colors(self, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
-        """See `Kernels.sh_colors`."""
-        return elementwise.sh_colors(self.library.run, sh0, shN, directions, degree)
-
-    def apply_gain(self, display: Tensor, log_gain: Tensor) -> Tensor:
-        """See `Kernels.apply_gain`."""
-        return elementwise.apply_gain(self.library.run, display, log_gain)
-
-    def through_water(
-        self, colors: Tensor, offsets: Tensor, coefficients: Tensor, degree: int, linear: bool, amount: float
-    ) -> Tensor:
-        """See `Kernels.through_water`."""
-        return elementwise.through_water(self, colors, offsets, coefficients, degree, linear, amount)
-
-    def open_water(
-        self,
-        coefficients: Tensor,
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
-        degree: int,
-        linear: bool,
-        amount: float,
-    ) -> Tensor:
-        """See `Kernels.open_water`."""
-        return elementwise.open_water(self, coefficients, viewmat, K, width, height, degree, linear, amount)
 
     def l1_ssim(self, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """See `Kernels.l1_ssim`."""

@@ -12,10 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..base.camera_kind import CameraKind
 from ..base.timing import part
-from . import elementwise
 from .cuda_driver import Argument, CudaUnavailable, Driver, Launcher
+from .elementwise import ElementwiseKernels
 from .protocol import Blended, Gradients, Projection, check_pairs
 
 THREADS = 256
@@ -55,7 +54,7 @@ class TilePairs:
     tile_starts: Tensor
 
 
-class CudaKernels:
+class CudaKernels(ElementwiseKernels):
     """The backend "cuda".
 
     Args:
@@ -136,23 +135,6 @@ class CudaKernels:
         sums = torch.empty(-(-count // THREADS), size, device=device)
         self.run_each(kernel, count, *arguments, sums)
         return sums.sum(0, dtype=torch.float64)
-
-    def project(
-        self,
-        means: Tensor,
-        quats: Tensor,
-        scales: Tensor,
-        opacities: Tensor,
-        channels: Tensor,
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
-        kind: CameraKind = "perspective",
-    ) -> Projection:
-        """See `Kernels.project`."""
-        gaussians = means, quats, scales, opacities, channels
-        return elementwise.project(self.run_each, self.viewmat_dtype, *gaussians, viewmat, K, width, height, kind)
 
     def tile_pairs(self, projected: Projection, opacities: Tensor, width: int, height: int) -> TilePairs:
         """List the Gaussians of each tile in depth order.
@@ -329,34 +311,6 @@ class CudaKernels:
             self.run(kernel, threads, width, height, weight_count, first, *lists, *images, results)
         self.run("gather_sums", n * WARP, n, size, p.order, p.rank_starts, results, sums)
         return sums[:, 2:], sums[:, 0], sums[:, 1]
-
-    def sh_colors(self, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
-        """See `Kernels.sh_colors`."""
-        return elementwise.sh_colors(self.run_by_channel, sh0, shN, directions, degree)
-
-    def apply_gain(self, display: Tensor, log_gain: Tensor) -> Tensor:
-        """See `Kernels.apply_gain`."""
-        return elementwise.apply_gain(self.run_by_channel, display, log_gain)
-
-    def through_water(
-        self, colors: Tensor, offsets: Tensor, coefficients: Tensor, degree: int, linear: bool, amount: float
-    ) -> Tensor:
-        """See `Kernels.through_water`."""
-        return elementwise.through_water(self, colors, offsets, coefficients, degree, linear, amount)
-
-    def open_water(
-        self,
-        coefficients: Tensor,
-        viewmat: Tensor,
-        K: Tensor,
-        width: int,
-        height: int,
-        degree: int,
-        linear: bool,
-        amount: float,
-    ) -> Tensor:
-        """See `Kernels.open_water`."""
-        return elementwise.open_water(self, coefficients, viewmat, K, width, height, degree, linear, amount)
 
     def l1_ssim(self, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """See `Kernels.l1_ssim`."""

@@ -209,34 +209,6 @@ class _Water(torch.autograd.Function):
         return by_colors, by_offsets, sums.float(), None, None, None
 
 
-def through_water(
-    kernels: NativeKernels,
-    colors: Tensor,
-    offsets: Tensor,
-    coefficients: Tensor,
-    degree: int,
-    linear: bool,
-    amount: float,
-) -> Tensor:
-    """Show colors through water by a native kernel, or by torch where only a part of the water is wanted.
-
-    Args:
-        kernels: The backend.
-        colors: (N, 3) display values.
-        offsets: (N, 3) from the camera to the Gaussians, scene units.
-        coefficients: (33,) of the water as in `Kernels.through_water`.
-        degree: Degree of the background light, 0..2.
-        linear: Whether the water works on linear light.
-        amount: Amount of water, 0 (none) to 1.
-
-    Returns:
-        (N, 3) display values.
-    """
-    if amount != 1:
-        return REFERENCE.through_water(colors, offsets, coefficients, degree, linear, amount)
-    return _Water.apply(colors, offsets, coefficients, degree, linear, kernels)
-
-
 class _OpenWater(torch.autograd.Function):
     @staticmethod
     @part("water")
@@ -269,33 +241,60 @@ class _OpenWater(torch.autograd.Function):
         return sums.float(), None, None, None, None, None, None, None
 
 
-def open_water(
-    kernels: NativeKernels,
-    coefficients: Tensor,
-    viewmat: Tensor,
-    K: Tensor,
-    width: int,
-    height: int,
-    degree: int,
-    linear: bool,
-    amount: float,
-) -> Tensor:
-    """Show open water by a native kernel, or by torch where only a part of the water is wanted.
+class ElementwiseKernels:
+    """What native backends share of `Kernels`: kernels that take each Gaussian, color or pixel by itself."""
 
-    Args:
-        kernels: The backend.
-        coefficients: (33,) of the water as in `Kernels.through_water`.
-        viewmat: (4, 4) world to camera.
-        K: (3, 3) intrinsics, pixels.
-        width: Width of the image, pixels.
-        height: Height of the image, pixels.
-        degree: Degree of the background light, 0..2.
-        linear: Whether the water works on linear light.
-        amount: Amount of water, 0 (none) to 1.
+    def project(
+        self: NativeKernels,
+        means: Tensor,
+        quats: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        channels: Tensor,
+        viewmat: Tensor,
+        K: Tensor,
+        width: int,
+        height: int,
+        kind: CameraKind = "perspective",
+    ) -> Projection:
+        """See `Kernels.project`."""
+        gaussians = means, quats, scales, opacities, channels
+        return project(self.run_each, self.viewmat_dtype, *gaussians, viewmat, K, width, height, kind)
 
-    Returns:
-        (H, W, 3) display values.
-    """
-    if amount != 1:
-        return REFERENCE.open_water(coefficients, viewmat, K, width, height, degree, linear, amount)
-    return _OpenWater.apply(coefficients, viewmat, K, width, height, degree, linear, kernels)
+    def sh_colors(self: NativeKernels, sh0: Tensor, shN: Tensor, directions: Tensor, degree: int) -> Tensor:
+        """See `Kernels.sh_colors`."""
+        return sh_colors(self.run_by_channel, sh0, shN, directions, degree)
+
+    def apply_gain(self: NativeKernels, display: Tensor, log_gain: Tensor) -> Tensor:
+        """See `Kernels.apply_gain`."""
+        return apply_gain(self.run_by_channel, display, log_gain)
+
+    def through_water(
+        self: NativeKernels,
+        colors: Tensor,
+        offsets: Tensor,
+        coefficients: Tensor,
+        degree: int,
+        linear: bool,
+        amount: float,
+    ) -> Tensor:
+        """See `Kernels.through_water`."""
+        if amount != 1:
+            return REFERENCE.through_water(colors, offsets, coefficients, degree, linear, amount)
+        return _Water.apply(colors, offsets, coefficients, degree, linear, self)
+
+    def open_water(
+        self: NativeKernels,
+        coefficients: Tensor,
+        viewmat: Tensor,
+        K: Tensor,
+        width: int,
+        height: int,
+        degree: int,
+        linear: bool,
+        amount: float,
+    ) -> Tensor:
+        """See `Kernels.open_water`."""
+        if amount != 1:
+            return REFERENCE.open_water(coefficients, viewmat, K, width, height, degree, linear, amount)
+        return _OpenWater.apply(coefficients, viewmat, K, width, height, degree, linear, self)
