@@ -4,9 +4,11 @@ Run: `python benchmarks/restored_colors.py FOLDER [--seeds 11 21] [--scenes "dem
 Results: benchmarks/results/restored_colors.json and docs/images/restored_colors.webp
 
 The scenes are rendered to FOLDER and trained there, unless they are there already. Rows of other scenes and seeds stay
-in the results. Methods for single photos restore the photos of the test views, which training does not see; ours
-renders these views. All are compared where the truth has a surface that a training view saw. How bright a place is that
-a lamp at the camera lights has no true value: there each method gets the one exposure that suits its images best.
+in the results. Methods for single photos restore the photos of the test views, which training does not see, and so does
+ours, with the water and the colors of the run; its renders of these views do not know the photo. All are compared where
+the truth has a surface that a training view saw. How bright a place is that a lamp at the camera lights has no true
+value: there each method gets the one exposure that suits its images best. Scenes without compression have PNG files as
+photos, the others JPEG files of the same size.
 """
 
 import json
@@ -27,10 +29,13 @@ from benchmarks.common import DEMO, PICTURES, RESULTS, write_results
 from benchmarks.restoration_limit import COAST, OCEAN, SETTINGS, render_reef
 from swag_engine.base.transfer import linear_to_srgb, srgb_to_linear
 from swag_engine.evaluation.metrics import render_image, restored_error
+from swag_engine.evidence.noise import estimate_noise
 from swag_engine.experiments.develop_run import color_view
 from swag_engine.experiments.evaluate_run import LoadedRun, load_run, true_image
 from swag_engine.formats.run_folder import RunFolder
+from swag_engine.rendering.model import SceneModel
 from swag_engine.rendering.render import render
+from swag_engine.rendering.restored_photo import restored_photo
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import TrainingImage, load_images
@@ -48,12 +53,20 @@ SCENES: dict[str, dict[str, Any]] = {
     "street, coast": {"water": COAST},
     "room, coast": {"water": COAST},
     "room, coast, lamp": {"water": COAST, "lamp": 1.0},
+    "reef, ocean, not compressed": {"water": OCEAN, "lossless": True},
+    "reef, coast, not compressed": {"water": COAST, "lossless": True},
+    "street, ocean, not compressed": {"water": OCEAN, "lossless": True},
+    "street, coast, not compressed": {"water": COAST, "lossless": True},
+    "room, coast, not compressed": {"water": COAST, "lossless": True},
 }
 """Place and effects of the generated scenes; the demo has a seed of its own, 0."""
 METHODS = (
     "photo", "grey world", "CLAHE", "grey world + CLAHE", "Sea-thru", "best gain", "true water",
-    "ours, not developed", "ours",
+    "render, not developed", "render", "restored photo, not developed", "restored photo",
 )  # fmt: skip
+OURS = "restored photo"
+PICTURED = tuple(name for name in SCENES if "not compressed" not in name)
+"""Scenes in the picture, after the demo."""
 KNOW_TRUTH = ("best gain", "true water")
 HIDDEN = 0.95
 """A point is hidden from a view whose surface is nearer than this fraction of its distance."""
@@ -63,7 +76,7 @@ LABEL = 20
 """Height of the line above each row of the picture, pixels."""
 EXPOSURES = np.arange(-5, 3.01, 0.25)
 """Exposures that are tried under a lamp, stops."""
-PICTURE_SCALE = 0.64
+PICTURE_SCALE = 0.56
 """Size of the picture over that of the views."""
 MOST_BYTES = 52_000
 """Of the picture: it is compressed as much as this needs."""
@@ -133,7 +146,7 @@ def true_range(scene_folder: Path, camera: Camera) -> np.ndarray:
 def images_of(
     run: LoadedRun, scene_folder: Path, image: TrainingImage, truth: np.ndarray, valid: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the image (H, W, 3) that each method makes of a test view, without the development of ours."""
+    """Return the image (H, W, 3) that each method makes of a test view, without development."""
     water = json.loads((scene_folder / "truth.json").read_text("utf-8"))["water"]
     photo = image.pixels.astype(np.float32) / 255
     made = {
@@ -144,9 +157,14 @@ def images_of(
         "Sea-thru": sea_thru(photo, rendered_range(run, image.camera)),
         "best gain": best_gain(photo, truth, valid),
         "true water": true_water(photo, true_range(scene_folder, image.camera), water),
-        "ours, not developed": render_image(
+        "render, not developed": render_image(
             run.cloud, image.camera, SETTINGS.sh_degree, effects=run.effects, amount=0
         ).numpy(),
+        "restored photo, not developed": linear_to_srgb(
+            restored_photo(
+                SceneModel(run.trained, run.effects), run.cloud, image, estimate_noise([image]), SETTINGS.sh_degree
+            )
+        ).clip(0, 1),
     }
     return {name: np.asarray(picture, np.float64) for name, picture in made.items()}
 
@@ -180,7 +198,8 @@ def compare(scene_folder: Path, out: Path) -> tuple[dict[str, Any], dict[str, np
         compared = valid.copy()
         compared[valid] = seen
         pictures = images_of(run, scene_folder, image, truth, compared)
-        pictures["ours"] = development.apply(pictures["ours, not developed"])
+        for name in ("render", OURS):
+            pictures[name] = development.apply(pictures[f"{name}, not developed"])
         for name in METHODS:
             made[name].append(pictures[name])
         truths.append(truth)
@@ -238,13 +257,13 @@ def keep_row(name: str, seed: int, row: dict[str, Any]) -> None:
 
 def next_best(row: dict[str, Any]) -> str:
     """Return the method of least delta E among those that are not ours and do not know the truth."""
-    others = [name for name in METHODS if name not in KNOW_TRUTH and not name.startswith("ours")]
+    others = [name for name in METHODS if name not in KNOW_TRUTH and not name.startswith(("render", OURS))]
     return min(others, key=lambda name: row[name]["delta_e"])
 
 
 def labelled(scene: str, row: dict[str, Any], pictured: dict[str, np.ndarray]) -> np.ndarray:
     """Return a row of the picture (H, W, 3) uint8: photo, next best method, ours, truth, and what they are."""
-    names = ["photo", next_best(row), "ours", "truth"]
+    names = ["photo", next_best(row), "render", OURS, "truth"]
     strip = np.concatenate([pictured[name] for name in names], axis=1)
     pixels = (strip * 255).round().clip(0, 255).astype(np.uint8)
     line = np.full((LABEL, pixels.shape[1], 3), 255, np.uint8)
@@ -258,7 +277,7 @@ def labelled(scene: str, row: dict[str, Any], pictured: dict[str, np.ndarray]) -
 
 def write_picture(folder: Path) -> None:
     """Write the picture, of the first seed of each scene, once the rows of all scenes are in the folder."""
-    strips = [sorted(folder.glob(f"picture {name} [0-9]*.png")) for name in ("demo", *SCENES)]
+    strips = [sorted(folder.glob(f"picture {name} [0-9]*.png")) for name in ("demo", *PICTURED)]
     if not all(strips):
         print(f"{PICTURES / 'restored_colors.webp'} stays as it is: {folder} does not have all scenes yet.")
         return

@@ -961,6 +961,11 @@ GERMAN = {
         "In den Fotos des Laufs eine Farbtafel mit 24 Feldern suchen und die Felder mit bekannten Farben vergleichen"
     ),
     "Delta E of the patches:": "Delta E der Felder:",
+    "Restore Photos": "Fotos wiederherstellen",
+    "Restored Photos": "Wiederhergestellte Fotos",
+    "Write the photos of the run without water to its folder restored_photos, in the colors of the panel Color": (
+        "Die Fotos des Laufs ohne Wasser in seinen Ordner restored_photos schreiben, in den Farben der Leiste Farbe"
+    ),
     "Without Water": "Ohne Wasser",
     "Corrected": "Korrigiert",
     "Patch Left Out": "Feld ausgelassen",

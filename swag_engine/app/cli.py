@@ -481,6 +481,42 @@ class Render:
 
 
 @dataclass(frozen=True)
+class Restore:
+    """Write the photos of a run without water: the colors of the splats, with the details of the photos.
+
+    The photos themselves stay as they are.
+    """
+
+    run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+    """Folder of the run."""
+    out: Path
+    """Folder of the PNG files."""
+    photo: str | None = None
+    """Name of one photo; all photos without it."""
+    width: int | None = None
+    """Width in pixels; that of the photos without it."""
+    develop: Develop = "auto"
+    """Development of restored colors: auto, chart, none or values, as render has it."""
+    exr: tyro.conf.FlagCreatePairsOff[bool] = False
+    """Write linear light without development to half-float OpenEXR files in place of PNG files."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..experiments.restore_photos import restore_photos
+        from .progress import stage_progress
+
+        with stage_progress() as progress:
+            paths = restore_photos(
+                self.run_folder, self.out, self.photo, self.width, self.develop, self.exr, progress
+            )  # fmt: skip
+        files = [str(path) for path in paths]
+        show({"files": files}, self.json, "\n".join(files))
+        return 0
+
+
+@dataclass(frozen=True)
 class Film:
     """Render a run along a camera path to an image sequence or a video, with alpha and depth."""
 
@@ -886,7 +922,7 @@ class Doctor:
 
 COMMANDS = (
     Inspect, Sfm, ImportCameras, Scale, Targets, Plan, Forecast, Train, Evaluate, Report, Chart, Ablate, Tradeoff,
-    Render, Film, Label, Search, Extract, Export, Ortho, Dem, Areas,
+    Render, Restore, Film, Label, Search, Extract, Export, Ortho, Dem, Areas,
     Profile, Change, Survey, Batch, Doctor,
 )  # fmt: skip
 

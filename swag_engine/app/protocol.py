@@ -232,6 +232,21 @@ class ChartRequest:
 
 
 @dataclass(frozen=True)
+class RestoreRequest:
+    """Write the photos of a run without water, as the command `restore` does.
+
+    Attributes:
+        run: Folder of the run.
+        out: Folder of the PNG files.
+        colors: How colors are developed.
+    """
+
+    run: Path
+    out: Path
+    colors: ColorView = AS_RESTORED
+
+
+@dataclass(frozen=True)
 class MapRequest:
     """What the requests for maps of a run have in common; the commands of their names have the same options.
 
@@ -368,6 +383,7 @@ Request = (
     | SearchRequest
     | ScoreEditRequest
     | ChartRequest
+    | RestoreRequest
     | OrthoRequest
     | DemRequest
     | AreasRequest
@@ -393,6 +409,7 @@ REQUESTS: dict[str, type[Request]] = {
     "search": SearchRequest,
     "score_edit": ScoreEditRequest,
     "chart": ChartRequest,
+    "restore": RestoreRequest,
     "ortho": OrthoRequest,
     "dem": DemRequest,
     "areas": AreasRequest,

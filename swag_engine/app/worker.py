@@ -35,6 +35,7 @@ from .protocol import (
     PlanRequest,
     PlanSurveyRequest,
     Request,
+    RestoreRequest,
     ScaleRequest,
     ScoreEditRequest,
     SearchRequest,
@@ -224,6 +225,13 @@ class Worker:
                 progress = self.stoppable("The search for a color chart was stopped; nothing was written.")
                 document = measure_chart(request.run, progress=progress)
             return {"event": "result", "request": "chart", "run": str(request.run)} | document
+        if isinstance(request, RestoreRequest):
+            from ..experiments.restore_photos import restore_photos
+
+            with interrupts.deferred():
+                progress = self.stoppable("The restoration was stopped; the photos that were done are there.")
+                files = restore_photos(request.run, request.out, develop=request.colors, progress=progress)
+            return {"event": "result", "request": "restore", "out": str(request.out), "photos": len(files)}
         if isinstance(request, MapRequest):
             with interrupts.deferred():
                 progress = self.stoppable("The map was stopped before it was done.")

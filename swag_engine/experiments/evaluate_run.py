@@ -16,6 +16,7 @@ from ..effects.scene_effects import SceneEffects
 from ..evaluation.lpips import BACKBONES, load_lpips
 from ..evaluation.metrics import (
     floater_mass,
+    in_8_bits,
     joint_psnr,
     mask_invalid,
     mean,
@@ -148,12 +149,12 @@ def compare_view(
         The comparison.
     """
 
-    def in_8_bits(x: Tensor) -> np.ndarray:
+    def to_bytes(x: Tensor) -> np.ndarray:
         return (x * 255).round().byte().numpy()
 
-    without = None if restored is None else in_8_bits(restored)
+    without = None if restored is None else to_bytes(restored)
     sure = None if confidence is None else confidence.cpu().numpy()
-    return ViewComparison(image.camera.name, image.pixels, in_8_bits(color), image.valid, without, sure)
+    return ViewComparison(image.camera.name, image.pixels, to_bytes(color), image.valid, without, sure)
 
 
 def describe(evaluation: dict[str, Any]) -> str:
@@ -280,13 +281,31 @@ def write_view(
     Raises:
         InputError: If it cannot be written.
     """
-    path = (out / camera.name).with_suffix(".exr" if exr else ".png")
+    color = render_color(cloud, camera, sh_degree, effects=effects, amount=water)
+    return write_picture(out, camera.name, color.numpy(), development, exr)
+
+
+def write_picture(out: Path, name: str, color: np.ndarray, development: Development, exr: bool) -> Path:
+    """Write a picture to a file.
+
+    Args:
+        out: Folder of the file.
+        name: Name of the photo that the file is named after.
+        color: (H, W, 3) display values, which may be above 1.
+        development: Of a PNG file.
+        exr: Write linear light without development to an OpenEXR file in place of a PNG file.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    path = (out / name).with_suffix(".exr" if exr else ".png")
     if exr:
-        color = render_color(cloud, camera, sh_degree, effects=effects, amount=water)
-        write_light_exr(path, srgb_to_linear(color.numpy()))
+        write_light_exr(path, srgb_to_linear(color))
         return path
-    image = render_image(cloud, camera, sh_degree, effects=effects, amount=water, development=development)
-    pixels = (image * 255).round().byte().numpy()
+    pixels = in_8_bits(torch.from_numpy(development.apply(color))).mul(255).round().byte().numpy()
     with atomic_path(path) as temporary:
         temporary.write_bytes(cv2.imencode(".png", pixels[..., ::-1])[1].tobytes())
     return path

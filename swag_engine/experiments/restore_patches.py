@@ -5,19 +5,14 @@ and with white Gaussians in the places of the fitted ones. Over a flat chart bot
 those of the patches that are seen bridges the holes that few iterations leave in the splats.
 """
 
-from dataclasses import replace
-
 import numpy as np
-import torch
 
 from ..base.transfer import linear_to_srgb, srgb_to_linear
 from ..colorchart.find_chart import ChartObservation, measure
 from ..effects.scene_effects import SceneEffects
 from ..gaussians.cloud import GaussianCloud
-from ..rendering.render import render
+from ..rendering.photo_terms import uniform_image, works_on_light
 from ..scene.cameras import Camera
-from ..splats.transform import C0
-from ..water.medium import Medium
 
 LEAST_GAIN = 1e-3
 """Gain below which a patch's own light is lost."""
@@ -38,9 +33,8 @@ def restored_patches(
         Linear light (N, 3) without water, lamp and photo effects; negative where the run has more backscatter than the
         photo has light.
     """
-    medium = effects.medium
-    on_light = medium is None or (isinstance(medium, Medium) and medium.light == "linear")
-    black, white = (_uniform(cloud, effects, camera, value) for value in (0.0, 1.0))
+    on_light = works_on_light(effects)
+    black, white = (uniform_image(cloud, effects, camera, value) for value in (0.0, 1.0))
     if on_light:
         black, white = srgb_to_linear(black), srgb_to_linear(white)
     seen = observation.light if on_light else linear_to_srgb(observation.light)
@@ -63,12 +57,3 @@ def even_values(places: np.ndarray, values: np.ndarray, used: np.ndarray) -> np.
         planes = np.linalg.solve(normal, right[..., None])[..., 0].T
         weights = 1 / np.maximum(np.abs(values - design_used @ planes), 1e-5)
     return design @ planes
-
-
-def _uniform(cloud: GaussianCloud, effects: SceneEffects, camera: Camera, value: float) -> np.ndarray:
-    """Render Gaussians of one display value (H, W, 3) through the effects."""
-    sh0 = torch.full_like(cloud.sh0, (value - 0.5) / C0)
-    painted = replace(cloud, sh0=sh0, shN=torch.zeros_like(cloud.shN))
-    with torch.no_grad():
-        color = render(painted, camera, 0, effects.medium, lamp=effects.lamp).color
-        return effects.apply_to_image(color, camera.name).cpu().numpy().astype(np.float64)

@@ -88,6 +88,12 @@ def load_images(
     return images
 
 
+def load_image(scene: Scene, view: View, width: int | None = None) -> TrainingImage:
+    """Undistort one image as `load_images` does, without keeping the result in the cache."""
+    pixels, valid = _undistorted(view, mask_path(scene, view), width)
+    return TrainingImage(view.camera.resized(pixels.shape[1]), pixels, valid)
+
+
 def read_image(path: Path, size: tuple[int, int] | None = None) -> tuple[np.ndarray, np.ndarray | None]:
     """Read an image file.
 

@@ -172,6 +172,14 @@ def chart(request):
     send(event="result", request="chart", run=str(run), **document)
 
 
+def restore(request):
+    out = Path(request["out"])
+    out.mkdir()
+    (out / "request.json").write_text(json.dumps(request))
+    send(event="progress", stage="Restore photos", text="Restore photos", iteration=50, iterations=100)
+    send(event="result", request="restore", out=request["out"], photos=2)
+
+
 def plan_survey(request):
     from tests.scenes.hand_made_survey import make_survey
 
@@ -210,6 +218,7 @@ def main():
                 "sfm": sfm,
                 "import_cameras": import_cameras,
                 "chart": chart,
+                "restore": restore,
                 "plan_survey": plan_survey,
                 "merge_survey": merge_survey,
             }[request["request"]]

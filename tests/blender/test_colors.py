@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from swag_engine.app.protocol import FilmRequest, parse_request
+from swag_engine.app.protocol import FilmRequest, RestoreRequest, parse_request
 from swag_engine.formats.ply import write_ply
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.settings.settings import TrainSettings
@@ -42,3 +42,14 @@ def test_an_opened_run_has_its_development_and_damage_is_named(blender, tmp_path
     write_ply(tmp_path / "result.ply", Splats(**heap()))
     RunFolder(tmp_path).write_config(tmp_path, TrainSettings(), [0, -1, 0])
     assert "development is damaged" in blender.run("colors.open_run_with_development", tmp_path)
+
+
+def test_photos_are_restored_in_the_colors_of_the_panel(blender, fake_engine, tmp_path):
+    found = blender.run("colors.restore_photos", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
+    assert "from no run on this machine" in found["no run"]
+    assert found["message"] == f"2 photos without water: {tmp_path / 'restored_photos'}"
+    assert not found["shown"] and found["panel"][0] == "swag.restore_photos"
+    assert "2 photos without water:" in found["panel"]
+    request = parse_request((tmp_path / "restored_photos" / "request.json").read_text())
+    assert isinstance(request, RestoreRequest) and request.run == tmp_path
+    assert request.colors.restored.exposure == 0.7 and request.colors.adjusted.exposure == 1

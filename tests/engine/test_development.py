@@ -155,11 +155,11 @@ def scene(cast, gain, neutral):
 
 def test_grey_parts_give_the_white_point_and_bright_ones_the_exposure():
     cast = 2.0 ** np.array([-0.2, 0.0, 0.25])
-    development, neutral = find_development(scene(cast, 0.25, 0.2), np.ones(5000))
+    development, neutral = find_development(scene(cast, 0.25, 0.2), np.ones(5000), 2.0)
     assert neutral > 0.05 and 0.5 < development.exposure < 1.5
     grey = srgb_to_linear(development.apply(linear_to_srgb(0.3 * cast)))
     np.testing.assert_allclose(grey / grey[1], cast**0.5, atol=0.03)  # they may have this color themselves
-    without, neutral = find_development(scene(cast, 0.5, 0.0), np.ones(5000))
+    without, neutral = find_development(scene(cast, 0.5, 0.0), np.ones(5000), 2.0)
     assert neutral < 0.02 and without.white == (1.0, 1.0, 1.0)
 
 
@@ -174,8 +174,10 @@ def test_exposure_makes_the_bright_parts_or_the_median_bright_enough():
         (with_few * 20, 0.1),
     )
     for light, expected in cases:
-        development, _ = find_development(linear_to_srgb(light), np.ones(1000))
+        development, _ = find_development(linear_to_srgb(light), np.ones(1000), 2.0)
         assert 2**development.exposure == pytest.approx(expected, rel=0.01)
+        dim, _ = find_development(linear_to_srgb(light), np.ones(1000), 0.5)
+        assert 2**dim.exposure == pytest.approx(min(expected, 2**0.5), rel=0.01)
 
 
 def test_at_most_one_percent_is_clipped_however_bright_the_colors_are():
@@ -184,9 +186,9 @@ def test_at_most_one_percent_is_clipped_however_bright_the_colors_are():
     weights = np.ones(5000)
     weights[:400] = 0.0
     assert (values >= CLIPPED_VALUE).mean(axis=0).max() > 0.3
-    development, _ = find_development(values, weights)
+    development, _ = find_development(values, weights, 2.0)
     assert (development.apply(values) >= CLIPPED_VALUE).mean(axis=0).max() <= 0.01
-    assert find_development(values, np.zeros(5000)) == (NO_DEVELOPMENT, 0.0)
+    assert find_development(values, np.zeros(5000), 2.0) == (NO_DEVELOPMENT, 0.0)
 
 
 def test_an_image_of_light_is_read_back_from_half_floats(tmp_path):

@@ -1,9 +1,6 @@
 """Films: camera paths, image sequences, videos, alpha and depth."""
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import cv2
@@ -26,6 +23,7 @@ from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.splats.splats import Splats
 from swag_engine.water.medium import Medium
+from tests.engine.exr_files import read_exr
 
 
 def wall(depth=4.0, side=200):
@@ -57,15 +55,6 @@ def frames(count):
 
 def read_image(path):
     return cv2.cvtColor(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), cv2.COLOR_BGR2RGB)
-
-
-def read_exr(path):
-    """Read an EXR with OpenCV, in a process in which its reader is switched on."""
-    code = "import cv2, numpy, sys; numpy.save(sys.argv[2], cv2.imread(sys.argv[1], cv2.IMREAD_UNCHANGED))"
-    out = path.with_suffix(".npy")
-    environment = os.environ | {"OPENCV_IO_ENABLE_OPENEXR": "1"}
-    subprocess.run([sys.executable, "-c", code, str(path), str(out)], check=True, env=environment)
-    return np.load(out)
 
 
 def test_a_path_is_read_as_it_was_written(tmp_path):

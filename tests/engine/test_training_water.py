@@ -10,18 +10,23 @@ import pytest
 import torch
 
 from swag_engine.base.errors import InputError
+from swag_engine.evaluation.metrics import restored_error
 from swag_engine.experiments.develop_run import automatic_development
-from swag_engine.experiments.evaluate_run import evaluate_run, load_newest, load_run, render_run
+from swag_engine.experiments.evaluate_run import evaluate_run, load_newest, load_run, render_run, true_image
 from swag_engine.experiments.report import write_report
+from swag_engine.experiments.restore_photos import restore_photos
 from swag_engine.formats.export import ExportOptions, export_run
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.images import load_images
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.splats.develop_splats import bake_development
 from swag_engine.splats.development import NO_DEVELOPMENT, Development
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
+from tests.engine.exr_files import read_exr
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
 SETTINGS = TrainSettings(iterations=120, width=160, max_gaussians=6000, sh_degree=1)
@@ -153,3 +158,37 @@ def test_a_resumed_run_keeps_its_water(runs, tmp_path):
     got, _ = load_checkpoint(tmp_path / "run")
     assert {"medium.background_sh", "restoration.confidence"} <= set(expected)
     assert all(torch.equal(got[name], expected[name]) for name in expected)
+
+
+def test_restored_photos_are_nearer_to_the_truth_than_renders_and_photos(runs, tmp_path):
+    files = restore_photos(runs / "swag", tmp_path / "photos", width=160, develop="none")
+    scene = load_scene(REEF)
+    assert [file.name for file in files] == [f"{Path(view.name).stem}.png" for view in scene.views]
+    rendered = {file.name for file in render_run(runs / "swag", tmp_path / "renders", None, 0.0, "none")}
+    test = load_images(scene, [view for view in scene.views if f"{Path(view.name).stem}.png" in rendered], 160)
+    errors = []
+    for image in test:
+        truth = true_image(scene, image)
+        assert truth
+        name = f"{Path(image.camera.name).stem}.png"
+        made = [cv2.imread(str(tmp_path / folder / name))[..., ::-1] / 255 for folder in ("photos", "renders")]
+        errors.append([restored_error(picture, *truth)[1] for picture in (*made, image.pixels / 255)])
+    photos, renders, taken = np.mean(errors, axis=0)
+    assert photos < 0.85 * renders and photos < 0.6 * taken
+
+
+def test_a_photo_is_restored_at_full_size_and_as_light(runs, tmp_path):
+    [file] = restore_photos(runs / "swag", tmp_path, "reef_001.jpg", exr=True)
+    assert file == tmp_path / "reef_001.exr"
+    light = read_exr(file)
+    assert light.shape == (360, 640, 3) and light.min() >= 0 and 0.02 < np.median(light) < 0.5
+
+
+def test_what_cannot_be_restored_is_said(runs, tmp_path):
+    with pytest.raises(InputError, match="has no photo named other.jpg; the first is reef_000.jpg"):
+        restore_photos(runs / "swag", tmp_path, "other.jpg")
+    with pytest.raises(InputError, match="must not be replaced: choose another folder"):
+        restore_photos(runs / "swag", REEF / "images" / "restored")
+    with pytest.raises(InputError, match="at least 1 pixel, not 0"):
+        restore_photos(runs / "swag", tmp_path, width=0)
+    assert not list(tmp_path.iterdir()) and not (REEF / "images" / "restored").exists()

@@ -8,7 +8,7 @@ averaged down to its size. With `--volume` Cycles renders a real absorbing and s
 does not share that equation.
 
 Files in DIR:
-    images/NAME.jpg       the images
+    images/NAME.jpg       the images (with `--lossless` NAME.png)
     sparse/0/             the COLMAP model (binary): exact poses, points triangulated from observations with noise
     clean/NAME.webp       what the held-out views (every eighth) look like without water and fish, on black
     range/NAME.png        their ranges, 16 bit, millimetres, 0 in open water
@@ -79,6 +79,8 @@ class Settings:
     """Strength of the processing in the camera, 1 as in telephones: see `process_as_phone`."""
     moving_object: float = 0.0
     """Fraction of the images that fish swim through."""
+    lossless: bool = False
+    """Write PNG files, as if the images were reduced from larger photos: a JPEG keeps color at half the size alone."""
     chart: bool = False
     """Stand a 24-patch color chart on the sand."""
     volume: bool = False
@@ -379,7 +381,7 @@ def make_scene(settings: Settings, rendered: Rendered | None = None) -> dict:
     rendered = rendered or render(settings)
     poses, volume = rendered.poses, rendered.volume
     factor, focal = settings.supersample, focal_length(settings)
-    names = [f"reef_{k:03d}.jpg" for k in range(settings.views)]
+    names = [f"reef_{k:03d}.{'png' if settings.lossless else 'jpg'}" for k in range(settings.views)]
     gains = np.exp(np.random.default_rng((settings.seed, 2)).normal(0, settings.exposure, len(names)))
     finite = np.concatenate([p.range[np.isfinite(p.range)][::97] for p in rendered.still])
     reference = float(np.median(finite))
@@ -400,7 +402,7 @@ def make_scene(settings: Settings, rendered: Rendered | None = None) -> dict:
             shown = process_as_phone(shown, settings.phone, np.random.default_rng((settings.seed, 5, k)))
         images.append(to_8bit(shown))
         ranges.append(nearest_range(seen.range, seen.alpha, factor))
-        cv2.imwrite(str(settings.out / "images" / name), images[-1][..., ::-1], JPEG)
+        cv2.imwrite(str(settings.out / "images" / name), images[-1][..., ::-1], PNG if settings.lossless else JPEG)
         png = Path(name).with_suffix(".png").name
         cv2.imwrite(str(settings.out / "labels" / png), majority(seen.label, factor), PNG)
         if settings.truth == "all" or k % HELD_OUT == 0:

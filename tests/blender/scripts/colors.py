@@ -5,7 +5,15 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from bl_ext.user_default.swag_splatting.swag_blender import colors, film, open_run, splat_export, splats, water
+from bl_ext.user_default.swag_splatting.swag_blender import (
+    colors,
+    film,
+    open_run,
+    restored_photos,
+    splat_export,
+    splats,
+    water,
+)
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import development_nodes, splat_preview
 from bl_ext.user_default.swag_splatting.swag_blender.render_setup import prepare_render
 from bl_ext.user_default.swag_splatting.swag_engine.base.transfer import linear_to_srgb
@@ -14,6 +22,7 @@ from bl_ext.user_default.swag_splatting.swag_engine.formats.run_folder import Ru
 from bl_ext.user_default.swag_splatting.swag_engine.splats.develop_splats import bake_development
 from bl_ext.user_default.swag_splatting.swag_engine.splats.development import Development
 from files import refusal
+from panels import RecordingPanel, context_of_a_sidebar
 from pictures import load_splats, new_camera, pinhole_camera, psnr, random_splats, render_pixel_centres
 
 scene = bpy.context.scene
@@ -140,3 +149,18 @@ def open_run_with_development(run):
     assert found == AUTO and colors.has_development(bpy.context.active_object, "auto")
     folder.write_development({"exposure": 0})
     return refusal(bpy.ops.swag.open_run, directory=run)
+
+
+def restore_photos(run):
+    """Messages and the panel before and after photos are restored."""
+    obj = new_splats(random_splats(5, 1))
+    splats.select_only(bpy.context, [obj])
+    scene.swag_colors.exposure = 1.0
+    panel = restored_photos.SWAG_PT_restored_photos
+    found = {"no run": refusal(bpy.ops.swag.restore_photos), "shown": panel.poll(context_of_a_sidebar())}
+    obj["swag_run"] = run
+    assert panel.poll(context_of_a_sidebar())
+    assert bpy.ops.swag.restore_photos() == {"FINISHED"}
+    texts: list[str] = []
+    panel.draw(type("Panel", (), {"layout": RecordingPanel(texts)})(), context_of_a_sidebar())
+    return found | {"message": bpy.context.window_manager.swag.message, "panel": texts}

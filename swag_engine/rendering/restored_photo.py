@@ -1,0 +1,111 @@
+"""Photos without water: the colors of the splats, with the details that only the photo shows.
+
+A render of the splats has what all photos say about a color, and is blurred. The photo with its water removed is sharp,
+and where little light is left, mostly noise. What the photo shows beyond the render is added as far as it is more than
+noise; docs/method.md, section 1, has the formulas.
+"""
+
+import cv2
+import numpy as np
+import torch
+
+from ..base.transfer import srgb_to_linear
+from ..evidence.noise import Noise
+from ..gaussians.cloud import GaussianCloud
+from ..scene.images import TrainingImage
+from .model import SceneModel
+from .photo_terms import uniform_image
+from .render import render
+
+NOISE_FACTOR = 4.0
+"""Factor of the estimated variance of noise, which is that of flat parts: compression adds more to details."""
+WINDOW = 160
+"""Width of the image over the standard deviation of the window that the variance of details is measured in."""
+LEAST_GAIN = 1e-4
+"""Least fraction of the place's light in that of a pixel."""
+ROWS = 64
+"""Rows of an image that are computed together, which limits memory."""
+LEAST_VARIANCE = 1e-12
+"""Added to variances, so that matrices can be inverted."""
+
+
+@torch.no_grad()
+def restored_photo(
+    model: SceneModel, limited: GaussianCloud, image: TrainingImage, noise: Noise, sh_degree: int
+) -> np.ndarray:
+    """Remove water, lamp and photo effects from a photo.
+
+    Args:
+        model: The Gaussians as trained, and the effects, in linear light.
+        limited: The Gaussians with limited colors.
+        image: The photo, which need not be one that was trained on.
+        noise: Its noise.
+        sh_degree: Degree of the Gaussians' colors.
+
+    Returns:
+        Linear light (H, W, 3) of the surfaces, at least 0; pixels that are not valid and those of open water are as
+        rendered.
+    """
+    cloud, effects, camera = model.cloud, model.effects, image.camera
+
+    def light_of(display: np.ndarray) -> np.ndarray:
+        return srgb_to_linear(display).astype(np.float32)
+
+    seen = render(cloud, camera, sh_degree, effects.medium, lamp=effects.lamp)
+    rendered = light_of(effects.apply_to_image(seen.color, camera.name).clamp(0, 1).cpu().numpy())
+    without = light_of(render(limited, camera, sh_degree, effects.medium, amount=0).color.cpu().numpy())
+    surface = (seen.alpha > 0.5).cpu().numpy() & image.valid
+    if not surface.any():
+        return without.clip(min=0)
+    black, white = (light_of(uniform_image(cloud, effects, camera, value)) for value in (0.0, 1.0))
+    light = light_of(image.pixels / np.float32(255))
+    detail = likely_detail(
+        light - rendered,
+        np.maximum(white - black, LEAST_GAIN),
+        (NOISE_FACTOR * (noise.offset + noise.slope * light)).astype(np.float32),
+        np.cov(without[surface].T),
+        max(1.0, camera.width / WINDOW),
+    )
+    return np.where(surface[..., None], without + detail, without).clip(min=0)
+
+
+def likely_detail(
+    difference: np.ndarray, gain: np.ndarray, noise: np.ndarray, covariance: np.ndarray, window: float
+) -> np.ndarray:
+    """Estimate the light of surfaces beyond a render, from what a photo shows beyond it.
+
+    The linear estimate of least mean square error (Wiener): details are taken as distributed like the colors of the
+    scene, times a factor up to 1 that is measured around each pixel.
+
+    Args:
+        difference: (H, W, 3) photo - render, linear light.
+        gain: (H, W, 3) fraction of a surface's light in that of the photo.
+        noise: (H, W, 3) variance of the photo's noise.
+        covariance: (3, 3) of the scene's linear light.
+        window: Standard deviation of the window that the factor is measured in, pixels.
+
+    Returns:
+        (H, W, 3) linear light.
+    """
+
+    def around(values: np.ndarray) -> np.ndarray:
+        return cv2.GaussianBlur(values, (0, 0), window)
+
+    expected = (gain**2 * np.diag(covariance)).sum(-1) + LEAST_VARIANCE
+    excess = around((difference**2).sum(-1)) - around(noise.sum(-1))
+    factor = np.clip(excess / expected, 0, 1)
+    strips = [slice(row, row + ROWS) for row in range(0, len(difference), ROWS)]
+    parts = [_estimate(difference[rows], gain[rows], noise[rows], covariance, factor[rows]) for rows in strips]
+    return np.concatenate(parts)
+
+
+def _estimate(
+    difference: np.ndarray, gain: np.ndarray, noise: np.ndarray, covariance: np.ndarray, factor: np.ndarray
+) -> np.ndarray:
+    """Return F C G (G F C G + N)^-1 d of strips of images, with F = factor, G = gain and N = noise on the diagonal."""
+    difference, gain, noise, factor = (values.astype(np.float64) for values in (difference, gain, noise, factor))
+    prior = factor[..., None, None] * covariance
+    seen = gain[..., :, None] * prior * gain[..., None, :]
+    seen += (noise + LEAST_VARIANCE)[..., None] * np.eye(3)
+    solved = torch.linalg.solve(torch.from_numpy(seen), torch.from_numpy(difference)).numpy()
+    return (prior @ (gain * solved)[..., None])[..., 0].astype(np.float32)
