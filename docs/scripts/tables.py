@@ -1014,33 +1014,69 @@ KNOW_TRUTH = ("best gain", "true water")
 """Methods of restored_colors that know the true colors or the true water."""
 
 
+RENDERS = ("render, not developed", "render")
+"""Methods of restored_colors that do not have the photo of the test view."""
+RESTORED = "restored photo"
+NOT_COMPRESSED = ", not compressed"
+"""End of the names of scenes whose photos are PNG files."""
+
+
 @table
 def restored_colors() -> str:
-    """Restored colors and methods for single photos: delta E and hue error, means over seeds."""
+    """Methods that have the photo of the test view: delta E and hue error, means over seeds."""
     scenes = _color_errors()
-    lines = [[scene, *_colors_of_methods(means)] for scene, means in scenes.items()]
-    overall = _mean_errors(list(scenes.values()))
-    lines.append(["**mean of the scenes**", *_colors_of_methods(overall)])
-    return markdown(["scene (seeds)", *overall, "ours, not developed, against best gain"], lines)
+    shown = [name for name in next(iter(scenes.values())) if name not in RENDERS]
+    rows = {scene: {name: means[name] for name in shown} for scene, means in scenes.items()}
+    rows["**mean of the scenes**"] = _mean_errors(list(rows.values()))
+    lines = [[scene, *_colors_of_methods(means), _against_best_gain(means)] for scene, means in rows.items()]
+    return markdown(["scene (seeds)", *shown, "restored photo, not developed, against best gain"], lines)
 
 
 @table
 def restored_colors_short() -> str:
-    """Delta E of the photo, of ours, and of the best other method that does not know the truth."""
+    """Delta E of the photo, of the restored photo, and of the best other method that does not know the truth."""
     lines = []
     for scene, means in _color_errors().items():
         errors = {method: figures["delta_e"] for method, figures in means.items()}
-        others = [name for name in errors if name not in KNOW_TRUTH and not name.startswith("ours")]
+        others = [name for name in errors if name not in (*KNOW_TRUTH, *RENDERS) and not name.startswith(RESTORED)]
         best = min(others, key=errors.__getitem__)
-        cells = [f"{errors['photo']:.1f}", f"{best}: {errors[best]:.1f}", f"{errors['ours']:.1f}"]
-        lines.append([scene, *cells, f"{100 * (errors['ours'] / errors[best] - 1):+.0f} %"])
-    return markdown(["scene (seeds)", "photo", "next best method", "ours", "ours against it"], lines)
+        cells = [f"{errors['photo']:.1f}", f"{best}: {errors[best]:.1f}", f"{errors[RESTORED]:.1f}"]
+        lines.append([scene, *cells, f"{100 * (errors[RESTORED] / errors[best] - 1):+.0f} %"])
+    return markdown(["scene (seeds)", "photo", "next best method", RESTORED, "against it"], lines)
 
 
-def _color_errors() -> dict[str, dict[str, dict[str, float]]]:
-    """Return delta E and hue error of each method, means over the seeds, by scene with its number of seeds."""
+@table
+def restored_renders() -> str:
+    """Delta E of renders of the test views beside photos restored in other ways."""
+    names = ("best gain", *RENDERS, f"{RESTORED}, not developed", RESTORED)
+    lines = [[scene, *(f"{means[name]['delta_e']:.1f}" for name in names)] for scene, means in _color_errors().items()]
+    return markdown(["scene (seeds)", *names], lines)
+
+
+@table
+def restored_without_compression() -> str:
+    """Delta E where the photos are not compressed, beside the same scenes as JPEG files."""
+    names = ("best gain", "true water", "render, not developed", f"{RESTORED}, not developed")
+    compressed, lines = _color_errors(), []
+    for scene, means in _color_errors(compressed=False).items():
+        pairs = [f"{means[name]['delta_e']:.1f} ({compressed[scene][name]['delta_e']:.1f})" for name in names]
+        lines.append([scene, *pairs, _against_best_gain(means)])
+    return markdown(["scene (seeds)", *names, "against best gain"], lines)
+
+
+def _color_errors(compressed: bool = True) -> dict[str, dict[str, dict[str, float]]]:
+    """Return delta E and hue error of each method, means over the seeds, by scene with its number of seeds.
+
+    Args:
+        compressed: Whether the photos are JPEG files; the names of scenes with others are given without that.
+    """
     scenes = results("restored_colors")["scenes"]
-    return {f"{scene} ({len(seeds)})": _mean_errors(list(seeds.values())) for scene, seeds in scenes.items()}
+    chosen = {
+        scene.removesuffix(NOT_COMPRESSED): seeds
+        for scene, seeds in scenes.items()
+        if scene.endswith(NOT_COMPRESSED) != compressed
+    }
+    return {f"{scene} ({len(seeds)})": _mean_errors(list(seeds.values())) for scene, seeds in chosen.items()}
 
 
 def _mean_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
@@ -1050,19 +1086,20 @@ def _mean_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float
 
 
 def _colors_of_methods(means: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """Return the cells of all methods, and how the delta E of ours differs from that of the best gain.
-
-    Ours is compared without development: the best gain has the exposure of the truth, development that of a picture.
-    Bold is the least delta E of the methods that do not know the truth.
-    """
+    """Return the cells of all methods; bold is the least delta E of those that do not know the truth."""
     least = min(figures["delta_e"] for method, figures in means.items() if method not in KNOW_TRUTH)
     cells = []
     for figures in means.values():
         delta_e = f"{figures['delta_e']:.1f}"
         delta_e = f"**{delta_e}**" if figures["delta_e"] == least else delta_e
         cells.append(f"{delta_e}, {figures['hue']:.0f}°")
-    ours = means["ours, not developed"]["delta_e"]
-    return [*cells, f"{100 * (ours / means['best gain']['delta_e'] - 1):+.0f} %"]
+    return cells
+
+
+def _against_best_gain(means: Mapping[str, Mapping[str, float]]) -> str:
+    """Return how delta E of the restored photo differs from that of the best gain, which has the truth's exposure."""
+    restored = means[f"{RESTORED}, not developed"]["delta_e"]
+    return f"{100 * (restored / means['best gain']['delta_e'] - 1):+.0f} %"
 
 
 @table
@@ -1070,10 +1107,10 @@ def readme_colors() -> str:
     """How far restored colors are from the truth, for README."""
     errors = {method: of["delta_e"] for method, of in next(iter(_color_errors().values())).items()}
     sentences = (
-        f"Without water, the test views of the demo differ from the truth by delta E {errors['ours']:.1f}; as "
-        f"photographed, by {errors['photo']:.1f}. [Colors](docs/colors.md) has other scenes and other methods; some "
-        "are nearer to the truth. [Accuracy and time](docs/accuracy.md) has all figures and the commands that repeat "
-        "them."
+        f"Without water, the test views of the demo differ from the truth by delta E {errors['render']:.1f} as "
+        f"rendered and {errors[RESTORED]:.1f} as restored photos; as photographed, by {errors['photo']:.1f}. "
+        "[Colors](docs/colors.md) has other scenes and other methods; some are nearer to the truth. [Accuracy and "
+        "time](docs/accuracy.md) has all figures and the commands that repeat them."
     )
     return fill(sentences, 120, break_long_words=False, break_on_hyphens=False)
 

@@ -48,6 +48,11 @@ darkness have 0.2 to 0.7, the faintest photo of five underwater data sets 3.7.""
 _SAME_PICTURE = 0.985
 """Correlation of thumbnails from which photos are copies: a shift by 0.2 % of the width gives less, a copy of half the
 size, or with more compression, gives more."""
+_JPEG = [
+    *(cv2.IMWRITE_JPEG_QUALITY, 95),
+    *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
+]
+"""Color at full size: at half the size, as usual, details of red follow those of green, and water is found wrongly."""
 _THUMBNAIL = (64, 48)
 """Width and height in pixels at which pictures are compared."""
 
@@ -161,9 +166,9 @@ def copy_name(number: int) -> str:
 
 
 def write_jpeg(path: Path, image: np.ndarray) -> None:
-    """Write an image (H, W) or (H, W, 3) uint8 BGR."""
+    """Write an image (H, W) or (H, W, 3) uint8 BGR, with color at full size."""
     # cv2.imwrite cannot write to every path on Windows, and does not say why it failed.
-    path.write_bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())
+    path.write_bytes(cv2.imencode(".jpg", image, _JPEG)[1].tobytes())
 
 
 def _thumbnail(equalised: np.ndarray) -> np.ndarray:

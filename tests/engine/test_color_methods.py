@@ -146,7 +146,7 @@ def test_rows_of_other_scenes_and_seeds_stay(tmp_path, monkeypatch):
 
 def test_the_next_best_method_does_not_know_the_truth():
     row = {name: {"delta_e": 10.0 + number} for number, name in enumerate(restored_colors.METHODS)}
-    row["best gain"]["delta_e"] = row["true water"]["delta_e"] = row["ours"]["delta_e"] = 1.0
+    row["best gain"]["delta_e"] = row["true water"]["delta_e"] = row["restored photo"]["delta_e"] = 1.0
     row["CLAHE"]["delta_e"] = 2.0
     assert restored_colors.next_best(row) == "CLAHE"
 
@@ -154,7 +154,7 @@ def test_the_next_best_method_does_not_know_the_truth():
 def test_the_picture_has_a_row_for_every_kind_of_water_and_stays_small(tmp_path, monkeypatch):
     monkeypatch.setattr(restored_colors, "PICTURES", tmp_path)
     noise = np.random.default_rng(0).integers(0, 255, (60, 640, 3), np.uint8)  # packs badly: quality must give way
-    scenes = ("demo", *restored_colors.SCENES)
+    scenes = ("demo", *restored_colors.PICTURED)
     for name in scenes[1:]:
         cv2.imwrite(str(tmp_path / f"picture {name} 11.png"), noise)
     restored_colors.write_picture(tmp_path)

@@ -11,7 +11,7 @@ import pytest
 from swag_engine.base.errors import InputError
 from swag_engine.scene.colmap import load_scene
 from swag_engine.sfm import video
-from swag_engine.sfm.photos import ChosenImages
+from swag_engine.sfm.photos import ChosenImages, write_jpeg
 from swag_engine.sfm.reconstruct import reconstruct
 from tests.scenes.panels import SIZE, render
 
@@ -181,3 +181,11 @@ def test_a_video_becomes_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     scene = load_scene(tmp_path / "out")
     assert 7 <= result["images"] <= 10 and len(scene.views) == result["registered"] >= 0.75 * result["images"]
     assert result["notes"][0].startswith(f"Took {result['images']} of 40 frames")
+
+
+def test_frames_keep_the_colors_of_details(tmp_path):
+    image = np.full((64, 64, 3), (140, 150, 60), np.uint8)
+    image[:, ::2, 2] = 90  # lines of red, one pixel wide
+    write_jpeg(tmp_path / "frame.jpg", image)
+    read = cv2.imread(str(tmp_path / "frame.jpg"))
+    assert np.abs(read[4:-4, 4:-4].astype(int) - image[4:-4, 4:-4]).mean((0, 1)).max() < 3
