@@ -162,7 +162,7 @@ def images_of(
         ).numpy(),
         "restored photo, not developed": linear_to_srgb(
             restored_photo(
-                SceneModel(run.trained, run.effects), run.cloud, image, estimate_noise([image]), SETTINGS.sh_degree
+                SceneModel(run.trained, run.effects), run.limit, image, estimate_noise([image]), SETTINGS.sh_degree
             )
         ).clip(0, 1),
     }

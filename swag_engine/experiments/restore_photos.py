@@ -60,11 +60,11 @@ def restore_photos(
     if out.resolve().is_relative_to(scene.image_folder.resolve()):
         raise InputError(f"{out} is in the folder of the photos, which must not be replaced: choose another folder.")
     colors = develop if isinstance(develop, ColorView) else color_view(folder, develop, run.cloud, run.effects)
-    model, limited = SceneModel(run.trained, run.effects), run.cloud
+    model = SceneModel(run.trained, run.effects)
     files = []
     for number, view in enumerate(views):
         progress("Restore photos", number / len(views))
         image = load_image(scene, view, width)
-        light = restored_photo(model, limited, image, estimate_noise([image]), settings.sh_degree)
+        light = restored_photo(model, run.limit, image, estimate_noise([image]), settings.sh_degree)
         files.append(write_picture(out, view.name, linear_to_srgb(light), colors.at(0), exr))
     return files

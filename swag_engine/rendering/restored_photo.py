@@ -11,11 +11,11 @@ import torch
 
 from ..base.transfer import srgb_to_linear
 from ..evidence.noise import Noise
-from ..gaussians.cloud import GaussianCloud
 from ..scene.images import TrainingImage
 from .model import SceneModel
 from .photo_terms import uniform_image
 from .render import render
+from .restoration import RestorationLimit, render_confidence
 
 NOISE_FACTOR = 4.0
 """Factor of the estimated variance of noise, which is that of flat parts: compression adds more to details."""
@@ -31,20 +31,20 @@ LEAST_VARIANCE = 1e-12
 
 @torch.no_grad()
 def restored_photo(
-    model: SceneModel, limited: GaussianCloud, image: TrainingImage, noise: Noise, sh_degree: int
+    model: SceneModel, limit: RestorationLimit | None, image: TrainingImage, noise: Noise, sh_degree: int
 ) -> np.ndarray:
     """Remove water, lamp and photo effects from a photo.
 
     Args:
         model: The Gaussians as trained, and the effects, in linear light.
-        limited: The Gaussians with limited colors.
+        limit: Limit of the restored colors; None where colors are not limited.
         image: The photo, which need not be one that was trained on.
         noise: Its noise.
         sh_degree: Degree of the Gaussians' colors.
 
     Returns:
-        Linear light (H, W, 3) of the surfaces, at least 0; pixels that are not valid and those of open water are as
-        rendered.
+        Linear light (H, W, 3) of the surfaces, at least 0. Pixels that are not valid, open water and surfaces whose
+        color is not certain are as rendered.
     """
     cloud, effects, camera = model.cloud, model.effects, image.camera
 
@@ -53,8 +53,10 @@ def restored_photo(
 
     seen = render(cloud, camera, sh_degree, effects.medium, lamp=effects.lamp)
     rendered = light_of(effects.apply_to_image(seen.color, camera.name).clamp(0, 1).cpu().numpy())
+    limited = limit.apply(cloud) if limit else cloud
     without = light_of(render(limited, camera, sh_degree, effects.medium, amount=0).color.cpu().numpy())
-    surface = (seen.alpha > 0.5).cpu().numpy() & image.valid
+    covered = (2 * seen.alpha - 1).clamp(0, 1).cpu().numpy() * image.valid  # half a surface may be open water
+    surface = covered > 0
     if not surface.any():
         return without.clip(min=0)
     black, white = (light_of(uniform_image(cloud, effects, camera, value)) for value in (0.0, 1.0))
@@ -66,7 +68,9 @@ def restored_photo(
         np.cov(without[surface].T),
         max(1.0, camera.width / WINDOW),
     )
-    return np.where(surface[..., None], without + detail, without).clip(min=0)
+    if limit:
+        covered = covered * render_confidence(cloud, limit.least_confidence, camera).nan_to_num().cpu().numpy()
+    return (without + covered[..., None] * detail).clip(min=0)
 
 
 def likely_detail(
