@@ -8,8 +8,9 @@ way down as well as on its way to the camera and is scattered several times, so 
 model of docs/method.md section 1 exactly. The true attenuation lies between absorption alone (all scattered light still
 arrives) and absorption + scattering, the beam attenuation (none does).
 
-Beside the colors that the fit restores it gives those of a trained run, and those of the best gain and of the best laws
-of range, chosen with the truth at hand: no fit to the photos can do better with such a law.
+Beside the colors that the fit restores it gives those of a trained run and of photos that it restores, and those of the
+best gain and of the best laws of range, chosen with the truth at hand: no fit to the photos can do better with such a
+law.
 """
 
 import multiprocessing
@@ -34,9 +35,13 @@ from benchmarks.common import write_results
 from benchmarks.effects_matrix import EFFECTS, decide_effects
 from swag_engine.base.transfer import srgb_to_linear
 from swag_engine.evaluation.metrics import render_image
+from swag_engine.evidence.noise import estimate_noise
 from swag_engine.experiments.evaluate_run import load_run
 from swag_engine.formats.run_folder import RunFolder
+from swag_engine.rendering.model import SceneModel
+from swag_engine.rendering.restored_photo import restored_photo
 from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.images import load_images
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
 
@@ -116,23 +121,27 @@ def run_case(name: str, pattern: str, seed: int, clean: Path) -> dict:
         with np.load(kept) as arrays:
             passes = [arrays[part] for part in ("clean", "range", "seen")]
         row["delta_e"] = color_errors(*passes, fit) | least_errors(*passes)
-        row["delta_e"]["trained"] = trained_error(settings.out, *passes[:2])
+        row["delta_e"] |= trained_errors(settings.out, *passes[:2])
     return row
 
 
-def trained_error(scene_folder: Path, clean: np.ndarray, ranges: np.ndarray) -> float:
-    """Train a scene and measure its restored colors (result.ply) in all views, as `color_errors`."""
+def trained_errors(scene_folder: Path, clean: np.ndarray, ranges: np.ndarray) -> dict[str, float]:
+    """Train a scene and measure its result.ply and its restored photos in all views, as `color_errors`."""
     out = scene_folder.with_name(f"{scene_folder.name}-run")
     if not RunFolder(out).finished():
         train(scene_folder, out, SETTINGS, resume=out.exists())
     run = load_run(out)
     views = sorted(load_scene(scene_folder).views, key=lambda view: view.camera.name)
+    photos = load_images(load_scene(scene_folder), views, ranges.shape[2])
+    model, solid = SceneModel(run.trained, run.effects), np.isfinite(ranges)
     images = [
-        render_image(run.cloud, view.camera.resized(ranges.shape[2]), SETTINGS.sh_degree, effects=run.effects, amount=0)
-        for view in views
+        render_image(run.cloud, photo.camera, SETTINGS.sh_degree, effects=run.effects, amount=0) for photo in photos
     ]
-    solid = np.isfinite(ranges)
-    return color_error(clean[solid], srgb_to_linear(np.stack([image.numpy() for image in images]))[solid])
+    restored = [
+        restored_photo(model, run.limit, photo, estimate_noise([photo]), SETTINGS.sh_degree) for photo in photos
+    ]
+    lights = {"trained": srgb_to_linear(np.stack([image.numpy() for image in images])), "photo": np.stack(restored)}
+    return {name: color_error(clean[solid], light[solid]) for name, light in lights.items()}
 
 
 def color_errors(clean: np.ndarray, ranges: np.ndarray, seen: np.ndarray, fit: object) -> dict[str, float]:

@@ -1,1 +1,1 @@
-"""From a scene model to images."""
+"""From a scene model to images, and from photos to the colors of the place."""

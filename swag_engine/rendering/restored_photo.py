@@ -57,7 +57,7 @@ def restored_photo(
     without = light_of(render(limited, camera, sh_degree, effects.medium, amount=0).color.cpu().numpy())
     covered = (2 * seen.alpha - 1).clamp(0, 1).cpu().numpy() * image.valid  # half a surface may be open water
     surface = covered > 0
-    if not surface.any():
+    if surface.sum() < 2:  # no color to compare with
         return without.clip(min=0)
     black, white = (light_of(uniform_image(cloud, effects, camera, value)) for value in (0.0, 1.0))
     light = light_of(image.pixels / np.float32(255))
