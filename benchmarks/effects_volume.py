@@ -41,7 +41,7 @@ from swag_engine.formats.run_folder import RunFolder
 from swag_engine.rendering.model import SceneModel
 from swag_engine.rendering.restored_photo import restored_photo
 from swag_engine.scene.colmap import load_scene
-from swag_engine.scene.images import load_images
+from swag_engine.scene.images import TrainingImage, load_images
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
 
@@ -101,9 +101,7 @@ def run_case(name: str, pattern: str, seed: int, clean: Path) -> dict:
         volume = renderer.volume(poses, factor, 5 * settings.samples, **water)
         make_scene(settings, Rendered(poses, still, still, volume))
         half = [(view.color[::factor, ::factor], view.range[::factor, ::factor]) for view in still]
-        np.savez(
-            kept, clean=np.stack([c for c, _ in half]), range=np.stack([r for _, r in half]), seen=np.stack(volume)
-        )
+        np.savez(kept, clean=np.stack([c for c, _ in half]), range=np.stack([r for _, r in half]))
     os.environ["SWAG_CACHE_DIR"] = str(clean / "cache")
     effects, fit, seconds, observations = decide_effects(settings.out)
     row: dict = {
@@ -119,20 +117,28 @@ def run_case(name: str, pattern: str, seed: int, clean: Path) -> dict:
     if fit is not None and row["states"]["attenuation"] == "on":
         row["fit"] = {part: getattr(fit, part).tolist() for part in ("beta_D", "beta_B", "B")}
         with np.load(kept) as arrays:
-            passes = [arrays[part] for part in ("clean", "range", "seen")]
-        row["delta_e"] = color_errors(*passes, fit) | least_errors(*passes)
-        row["delta_e"] |= trained_errors(settings.out, *passes[:2])
+            clean_light, ranges = arrays["clean"], arrays["range"]
+        photos = photos_of(settings.out, ranges.shape[2])
+        seen = srgb_to_linear(np.stack([photo.pixels for photo in photos]) / 255)
+        row["delta_e"] = color_errors(clean_light, ranges, seen, fit) | least_errors(clean_light, ranges, seen)
+        row["delta_e"] |= trained_errors(settings.out, photos, clean_light, ranges)
     return row
 
 
-def trained_errors(scene_folder: Path, clean: np.ndarray, ranges: np.ndarray) -> dict[str, float]:
+def photos_of(scene_folder: Path, width: int) -> list[TrainingImage]:
+    """Read all photos of a scene, sorted by name: JPEG files, which is what all methods get."""
+    scene = load_scene(scene_folder)
+    return load_images(scene, sorted(scene.views, key=lambda view: view.name), width)
+
+
+def trained_errors(
+    scene_folder: Path, photos: list[TrainingImage], clean: np.ndarray, ranges: np.ndarray
+) -> dict[str, float]:
     """Train a scene and measure its result.ply and its restored photos in all views, as `color_errors`."""
     out = scene_folder.with_name(f"{scene_folder.name}-run")
     if not RunFolder(out).finished():
         train(scene_folder, out, SETTINGS, resume=out.exists())
     run = load_run(out)
-    views = sorted(load_scene(scene_folder).views, key=lambda view: view.camera.name)
-    photos = load_images(load_scene(scene_folder), views, ranges.shape[2])
     model, solid = SceneModel(run.trained, run.effects), np.isfinite(ranges)
     images = [
         render_image(run.cloud, photo.camera, SETTINGS.sh_degree, effects=run.effects, amount=0) for photo in photos
