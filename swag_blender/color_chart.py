@@ -10,8 +10,7 @@ from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.run_folder import RunFolder, read_json
 from .blender_types import present
 from .properties import status_of
-from .run_list import folder_of, shown_run
-from .runs import RUN_KEY
+from .run_list import folder_of, photographed_run, shown_run
 from .sidebar import SwagPanel, draw_job, draw_outcome
 
 ROWS = {
@@ -31,9 +30,7 @@ def request(obj: bpy.types.Object) -> dict[str, Any]:
     Raises:
         InputError: the splats are from no run.
     """
-    if not obj.get(RUN_KEY):
-        raise InputError(f"The splats of {obj.name} are from no run on this machine, so there are no photos of them.")
-    return {"request": "chart", "run": str(folder_of(obj))}
+    return {"request": "chart", "run": str(photographed_run(obj))}
 
 
 def describe(event: dict[str, Any]) -> str:

@@ -4,12 +4,10 @@ from typing import Any
 
 import bpy
 
-from ..swag_engine.base.errors import InputError
 from . import colors
 from .blender_types import present
 from .properties import status_of
-from .run_list import folder_of, shown_run
-from .runs import RUN_KEY
+from .run_list import photographed_run, shown_run
 from .sidebar import SwagPanel, draw_job, draw_outcome
 
 JOB = "Restored photos"
@@ -24,9 +22,7 @@ def request(scene: bpy.types.Scene, obj: bpy.types.Object) -> dict[str, Any]:
     Raises:
         InputError: the splats are from no run.
     """
-    if not obj.get(RUN_KEY):
-        raise InputError(f"The splats of {obj.name} are from no run on this machine, so there are no photos of them.")
-    run = folder_of(obj)
+    run = photographed_run(obj)
     shown = colors.color_view(scene, obj).to_json()
     return {"request": "restore", "run": str(run), "out": str(run / FOLDER), "colors": shown}
 

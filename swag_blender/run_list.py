@@ -49,6 +49,17 @@ def folder_of(obj: bpy.types.Object) -> Path:
     return Path(bpy.path.abspath(obj[RUN_KEY]))
 
 
+def photographed_run(obj: bpy.types.Object) -> Path:
+    """Folder of the run of a splat object, whose photos are asked for.
+
+    Raises:
+        InputError: the splats are from no run.
+    """
+    if not obj.get(RUN_KEY):
+        raise InputError(f"The splats of {obj.name} are from no run on this machine, so there are no photos of them.")
+    return folder_of(obj)
+
+
 def shown_run(context: bpy.types.Context) -> bpy.types.Object | None:
     """The run of the active object, else the last one of the scene; None without runs."""
     found = runs_in(present(context.scene))

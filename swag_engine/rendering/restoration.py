@@ -269,7 +269,7 @@ def scene_colors(J: Tensor, error: Tensor, weight: Tensor, signal: Tensor) -> Sc
     mean = (certain * values).sum(0)
     covariance = torch.diag((certain * (values - mean).square()).sum(0) + LEAST)
     for _ in range(PRIOR_STEPS):
-        likely, uncertainty = _estimated(values, variances, mean, covariance)
+        likely, uncertainty = estimated_light(values, variances, mean, covariance)
         mean = (weights * likely).sum(0)
         apart = likely - mean
         spread = apart[:, :, None] * apart[:, None, :] + uncertainty
@@ -293,12 +293,22 @@ def likely_light(J: Tensor, error: Tensor, colors: SceneColors) -> Tensor:
         (N, 3) linear light, at least 0.
     """
     mean, covariance = colors.mean.to(J.device), colors.covariance.to(J.device)
-    likely, _ = _estimated(J.double(), error.double().clamp(min=LEAST), mean, covariance)
+    likely, _ = estimated_light(J.double(), error.double().clamp(min=LEAST), mean, covariance)
     return likely.clamp(min=0).to(J.dtype)
 
 
-def _estimated(J: Tensor, error: Tensor, mean: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the linear estimate (N, 3) of least mean square error, and its covariance (N, 3, 3)."""
+def estimated_light(J: Tensor, error: Tensor, mean: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+    """Estimate light by the linear estimate of least mean square error.
+
+    Args:
+        J: (N, 3) uncertain values.
+        error: (N, 3) variance of their error, above 0.
+        mean: (3,) of the light.
+        covariance: (3, 3) of the light, or (N, 3, 3).
+
+    Returns:
+        The estimate (N, 3), and its covariance (N, 3, 3).
+    """
     gain = covariance @ torch.linalg.inv(covariance + torch.diag_embed(error))
     return mean + (gain @ (J - mean)[..., None])[..., 0], covariance - gain @ covariance
 

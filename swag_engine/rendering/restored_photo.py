@@ -15,7 +15,7 @@ from ..scene.images import TrainingImage
 from .model import SceneModel
 from .photo_terms import uniform_image
 from .render import render
-from .restoration import RestorationLimit, render_confidence
+from .restoration import RestorationLimit, estimated_light, render_confidence
 
 NOISE_FACTOR = 4.0
 """Factor of the estimated variance of noise, which is that of flat parts: compression adds more to details."""
@@ -106,10 +106,9 @@ def likely_detail(
 def _estimate(
     difference: np.ndarray, gain: np.ndarray, noise: np.ndarray, covariance: np.ndarray, factor: np.ndarray
 ) -> np.ndarray:
-    """Return F C G (G F C G + N)^-1 d of strips of images, with F = factor, G = gain and N = noise on the diagonal."""
-    difference, gain, noise, factor = (values.astype(np.float64) for values in (difference, gain, noise, factor))
-    prior = factor[..., None, None] * covariance
-    seen = gain[..., :, None] * prior * gain[..., None, :]
-    seen += (noise + LEAST_VARIANCE)[..., None] * np.eye(3)
-    solved = torch.linalg.solve(torch.from_numpy(seen), torch.from_numpy(difference)).numpy()
-    return (prior @ (gain * solved)[..., None])[..., 0].astype(np.float32)
+    """Return the estimate of strips of images, with the covariance times the factor (H, W)."""
+    values, error, prior = (
+        torch.from_numpy(array.astype(np.float64))
+        for array in (difference / gain, (noise + LEAST_VARIANCE) / gain**2, factor[..., None, None] * covariance)
+    )
+    return estimated_light(values, error, torch.zeros(3, dtype=torch.float64), prior)[0].numpy().astype(np.float32)
