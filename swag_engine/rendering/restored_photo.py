@@ -5,17 +5,21 @@ and where little light is left, mostly noise. What the photo shows beyond the re
 noise; docs/method.md, section 1, has the formulas.
 """
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import torch
 
-from ..base.transfer import srgb_to_linear
+from ..base.transfer import linear_to_srgb, srgb_to_linear
 from ..evidence.noise import Noise
+from ..gaussians.contributions import contribution_sums
 from ..scene.images import TrainingImage
 from .model import SceneModel
 from .photo_terms import uniform_image
 from .render import render
-from .restoration import RestorationLimit, estimated_light, render_confidence
+from .restoration import WIDTH, RestorationLimit, estimated_light, render_confidence
 
 NOISE_FACTOR = 4.0
 """Factor of the estimated variance of noise, which is that of flat parts: compression adds more to details."""
@@ -27,6 +31,8 @@ ROWS = 64
 """Rows of an image that are computed together, which limits memory."""
 LEAST_VARIANCE = 1e-12
 """Added to variances, so that matrices can be inverted."""
+LEAST_WEIGHT = 1e-6
+"""Least denominator: sum of T alpha, pixels."""
 
 
 @torch.no_grad()
@@ -51,19 +57,19 @@ def restored_photo(
     def light_of(display: np.ndarray) -> np.ndarray:
         return srgb_to_linear(display).astype(np.float32)
 
-    seen = render(cloud, camera, sh_degree, effects.medium, lamp=effects.lamp)
-    rendered = light_of(effects.apply_to_image(seen.color, camera.name).clamp(0, 1).cpu().numpy())
     limited = limit.apply(cloud) if limit else cloud
-    without = light_of(render(limited, camera, sh_degree, effects.medium, amount=0).color.cpu().numpy())
+    seen = render(limited, camera, sh_degree, effects.medium, amount=0)
+    without = light_of(seen.color.cpu().numpy())
     covered = (2 * seen.alpha - 1).clamp(0, 1).cpu().numpy() * image.valid  # half a surface may be open water
     surface = covered > 0
     if surface.sum() < 2:  # no color to compare with
         return without.clip(min=0)
     black, white = (light_of(uniform_image(cloud, effects, camera, value)) for value in (0.0, 1.0))
+    gain = np.maximum(white - black, LEAST_GAIN)
     light = light_of(image.pixels / np.float32(255))
     detail = likely_detail(
-        light - rendered,
-        np.maximum(white - black, LEAST_GAIN),
+        light - black - gain * without,
+        gain,
         (NOISE_FACTOR * (noise.offset + noise.slope * light)).astype(np.float32),
         np.cov(without[surface].T),
         max(1.0, camera.width / WINDOW),
@@ -71,6 +77,40 @@ def restored_photo(
     if limit:
         covered = covered * render_confidence(cloud, limit.least_confidence, camera).nan_to_num().cpu().numpy()
     return (without + covered[..., None] * detail).clip(min=0)
+
+
+@torch.no_grad()
+def fit_to_photos(
+    model: SceneModel, limit: RestorationLimit, images: Iterable[TrainingImage], noise: Noise, sh_degree: int
+) -> RestorationLimit:
+    """Fit limited colors to the restored photos, by one step of simultaneous iterative reconstruction (Gilbert 1972).
+
+    Training compares images through water, where Gaussians in front of one another have different amounts of it. Each
+    can then have a color that is wrong without water, while their sum is right through it. A photo is restored with one
+    range in each pixel, and shows one surface there.
+
+    Args:
+        model: The Gaussians as trained, and the effects, in linear light.
+        limit: Limit of the restored colors.
+        images: Photos that were trained on.
+        noise: Their noise.
+        sh_degree: Degree of the Gaussians' colors.
+
+    Returns:
+        The limit with each color changed by the mean difference, in display values, of restored photos and renders over
+        the pixels that show it.
+    """
+    cloud = model.cloud
+    limited = limit.apply(cloud)
+    sums = cloud.means.new_zeros(len(cloud), 4)
+    for full in images:
+        image = full.resized(min(full.camera.width, WIDTH))
+        restored = linear_to_srgb(restored_photo(model, limit, image, noise, sh_degree))
+        rendered = render(limited, image.camera, sh_degree, model.effects.medium, amount=0).color
+        valid = torch.from_numpy(image.valid).to(rendered)[..., None]
+        difference = (torch.from_numpy(restored).to(rendered) - rendered.clamp(min=0)) * valid
+        sums += contribution_sums(cloud, image.camera, torch.cat([difference, valid], -1))
+    return replace(limit, color=limit.color + sums[:, :3] / sums[:, 3:].clamp(min=LEAST_WEIGHT))
 
 
 def likely_detail(

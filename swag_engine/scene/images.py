@@ -27,6 +27,8 @@ _CACHE_FORMAT = 1
 """Version of the cached files."""
 _TIFF_ORIENTATION = 274
 """Tag of the orientation in a TIFF file."""
+_ALL_VALID = 0.999
+"""Share of valid pixels in a mean from which it counts as all."""
 _CACHE_DAYS = 30
 """Days after which a cached file that no run has used is removed."""
 _READING_CACHE = threading.Lock()
@@ -47,6 +49,11 @@ class TrainingImage:
     camera: Camera
     pixels: np.ndarray
     valid: np.ndarray
+
+    def resized(self, width: int) -> "TrainingImage":
+        """Return the image reduced to a width in pixels; a pixel is valid where all that it averages are."""
+        camera = self.camera.resized(width)
+        return TrainingImage(camera, *_resized(self.pixels, self.valid, (camera.width, camera.height)))
 
 
 def load_images(
@@ -220,7 +227,7 @@ def _undistorted(view: View, mask_file: Path | None, width: int | None) -> tuple
         pixels = cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         if valid is not None:
             whole = cv2.remap(valid.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            seen = seen & (whole > 0.999)
+            seen = seen & (whole > _ALL_VALID)
         valid = seen
     elif valid is None:
         valid = np.ones(pixels.shape[:2], bool)
@@ -229,10 +236,14 @@ def _undistorted(view: View, mask_file: Path | None, width: int | None) -> tuple
     full = min(camera.width, round(camera.width * width_on_disk / lens.width))
     small = camera.resized(min(width or full, full))
     size = (small.width, small.height)
-    if size != (pixels.shape[1], pixels.shape[0]):
-        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-        valid = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
-    return pixels, valid
+    return _resized(pixels, valid, size)
+
+
+def _resized(pixels: np.ndarray, valid: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    if size == (pixels.shape[1], pixels.shape[0]):
+        return pixels, valid
+    share = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), share > _ALL_VALID
 
 
 def cache_root() -> Path:

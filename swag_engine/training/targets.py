@@ -12,8 +12,6 @@ from ..scene.images import TrainingImage
 
 LEAST_SIDE = 32
 """Pixels below which no side of an image is reduced."""
-ALL_VALID = 0.999
-"""Fraction of valid pixels under a reduced pixel from which it is valid, allowing for rounding."""
 
 
 @dataclass
@@ -67,15 +65,12 @@ class Target:
         Returns:
             The target; a pixel is valid where all pixels that it averages are.
         """
-        camera, pixels, valid = image.camera, image.pixels, image.valid
-        while factor > 1 and min(valid.shape) < LEAST_SIDE * factor:
+        while factor > 1 and min(image.valid.shape) < LEAST_SIDE * factor:
             factor //= 2
         if factor > 1:
-            camera = camera.resized(camera.width // factor)
-            size = (camera.width, camera.height)
-            pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-            valid = cv2.resize(valid.astype(np.float32), size, interpolation=cv2.INTER_AREA) > ALL_VALID
+            image = image.resized(image.camera.width // factor)
             if inverse_range is not None:
-                inverse_range = cv2.resize(inverse_range, size, interpolation=cv2.INTER_NEAREST)
+                inverse_range = cv2.resize(inverse_range, image.valid.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        pixels, valid = (torch.from_numpy(array).to(device) for array in (image.pixels, image.valid))
         prior = None if inverse_range is None else torch.from_numpy(inverse_range).to(device)
-        return cls(camera, torch.from_numpy(pixels).to(device), torch.from_numpy(valid).to(device), prior, weight)
+        return cls(image.camera, pixels, valid, prior, weight)

@@ -33,6 +33,7 @@ from ..kernels.webgpu import WebGpuKernels
 from ..planning.plan import write_plan
 from ..rendering.model import SceneModel
 from ..rendering.restoration import CONFIDENCE, RestorationLimit, describe_restored, restoration_limit
+from ..rendering.restored_photo import fit_to_photos
 from ..scene.colmap import Points, Scene, load_scene
 from ..scene.images import TrainingImage
 from ..semantics.embed import DIMENSIONS
@@ -559,7 +560,8 @@ class Trainer:
             state.cloud, cameras, medium, noise, state.effects.lamp, inputs.settings.backend, colors
         )
         self.notes += filter(None, [describe_restored(restored)])
-        return limit
+        static = map(state.motion.static_pixels, inputs.training)
+        return fit_to_photos(SceneModel(state.cloud, state.effects), limit, static, noise, inputs.settings.sh_degree)
 
     def _finish(self, loss: float, interrupted: bool, limit: RestorationLimit | None) -> Event:
         """Write results and figures; return the `result` event."""

@@ -1,8 +1,23 @@
-"""Photos without water: what is added to a render from the photo."""
+"""Photos without water: what is added to a render from the photo, and colors of Gaussians that are fitted to photos."""
+
+from dataclasses import replace
 
 import numpy as np
+import pytest
+import torch
 
-from swag_engine.rendering.restored_photo import likely_detail
+from swag_engine.base.transfer import linear_to_srgb
+from swag_engine.effects.scene_effects import SceneEffects
+from swag_engine.evidence.noise import LEAST_OFFSET, LEAST_SLOPE, Noise
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.kernels.reference.harmonics import C0
+from swag_engine.rendering.model import SceneModel
+from swag_engine.rendering.render import render
+from swag_engine.rendering.restoration import RestorationLimit
+from swag_engine.rendering.restored_photo import fit_to_photos, likely_detail, restored_photo
+from swag_engine.scene.cameras import Camera
+from swag_engine.scene.images import TrainingImage
+from swag_engine.water.medium import Medium
 
 COVARIANCE = 0.02 * np.array([[1.0, 0.8, 0.6], [0.8, 1.0, 0.8], [0.6, 0.8, 1.0]])
 
@@ -51,3 +66,62 @@ def test_blocks_of_compression_in_open_water_do_not_become_colors():
     difference[:, ::8] = 0.02
     gain, noise = np.full(difference.shape, 1e-4), np.full(difference.shape, 1e-5)
     assert np.abs(likely_detail(difference, gain, noise, COVARIANCE, 4.0)).max() < 0.1
+
+
+CAMERA = Camera("a.jpg", 400, 300, 200.0, 200.0, 200.0, 150.0, np.eye(4))
+NOISE = Noise(np.full(3, LEAST_OFFSET), np.full(3, LEAST_SLOPE))
+WATER = Medium.starting(
+    3.0, "linear", *(torch.tensor(v) for v in ([0.3, 0.09, 0.06], [0.3, 0.1, 0.08], [0.02, 0.2, 0.3]))
+)
+
+
+@pytest.fixture
+def wall() -> tuple[SceneModel, TrainingImage, RestorationLimit]:
+    """A wall of patches three metres away, its photo through water, and colors that are wrong by the same for all."""
+    random = np.random.default_rng(0)
+    x, y = (values.ravel() for values in np.meshgrid(np.linspace(-4, 4, 33), np.linspace(-3, 3, 25)))
+    display = np.repeat(np.repeat(random.uniform(0.2, 0.6, (5, 7, 3)), 5, 0), 5, 1)[:25, :33].reshape(-1, 3)
+    count = len(x)
+    cloud = GaussianCloud(
+        means=torch.from_numpy(np.stack([x, y, np.full(count, 3.0)], 1)).float(),
+        quats=torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        log_scales=torch.tensor([0.25, 0.25, 0.01]).log().repeat(count, 1),
+        opacity_logits=torch.full((count,), 4.0),
+        sh0=((torch.from_numpy(display).float() - 0.5) / C0)[:, None],
+        shN=torch.zeros(count, 3, 3),
+        background=torch.zeros(3),
+    )
+    model = SceneModel(cloud, SceneEffects({"medium": WATER}))
+    pixels = (255 * render(cloud, CAMERA, 0, WATER).color).round().clamp(0, 255).byte().numpy()
+    wrong = torch.from_numpy(display).float() + torch.tensor([0.2, 0.1, -0.15])
+    limit = RestorationLimit(torch.ones(count, 3), wrong)
+    return model, TrainingImage(CAMERA, pixels, np.ones(pixels.shape[:2], bool)), limit
+
+
+def test_a_photo_corrects_colors_that_are_limited_wrongly(wall):
+    model, image, limit = wall
+    true = render(model.cloud, CAMERA, 0, WATER, amount=0).color.numpy()
+    rendered = render(limit.apply(model.cloud), CAMERA, 0, WATER, amount=0).color.numpy()
+    found = linear_to_srgb(restored_photo(model, limit, image, NOISE, 0))
+    assert np.abs(found - true).mean() < 0.05 * np.abs(rendered - true).mean()
+
+
+def test_colors_are_fitted_to_restored_photos(wall):
+    model, image, limit = wall
+    fitted = fit_to_photos(model, limit, [image], NOISE, 0)
+    true = 0.5 + C0 * model.cloud.sh0[:, 0]
+    before, after = ((of.color - true).abs().mean() for of in (limit, fitted))
+    assert after < 0.2 * before
+    assert torch.equal(fitted.confidence, limit.confidence)
+
+
+def test_pixels_that_are_not_valid_change_no_color(wall):
+    model, image, limit = wall
+    left = np.zeros_like(image.valid)
+    left[:, :200] = True
+    damaged = np.where(left[..., None], image.pixels, np.uint8(255))
+    fitted = fit_to_photos(model, limit, [replace(image, pixels=damaged, valid=left)], NOISE, 0)
+    whole = fit_to_photos(model, limit, [image], NOISE, 0)
+    x = model.cloud.means[:, 0]
+    assert torch.equal(fitted.color[x > 1], limit.color[x > 1])
+    torch.testing.assert_close(fitted.color[x < -1], whole.color[x < -1], atol=0.02, rtol=0)
