@@ -77,7 +77,7 @@ def test_the_result_has_limited_colors_and_their_confidence_and_the_checkpoint_t
     assert confidence.dtype == np.float32 and 0 <= confidence.min() < 0.97 < confidence.max() <= 1
     trained = load_checkpoint(runs / "swag")[0]["cloud.sh0"]
     changed = (loaded.cloud.sh0 - trained).abs().amax((1, 2)).numpy()
-    assert 0 < np.median(changed[confidence > 0.99]) < 0.02 < np.quantile(changed[confidence < 0.97], 0.9)
+    assert 0 < 2 * np.median(changed[confidence > 0.99]) < np.quantile(changed[confidence < 0.97], 0.9)
     assert read_glb(runs / "swag" / "result.glb").extras.keys() == {"confidence"}
     assert torch.equal(loaded.through(1).sh0, trained) and torch.equal(loaded.through(0).sh0, loaded.cloud.sh0)
 
@@ -122,7 +122,7 @@ def test_restored_views_are_developed_and_what_is_measured_is_not(runs, tmp_path
     plain, developed = pixels("none", water=0, develop="none"), pixels("auto", water=0)
     wanted = Development.from_json(found).apply(plain)
     below = plain.max(axis=-1) < 0.99  # what 8 bits have cut cannot be developed
-    assert np.abs(developed - wanted)[below].max() < 0.03 and np.abs(developed - plain).mean() > 0.01
+    assert np.abs(developed - wanted)[below].max() < 0.03 and np.abs(developed - plain).mean() > 0.005
     assert np.array_equal(pixels("photo", water=1), pixels("photo, none", water=1, develop="none"))
     assert pixels("brighter", water=1, develop="exposure=1").mean() > pixels("photo", water=1).mean() + 0.1
     assert picture("light", water=0, exr=True).suffix == ".exr"
