@@ -16,15 +16,18 @@ from ..base.transfer import linear_to_srgb, srgb_to_linear
 from ..evidence.noise import Noise
 from ..gaussians.contributions import contribution_sums
 from ..scene.images import TrainingImage
+from ..water.medium import Medium
 from .model import SceneModel
 from .photo_terms import uniform_image
-from .render import render
+from .render import background_color, render
 from .restoration import WIDTH, RestorationLimit, estimated_light, render_confidence
 
 NOISE_FACTOR = 4.0
 """Factor of the estimated variance of noise, which is that of flat parts: compression adds more to details."""
 WINDOW = 160
 """Width of the image over the standard deviation of the window that the variance of details is measured in."""
+LIKE_WATER, UNLIKE_WATER = 0.01, 0.04
+"""Differences from open water, display values: up to the first one a pixel shows no surface, from the second on one."""
 LEAST_GAIN = 1e-4
 """Least fraction of the place's light in that of a pixel."""
 ROWS = 64
@@ -49,8 +52,8 @@ def restored_photo(
         sh_degree: Degree of the Gaussians' colors.
 
     Returns:
-        Linear light (H, W, 3) of the surfaces, at least 0. Pixels that are not valid, open water and surfaces whose
-        color is not certain are as rendered.
+        Linear light (H, W, 3) of the surfaces, at least 0. Pixels that are not valid, what looks like open water and
+        surfaces whose color is not certain are as rendered.
     """
     cloud, effects, camera = model.cloud, model.effects, image.camera
 
@@ -66,17 +69,36 @@ def restored_photo(
         return without.clip(min=0)
     black, white = (light_of(uniform_image(cloud, effects, camera, value)) for value in (0.0, 1.0))
     gain = np.maximum(white - black, LEAST_GAIN)
-    light = light_of(image.pixels / np.float32(255))
+    light, window = light_of(image.pixels / np.float32(255)), max(1.0, camera.width / WINDOW)
     detail = likely_detail(
         light - black - gain * without,
         gain,
         (NOISE_FACTOR * (noise.offset + noise.slope * light)).astype(np.float32),
         np.cov(without[surface].T),
-        max(1.0, camera.width / WINDOW),
+        window,
     )
     if limit:
         covered = covered * render_confidence(cloud, limit.least_confidence, camera).nan_to_num().cpu().numpy()
+    covered = covered * unlike_open_water(model, image, window)
     return (without + covered[..., None] * detail).clip(min=0)
+
+
+def unlike_open_water(model: SceneModel, image: TrainingImage, window: float) -> np.ndarray | float:
+    """Return how sure it is that each pixel of a photo shows more than open water, (H, W) in 0..1; 1 without any.
+
+    What is left in open water is compression, which would become colors of what is behind it.
+
+    Args:
+        model: The Gaussians and the effects.
+        image: The photo.
+        window: Standard deviation of the window that is compared, pixels.
+    """
+    medium, camera = model.effects.medium, image.camera
+    if not isinstance(medium, Medium) or medium.background_sh is None:
+        return 1.0
+    water = model.effects.apply_to_image(background_color(model.cloud, camera, medium), camera.name).cpu().numpy()
+    difference = cv2.GaussianBlur(image.pixels / np.float32(255) - water, (0, 0), window)
+    return ((np.abs(difference).max(-1) - LIKE_WATER) / (UNLIKE_WATER - LIKE_WATER)).clip(0, 1)
 
 
 @torch.no_grad()

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from swag_engine.base.transfer import linear_to_srgb
+from swag_engine.base.transfer import linear_to_srgb, srgb_to_linear
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.evidence.noise import LEAST_OFFSET, LEAST_SLOPE, Noise
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.reference.harmonics import C0
 from swag_engine.rendering.model import SceneModel
-from swag_engine.rendering.render import render
+from swag_engine.rendering.render import background_color, render
 from swag_engine.rendering.restoration import RestorationLimit
 from swag_engine.rendering.restored_photo import fit_to_photos, likely_detail, restored_photo
 from swag_engine.scene.cameras import Camera
@@ -125,3 +125,19 @@ def test_pixels_that_are_not_valid_change_no_color(wall):
     x = model.cloud.means[:, 0]
     assert torch.equal(fitted.color[x > 1], limit.color[x > 1])
     torch.testing.assert_close(fitted.color[x < -1], whole.color[x < -1], atol=0.02, rtol=0)
+
+
+def test_what_looks_like_open_water_stays_as_rendered(wall):
+    model, image, limit = wall
+    water = (255 * open_water_of(model, image)).round().clip(0, 255).astype(np.uint8)
+    pixels = image.pixels.copy()
+    pixels[:, 200:] = (water + np.indices(water.shape[:2]).sum(0)[..., None] // 8 % 2)[:, 200:]  # blocks of one step
+    rendered = srgb_to_linear(render(limit.apply(model.cloud), CAMERA, 0, WATER, amount=0).color.numpy())
+    found = restored_photo(model, limit, replace(image, pixels=pixels), NOISE, 0)
+    np.testing.assert_allclose(found[:, 220:], rendered[:, 220:], atol=1e-5)
+    assert np.abs(found - rendered)[:, :180].mean() > 0.01
+
+
+def open_water_of(model: SceneModel, image: TrainingImage) -> np.ndarray:
+    """Open water (H, W, 3) in a photo, display values."""
+    return background_color(model.cloud, image.camera, WATER).numpy()
