@@ -78,7 +78,7 @@ EXPOSURES = np.arange(-5, 3.01, 0.25)
 """Exposures that are tried under a lamp, stops."""
 PICTURE_SCALE = 0.56
 """Size of the picture over that of the views."""
-MOST_BYTES = 52_000
+MOST_BYTES = 44_000
 """Of the picture: it is compressed as much as this needs."""
 
 
