@@ -19,7 +19,7 @@ from ..scene.images import TrainingImage
 from ..water.medium import Medium
 from .model import SceneModel
 from .photo_terms import uniform_image
-from .render import background_color, render
+from .render import Picture, background_color, render
 from .restoration import WIDTH, RestorationLimit, estimated_light, render_confidence
 
 NOISE_FACTOR = 4.0
@@ -55,13 +55,20 @@ def restored_photo(
         Linear light (H, W, 3) of the surfaces, at least 0. Pixels that are not valid, what looks like open water and
         surfaces whose color is not certain are as rendered.
     """
+    limited = limit.apply(model.cloud) if limit else model.cloud
+    seen = render(limited, image.camera, sh_degree, model.effects.medium, amount=0)
+    return _corrected(seen, model, limit, image, noise)
+
+
+def _corrected(
+    seen: Picture, model: SceneModel, limit: RestorationLimit | None, image: TrainingImage, noise: Noise
+) -> np.ndarray:
+    """Return the light (H, W, 3) of a render without water, with what the photo shows beyond it."""
     cloud, effects, camera = model.cloud, model.effects, image.camera
 
     def light_of(display: np.ndarray) -> np.ndarray:
         return srgb_to_linear(display).astype(np.float32)
 
-    limited = limit.apply(cloud) if limit else cloud
-    seen = render(limited, camera, sh_degree, effects.medium, amount=0)
     without = light_of(seen.color.cpu().numpy())
     covered = (2 * seen.alpha - 1).clamp(0, 1).cpu().numpy() * image.valid  # half a surface may be open water
     surface = covered > 0
@@ -127,10 +134,10 @@ def fit_to_photos(
     sums = cloud.means.new_zeros(len(cloud), 4)
     for full in images:
         image = full.resized(min(full.camera.width, WIDTH))
-        restored = linear_to_srgb(restored_photo(model, limit, image, noise, sh_degree))
-        rendered = render(limited, image.camera, sh_degree, model.effects.medium, amount=0).color
-        valid = torch.from_numpy(image.valid).to(rendered)[..., None]
-        difference = (torch.from_numpy(restored).to(rendered) - rendered.clamp(min=0)) * valid
+        seen = render(limited, image.camera, sh_degree, model.effects.medium, amount=0)
+        restored = torch.from_numpy(linear_to_srgb(_corrected(seen, model, limit, image, noise))).to(seen.color)
+        valid = torch.from_numpy(image.valid).to(seen.color)[..., None]
+        difference = (restored - seen.color.clamp(min=0)) * valid
         sums += contribution_sums(cloud, image.camera, torch.cat([difference, valid], -1))
     return replace(limit, color=limit.color + sums[:, :3] / sums[:, 3:].clamp(min=LEAST_WEIGHT))
 
