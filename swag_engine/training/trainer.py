@@ -32,7 +32,7 @@ from ..kernels.backends import KERNELS, device_for
 from ..kernels.webgpu import WebGpuKernels
 from ..planning.plan import write_plan
 from ..rendering.model import SceneModel
-from ..rendering.restoration import CONFIDENCE, RestorationLimit, describe_restored, restoration_limit
+from ..rendering.restoration import CONFIDENCE, WIDTH, RestorationLimit, describe_restored, restoration_limit
 from ..rendering.restored_photo import fit_to_photos
 from ..scene.colmap import Points, Scene, load_scene
 from ..scene.images import TrainingImage
@@ -70,6 +70,8 @@ InitialCloud = Callable[[Points, int, int, int, np.ndarray], GaussianCloud]
 
 PREVIEWED = ("means", "quats", "log_scales", "opacity_logits", "sh0")
 """Parameters of the Gaussians that a preview shows."""
+RESTORING_COST = 10
+"""Time in which colors are restored with a photo, at most WIDTH pixels wide, over that of scoring one of that size."""
 PROGRESS_SECONDS = 0.2
 """Seconds between two `progress` events."""
 
@@ -522,7 +524,8 @@ class Trainer:
         state.curve.append((round(state.clock.fraction, 4), round(seconds, 2), state.psnr))
         if budget := self.pacer.budget:
             each = (time.monotonic() - started) / len(inputs.validation)
-            restored = len(inputs.training) if self._restores else 0
+            pixels = min(1.0, WIDTH / inputs.training[0].camera.width) ** 2
+            restored = RESTORING_COST * pixels * len(inputs.training) if self._restores else 0
             budget.held_out = each * (len(inputs.validation) + len(inputs.test) + restored)
         if state.recipe.dropout:
             scored = inputs.training[:: -(-len(inputs.training) // SCORED_IMAGES)]
