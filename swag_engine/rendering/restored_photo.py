@@ -1,4 +1,4 @@
-"""Photos without water: the colors of the splats, with the details that only the photo shows.
+"""Photos without water: the colors of the splats, with the details that only the photo shows; and splats fitted to them.
 
 A render of the splats has what all photos say about a color, and is blurred. The photo with its water removed is sharp,
 and where little light is left, mostly noise. What the photo shows beyond the render is added as far as it is more than
@@ -93,7 +93,7 @@ def _corrected(
 def unlike_open_water(model: SceneModel, image: TrainingImage, window: float) -> np.ndarray | float:
     """Return how sure it is that each pixel of a photo shows more than open water, (H, W) in 0..1; 1 without any.
 
-    What is left in open water is compression, which would become colors of what is behind it.
+    What else a photo shows there is compression, which would be taken for colors of far surfaces.
 
     Args:
         model: The Gaussians and the effects.
