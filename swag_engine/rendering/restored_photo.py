@@ -1,4 +1,4 @@
-"""Photos without water: the colors of the splats, with the details that only the photo shows; and splats fitted to them.
+"""Photos without water: the colors of the splats with the details that only the photo shows, and splats fitted to them.
 
 A render of the splats has what all photos say about a color, and is blurred. The photo with its water removed is sharp,
 and where little light is left, mostly noise. What the photo shows beyond the render is added as far as it is more than
