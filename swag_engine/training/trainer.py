@@ -35,6 +35,7 @@ from ..rendering.model import SceneModel
 from ..rendering.restoration import CONFIDENCE, WIDTH, RestorationLimit, describe_restored, restoration_limit
 from ..rendering.restored_photo import fit_to_photos
 from ..scene.colmap import Points, Scene, load_scene
+from ..scene.color_size import small_jpeg_note
 from ..scene.images import TrainingImage
 from ..semantics.embed import DIMENSIONS
 from ..settings.jerlov import water_of_type
@@ -253,6 +254,8 @@ class Trainer:
         cloud = finite_part(cloud)
         depth: dict[str, np.ndarray] = {}
         frames: list[TrainingImage] = []
+        if "attenuation" in recipe.effects and not whole:
+            self.notes += filter(None, [small_jpeg_note(scene, [image.camera for image in inputs.training])])
         if "depth_prior" in recipe.effects:
             note, depth = depth_of_images(scene, inputs.training, weights_dir)
             self.notes.append(note)

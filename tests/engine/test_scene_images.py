@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+from PIL import Image
 
 from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.color_size import small_jpeg_note
 from swag_engine.scene.images import _drop_stale, load_images, read_image
 from swag_engine.scene.lenses import Lens
 from tests.scenes.dots import draw_dots, make_dot_scene
@@ -217,3 +219,23 @@ def test_an_unwritable_cache_only_costs_time(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setenv("SWAG_CACHE_DIR", str(tmp_path / "file"))
     scene = load_scene(make_dot_scene(tmp_path / "scene", views=2))
     assert len(load_images(scene, scene.views)) == 2
+
+
+@pytest.mark.parametrize(
+    "written, width, said",
+    [
+        ({"subsampling": "4:2:0"}, 200, True),
+        ({"subsampling": "4:2:2"}, 160, True),
+        ({"subsampling": "4:4:4"}, 200, False),  # color at full size
+        ({"subsampling": "4:2:0"}, 100, False),  # no more than the photo has of color
+        ({"format": "PNG"}, 200, False),
+    ],
+)
+def test_small_jpeg_photos_are_told_where_their_color_is_coarser_than_what_is_trained(
+    written: dict[str, Any], width: int, said: bool, tmp_path: Path
+) -> None:
+    scene = load_scene(make_dot_scene(tmp_path, name="view_{:02d}.jpg"))
+    for view in scene.views:
+        Image.fromarray(read_image(view.path)[0]).save(view.path, **({"format": "JPEG"} | written))
+    note = small_jpeg_note(scene, [view.camera.resized(width) for view in scene.views])
+    assert (f"trained at {width} pixels" in note) == bool(note) == said

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -25,7 +27,7 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.splats.develop_splats import bake_development
 from swag_engine.splats.development import NO_DEVELOPMENT, Development
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.trainer import train
+from swag_engine.training.trainer import make_trainer, train
 from tests.engine.exr_files import read_exr
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
@@ -50,6 +52,15 @@ def test_the_water_is_found_and_written(runs):
     np.testing.assert_allclose(water["beta_D"], truth["beta_D"], rtol=0.2)
     np.testing.assert_allclose(water["B_inf"], truth["B_inf"], rtol=0.2)
     assert not (runs / "3dgs" / "water.json").exists()
+
+
+def test_colors_of_small_jpeg_photos_are_said_to_be_less_true(runs, tmp_path):
+    shutil.copy(runs / "swag" / "plan.json", tmp_path)
+    settings = replace(SETTINGS, width=600)
+    trainer = make_trainer(RunFolder(tmp_path), REEF, settings, False, lambda event: None, None, time.monotonic())
+    assert any("JPEG" in note for note in trainer.notes)
+    for recipe in ("swag", "3dgs"):  # trained at a quarter of the width
+        assert "JPEG" not in " ".join(json.loads((runs / recipe / "metrics.json").read_text())["notes"])
 
 
 def test_exported_gaussians_are_without_water(runs, tmp_path):
