@@ -12,10 +12,13 @@ from ..base.files import atomic_path
 from ..effects.registry import REGISTRY
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..planning.plan import Plan, plan_scene
+from ..scene.colmap import Scene, load_scene
 from ..settings.effect_names import EFFECTS, TOGETHER
+from ..settings.presets import SIZES
 from ..settings.recipes import RECIPES, SWITCHES, has, recipe_of
 from ..settings.settings import TrainSettings
-from ..training.trainer import train
+from ..training.pacing.preset_size import fit_preset
+from ..training.trainer import train, with_scale_of
 from .evaluate_run import evaluate_run
 
 DEFAULT_RECIPE = "swag"
@@ -116,6 +119,10 @@ def compare_rows(
     """Train and evaluate given rows; the other arguments, result and errors are those of `ablate`."""
     if seeds < 1:
         raise InputError(f"The number of seeds must be 1 or more, not {seeds}.")
+    # The same sizes for all rows, whatever the speed of each: those of the first run where there is one.
+    sized = settings_of_run(load_scene(scene), _folder(out, compared[0], 0), settings)
+    kept = {name: getattr(settings, name) or getattr(sized, name) for name in (*SIZES, "metres_per_unit")}
+    settings = replace(settings, **kept)
     document: dict[str, Any] = {"scene": str(scene), "settings": settings.to_json(), "seeds": seeds, "rows": []}
     document["interrupted"] = False
     for row in compared:
@@ -123,7 +130,7 @@ def compare_rows(
         for seed in range(seeds):
             changed: dict[str, Any] = {"recipe": row.recipe, "effects": row.effects, "seed": seed}
             wanted = replace(settings, **changed)
-            found = _metrics(scene, out / row.name.replace(" ", "-") / f"seed-{seed}", wanted, weights_dir, should_stop)
+            found = _metrics(scene, _folder(out, row, seed), wanted, weights_dir, should_stop)
             if found is None:
                 document["interrupted"] = True
                 break
@@ -137,6 +144,10 @@ def compare_rows(
         if document["interrupted"]:
             break
     return document
+
+
+def _folder(out: Path, row: Row, seed: int) -> Path:
+    return out / row.name.replace(" ", "-") / f"seed-{seed}"
 
 
 def _metrics(
@@ -160,7 +171,7 @@ def metrics_of_run(
     Args:
         scene: Folder of the scene.
         folder: Folder of the run.
-        settings: Settings of the run.
+        settings: Settings of the run, as `settings_of_run` returns them.
         weights_dir: Folder where networks are searched first.
         should_stop: Asked between two iterations.
 
@@ -170,7 +181,7 @@ def metrics_of_run(
     Raises:
         InputError: As `train`, and where the folder holds a run of another scene or of other settings.
     """
-    run, settings = RunFolder(folder), settings.sized()
+    run = RunFolder(folder)
     if should_stop():
         return None
     if run.config.exists():
@@ -182,6 +193,24 @@ def metrics_of_run(
         if result["interrupted"]:
             return None
     return read_json(run.metrics, f"{folder} has no metrics.json: delete the folder and start again.")
+
+
+def settings_of_run(scene: Scene, folder: Path, asked: TrainSettings) -> TrainSettings:
+    """Return the settings that a run has, or that `train` would give it.
+
+    Args:
+        scene: The scene.
+        folder: Folder of the run, which need not exist.
+        asked: What the user chose.
+
+    Returns:
+        Settings with all sizes: those of the run where there is one, so that it is continued as it was started.
+
+    Raises:
+        InputError: If the run's config.json or a photo cannot be read.
+    """
+    run = RunFolder(folder)
+    return run.read_config()[1] if run.config.exists() else fit_preset(scene, with_scale_of(scene, asked))
 
 
 def _summary(row: Row, figures: list[dict[str, Any]]) -> dict[str, Any]:

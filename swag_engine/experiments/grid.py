@@ -70,20 +70,21 @@ class Grid:
         ):
             choices: dict[str, Any] = {"preset": preset, "recipe": self.recipe, "seed": self.seed}
             choices |= {"iterations": iterations, "width": width, "max_gaussians": gaussians}
-            settings = TrainSettings(effects="" if effects == DEFAULT else effects, **choices).sized()
-            if (without_preset := replace(settings, preset="standard")) in alike:
+            settings = TrainSettings(effects="" if effects == DEFAULT else effects, **choices)
+            left_to_preset = not all(settings.size.numbers().values())
+            if (unlike := settings if left_to_preset else replace(settings, preset=TrainSettings.preset)) in alike:
                 continue
-            alike.append(without_preset)
-            own = ["" if effects == DEFAULT else effects, f"{settings.iterations} iterations" if iterations else ""]
-            own += [f"{settings.width} px" if width else "", f"{settings.max_gaussians} Gaussians" if gaussians else ""]
+            alike.append(unlike)
+            own = ["" if effects == DEFAULT else effects, f"{iterations} iterations" if iterations else ""]
+            own += [f"{width} px" if width else "", f"{gaussians} Gaussians" if gaussians else ""]
             several = [
                 len(set(values)) > 1 for values in (self.effects, self.iterations, self.widths, self.max_gaussians)
             ]
             varied = [word for word, varies in zip(own, several, strict=True) if word and varies]
             name = ", ".join([*([preset] if len(self.presets) > 1 or not varied else []), *varied])
-            sizes = f"{settings.iterations}-{settings.width}px-{settings.max_gaussians}"
-            folder = "-".join(filter(None, (self.recipe, own[0].replace(",", "-"), sizes, f"seed{self.seed}")))
-            found.append(Run(name, folder, settings))
+            words = [word.replace(",", "-").replace(" ", "") for word in own]
+            parts = (self.recipe, preset if left_to_preset else "", *words, f"seed{self.seed}")
+            found.append(Run(name, "-".join(filter(None, parts)), settings))
         if not found:
             raise InputError(
                 "There is nothing to run: give at least one preset, width, number of iterations and set of effects."
@@ -98,7 +99,7 @@ class Run:
     Attributes:
         name: The values in which it differs from the other runs.
         folder: Name of its folder, which does not depend on the other runs.
-        settings: Settings with all sizes filled in.
+        settings: Its settings, in which sizes that are left to the preset are 0.
     """
 
     name: str

@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from ..kernels.backends import device_for
 from ..scene.colmap import load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
-from .ablate import metrics_of_run
+from .ablate import metrics_of_run, settings_of_run
 from .evaluate_run import load_run, machine
 from .grid import Grid
 from .page import BLUE, INK, new_plots, plot_html
@@ -80,9 +80,9 @@ def tradeoff(
         InputError: As `train`, where the scene has no test views, and where `out` has runs of another scene or of
             other settings.
     """
-    runs = grid.runs()
+    asked, scene = grid.runs(), load_scene(scene_folder)
+    runs = [replace(run, settings=settings_of_run(scene, out / run.folder, run.settings)) for run in asked]
     width = score_width or max(run.settings.width for run in runs)
-    scene = load_scene(scene_folder)
     split = split_views([view.name for view in scene.views])
     if not split.test:
         raise InputError(f"{scene_folder} has too few photos to keep some as test views, which a tradeoff needs.")

@@ -1,16 +1,20 @@
 """Ablation: its rows, its figures, and how an interrupted one is continued."""
 
 import json
+import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
 from swag_engine.experiments.ablate import Row, ablate, ablation_rows, compare_rows, format_table
+from swag_engine.scene.georeference import Georeference, write_georeference
 from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.recipes import RECIPES, SWITCHES, recipe_of
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.pacing.preset_size import FEWEST
 from swag_engine.training.trainer import train
 from tests.scenes.runs import training_times
 
@@ -59,6 +63,19 @@ def test_an_interrupted_table_is_continued(tiny_scene, tmp_path):
     assert not resumed["interrupted"]
     for expected, got in zip(whole["rows"], resumed["rows"], strict=True):
         assert expected["mean"]["test_psnr"] == got["mean"]["test_psnr"]
+
+
+def test_sizes_left_to_a_preset_are_those_of_the_scene_and_the_same_for_all_runs(tiny_scene, tmp_path):
+    """Also where the ablation is started again, and the scene has a scale, which the runs then have too."""
+    scene = shutil.copytree(tiny_scene, tmp_path / "scene")
+    write_georeference(scene, Georeference(0.5, None, "gps", "full", np.eye(3), np.zeros(3)))
+    asked = replace(SETTINGS, preset="draft", width=0, max_gaussians=0)
+    first = compare_rows(TWO_ROWS[:1], scene, tmp_path / "a", 1, asked)
+    again = compare_rows(TWO_ROWS, scene, tmp_path / "a", 1, asked)
+    settings = again["settings"]
+    assert settings == first["settings"] and settings["metres_per_unit"] == 0.5
+    assert (settings["width"], settings["max_gaussians"]) == (64, FEWEST)
+    assert again["rows"][0]["mean"] == first["rows"][0]["mean"] and len(again["rows"]) == 2
 
 
 def test_runs_of_other_settings_are_refused(tiny_scene, tmp_path):

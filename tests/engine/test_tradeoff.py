@@ -17,10 +17,13 @@ from swag_engine.evaluation.metrics import mean_score, score_views
 from swag_engine.experiments.evaluate_run import load_newest
 from swag_engine.experiments.grid import Grid
 from swag_engine.experiments.tradeoff import describe, find_dominating, mark_dominated, tradeoff
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.settings.presets import PRESETS
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.pacing.preset_size import FEWEST
+from swag_engine.training.trainer import train
 from tests.scenes.runs import training_times
 
 GRID = Grid(presets=("draft",), iterations=(4, 24), widths=(32, 64), max_gaussians=(320,), effects=("water=off",))
@@ -66,11 +69,11 @@ def test_the_grid_holds_every_combination_once():
     runs = Grid().runs()
     assert {run.settings.preset for run in runs} == set(PRESETS)
     assert len(runs) == 2 * len(PRESETS) == len({run.folder for run in runs})
-    assert runs[0].name == "draft" and runs[0].settings == TrainSettings(preset="draft").sized()
+    assert runs[0].name == "draft" and runs[0].settings == TrainSettings(preset="draft")
     names = [run.name for run in GRID.runs()]
     assert names == ["4 iterations, 32 px", "24 iterations, 32 px", "4 iterations, 64 px", "24 iterations, 64 px"]
-    everything = replace(GRID, presets=tuple(PRESETS))
-    assert [run.settings for run in everything.runs()] == [run.settings for run in GRID.runs()]
+    everything = replace(GRID, presets=tuple(PRESETS))  # which leaves nothing to them
+    assert [run.folder for run in everything.runs()] == [run.folder for run in GRID.runs()]
     wider = replace(GRID, widths=(16, 32, 64), effects=("default", "water=off"))
     assert {run.folder for run in GRID.runs()} < {run.folder for run in wider.runs()}
     for nothing in ("presets", "effects", "widths"):
@@ -79,6 +82,15 @@ def test_the_grid_holds_every_combination_once():
             replace(GRID, **change).runs()
     with pytest.raises(InputError, match="There is no effect"):
         replace(GRID, effects=("no",)).runs()
+
+
+def test_runs_have_the_sizes_that_train_gives_them(tiny_scene, tmp_path):
+    asked = Grid(presets=("draft",), iterations=(4,), effects=("water=off",))
+    (row,) = tradeoff(tiny_scene, tmp_path, asked)["rows"]
+    made = row["settings"]
+    train(tiny_scene, tmp_path / "alone", TrainSettings(preset="draft", iterations=4, effects="water=off"))
+    assert made == RunFolder(tmp_path / "alone").read_config()[1].to_json()
+    assert made["width"] == 64 and made["max_gaussians"] == FEWEST < PRESETS["draft"].max_gaussians
 
 
 def test_all_runs_are_scored_at_one_width(done, tiny_scene):
