@@ -41,12 +41,21 @@ def test_only_what_photos_resolve_counts_and_noise_is_no_detail(scenes):
 
 
 def test_gaussians_follow_the_surface_that_photos_show():
-    few = suitable_gaussians(SURVEY, 640, on_card=False)
+    few = suitable_gaussians(SURVEY, 640, 10)
     assert few == pytest.approx(640 * 480 * 100 / 8 / 10)
-    assert suitable_gaussians(replace(SURVEY, overlap=16), 640, on_card=False) == pytest.approx(few / 2, abs=1)
-    assert suitable_gaussians(replace(SURVEY, training=190), 640, on_card=False) == pytest.approx(2 * few, abs=1)
-    assert suitable_gaussians(SURVEY, 1280, on_card=True) > 10 * few
-    assert suitable_gaussians(replace(SURVEY, training=1, held_out=0), 64, on_card=False) == FEWEST
+    assert suitable_gaussians(replace(SURVEY, overlap=16), 640, 10) == pytest.approx(few / 2, abs=1)
+    assert suitable_gaussians(replace(SURVEY, training=190), 640, 10) == pytest.approx(2 * few, abs=1)
+    assert suitable_gaussians(replace(SURVEY, training=1, held_out=0), 64, 10) == FEWEST
+
+
+def test_better_presets_have_more_gaussians_for_the_same_surface(scenes, monkeypatch):
+    monkeypatch.setattr(Extent, "of", lambda scene: replace(SURVEY, training=10, held_out=2))
+    sizes = [fit_preset(scenes["sharp"], TrainSettings(preset=name, width=480), FAST) for name in PRESETS]
+    gaussians = [settings.max_gaussians for settings in sizes]
+    assert FEWEST < gaussians[0] < gaussians[1] < gaussians[2] < PRESETS["high"].max_gaussians
+    monkeypatch.setattr(preset_size, "device_for", lambda backend: type("Card", (), {"type": "cuda"}))
+    on_card = fit_preset(scenes["sharp"], TrainSettings(preset="draft", width=480), FAST)
+    assert on_card.max_gaussians >= gaussians[2]
 
 
 def test_a_draft_ends_in_two_minutes_on_a_slow_machine(scenes, monkeypatch):

@@ -10,11 +10,10 @@ from ...settings.recipes import recipe_of
 from ...settings.settings import TrainSettings
 from .speed import Extent, Speed, measure_speed, predicted_seconds
 
-PIXELS_PER_GAUSSIAN = 10.0
-"""Pixels of the surface that one Gaussian is for. On three scenes of 24 to 40 photos this is what the draft had when it
-was chosen by hand; far more Gaussians than that overfit (docs/accuracy.md)."""
+PIXELS_PER_GAUSSIAN = {"draft": 10.0, "standard": 5.0, "high": 3.0}
+"""Pixels of the surface that one Gaussian is for, by preset: longer runs gain by more of them (docs/accuracy.md)."""
 ON_CARD = 3.0
-"""The same on a graphics card: large scenes in the literature have 1 to 5 million Gaussians at full size."""
+"""The same on a graphics card, whatever the preset: large scenes in the literature have 1 to 5 million Gaussians."""
 FEWEST = 5_000
 """Gaussians that a run may always have."""
 MOST_GROWTH = 3
@@ -25,20 +24,20 @@ DRAFT_STEPS = 40
 """Sizes below that of the draft that are tried."""
 
 
-def suitable_gaussians(extent: Extent, width: int, on_card: bool) -> int:
+def suitable_gaussians(extent: Extent, width: int, pixels_each: float) -> int:
     """Estimate how many Gaussians the surface in a scene's photos calls for.
 
     Args:
         extent: Size of the scene; its surface in pixels is that of all images over the number of images that see a
             point.
         width: Width of the training images, pixels.
-        on_card: Whether a graphics card trains.
+        pixels_each: Pixels of the surface that one Gaussian is for.
 
     Returns:
         Number of Gaussians.
     """
     surface = extent.pixels(width) * (extent.training + extent.held_out) / extent.overlap
-    return max(FEWEST, round(surface / (ON_CARD if on_card else PIXELS_PER_GAUSSIAN)))
+    return max(FEWEST, round(surface / pixels_each))
 
 
 def suited(settings: TrainSettings, size: Size, extent: Extent, widest: int) -> Size:
@@ -54,7 +53,8 @@ def suited(settings: TrainSettings, size: Size, extent: Extent, widest: int) -> 
         The sizes.
     """
     width = settings.width or min(size.width, widest)
-    most = suitable_gaussians(extent, width, device_for(settings.backend).type == "cuda")
+    on_card = device_for(settings.backend).type == "cuda"
+    most = suitable_gaussians(extent, width, ON_CARD if on_card else PIXELS_PER_GAUSSIAN[settings.preset])
     gaussians = settings.max_gaussians or min(size.max_gaussians, most)
     return Size(settings.iterations or size.iterations, width, gaussians)
 
