@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from ..base.errors import InputError
-from ..kernels.backends import device_for
 from ..scene.colmap import Scene
 from ..scene.resolved_width import resolved_width
 from ..settings.presets import Size
 from ..settings.settings import TrainSettings
 from ..training.pacing.memory import USABLE_FRACTION, needed
-from ..training.pacing.preset_size import FEWEST, largest_size, suitable_gaussians, suited
+from ..training.pacing.preset_size import FEWEST, largest_size, pixels_per_gaussian, suitable_gaussians, suited
 from ..training.pacing.speed import Extent
 from .cut import Part
 
@@ -85,8 +84,8 @@ class Sizes:
         Args:
             largest: Largest number of Gaussians of a block.
         """
-        on_card = device_for(self.asked.backend).type == "cuda"
-        suitable = suitable_gaussians(self.extent, min(COARSE_WIDTHS[0], self.width), on_card)
+        pixels = pixels_per_gaussian("draft", self.asked.backend)
+        suitable = suitable_gaussians(self.extent, min(COARSE_WIDTHS[0], self.width), pixels)
         return min(COARSE_GAUSSIANS, suitable, largest)
 
     def block_memory(self, part: Part, largest: int = 0) -> int:

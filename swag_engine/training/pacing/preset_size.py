@@ -24,6 +24,11 @@ DRAFT_STEPS = 40
 """Sizes below that of the draft that are tried."""
 
 
+def pixels_per_gaussian(preset: str, backend: str) -> float:
+    """Return how many pixels of the surface one Gaussian is for, for a preset on the machine that trains."""
+    return ON_CARD if device_for(backend).type == "cuda" else PIXELS_PER_GAUSSIAN[preset]
+
+
 def suitable_gaussians(extent: Extent, width: int, pixels_each: float) -> int:
     """Estimate how many Gaussians the surface in a scene's photos calls for.
 
@@ -53,8 +58,7 @@ def suited(settings: TrainSettings, size: Size, extent: Extent, widest: int) -> 
         The sizes.
     """
     width = settings.width or min(size.width, widest)
-    on_card = device_for(settings.backend).type == "cuda"
-    most = suitable_gaussians(extent, width, ON_CARD if on_card else PIXELS_PER_GAUSSIAN[settings.preset])
+    most = suitable_gaussians(extent, width, pixels_per_gaussian(settings.preset, settings.backend))
     gaussians = settings.max_gaussians or min(size.max_gaussians, most)
     return Size(settings.iterations or size.iterations, width, gaussians)
 
