@@ -120,13 +120,14 @@ API void photo_forward(int64_t begin, int64_t end, int64_t height, int64_t width
 
 // Rows [begin, end) of the gradients by the blended image, by alpha and by what is behind, and sums (7,) of
 // those by the logs of the gains and the polynomial's coefficients, and of what Gaussians leave open of the surfaces seen
-// (losses.uncovered_surface), (1 - alpha) times how sure it is that the target shows a surface. The gradient by the photo is
+// (losses.uncovered_surface), what 1 - alpha exceeds `closed` by times how sure it is that the target shows a surface. The gradient by the photo is
 // `by_photo` (H, W, 3), if it is not null, plus `absolute` sign(error) plus `square` error; that by what is left open of
 // one pixel's surface is `open`.
 API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t width, const float *blended,
                         const float *transmittance, const float *behind, const float *gain_numbers, const uint8_t *valid,
                         const float *photo, const float *target, const float *by_photo, float absolute, float square,
-                        float open, float least, float most, float *by_blended, float *by_alpha, float *by_behind, double *sums) {
+                        float open, float least, float most, float closed, float *by_blended, float *by_alpha,
+                        float *by_behind, double *sums) {
     const Gain gain(gain_numbers, height, width);
     for (int k = 0; k < SUMS; k++) sums[k] = 0;
     for (int64_t y = begin; y < end; y++) {
@@ -174,11 +175,11 @@ API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t widt
                 }
                 if (open) {
                     load_rows(wanted + 3 * x, count, color);
-                    Vec surface = surface_seen(color, water, least, most);
+                    Vec surface = masked(T > closed, surface_seen(color, water, least, most));
                     for (int l = 0; l < VW; l++)
                         if (l >= count || !valid[pixel + l]) surface[l] = 0.f;
                     through_alpha -= open * surface;
-                    total[3 + TERMS] += surface * T;
+                    total[3 + TERMS] += surface * (T - closed);
                 }
                 if (count == VW)
                     memcpy(by_alpha + pixel, &through_alpha, sizeof through_alpha);

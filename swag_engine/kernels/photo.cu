@@ -64,7 +64,7 @@ KERNEL(2)
 photo_backward(Index pixels, Index height, Index width, const float *blended, const float *transmittance,
                const float *behind, const float *gain_numbers, const unsigned char *valid, const float *photo,
                const float *target, const float *by_photo, float absolute, float square, float open, float least,
-               float most, float *by_blended, float *by_alpha, float *by_behind, float *sums) {
+               float most, float closed, float *by_blended, float *by_alpha, float *by_behind, float *sums) {
     Index i = thread_index();
     float total[4 + TERMS] = {};
     if (i < pixels) {
@@ -96,10 +96,10 @@ photo_backward(Index pixels, Index height, Index width, const float *blended, co
                 through_alpha -= by[c] * water[c];
                 by_behind[3 * i + c] = by[c] * transmittance[i];
             }
-            if (open && valid[i]) {
+            if (open && valid[i] && transmittance[i] > closed) {
                 float surface = surface_seen(target + 3 * i, water, least, most);
                 through_alpha -= open * surface;
-                total[3 + TERMS] = surface * transmittance[i];
+                total[3 + TERMS] = surface * (transmittance[i] - closed);
             }
         }
         by_alpha[i] = through_alpha;

@@ -9,6 +9,7 @@ struct Call {
     width: u32, height: u32, degree: u32, mode: u32,
     absolute: f32, square: f32, open: f32,  // factors of the gradient: of the error's sign, of the error, of open surface
     least: f32, most: f32,                  // differences from open water that are none, and that show a surface
+    closed: f32,                            // part of what is behind a surface that may be seen
 }
 @group(0) @binding(0) var<uniform> call: Call;
 @group(0) @binding(2) var<storage, read> blended: array<vec4f>;
@@ -136,11 +137,11 @@ fn photo_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) 
                 let by_raw = by[c] * s.T * slope * s.B[c] * (1.0 - s.B[c]);
                 for (var k = 0u; k < used; k++) { total[12u + 3u * k + c] += by_raw * basis[k]; }
             }
-            if (s.valid && call.open > 0.0) {
+            if (s.valid && call.open > 0.0 && s.T > call.closed) {
                 let apart = abs(s.wanted - s.behind);
                 let surface = clamp((max(max(apart.x, apart.y), apart.z) - call.least) / (call.most - call.least), 0.0, 1.0);
                 through_alpha -= call.open * surface;
-                total[2] += surface * s.T;
+                total[2] += surface * (s.T - call.closed);
             }
         }
         by_transparent[at] = through_alpha;

@@ -90,7 +90,8 @@ class View:
         seed: Random numbers of the iteration, 32 bits.
         geometry: Whether means, quats and log_scales have gradients.
         weights: Of L1, 1 - SSIM, L2 and what is left open of surfaces.
-        surface: Differences from open water that are none, and that show a surface, display values.
+        surface: Differences from open water that are none, and that show a surface, display values; and the part of what
+            is behind a surface that may be seen.
         log_scale_limits: Of the logs of the scales.
         farthest: Largest component of an offset, scene units.
         dazzling: Largest display value that water is applied to.
@@ -110,7 +111,7 @@ class View:
     seed: int
     geometry: bool
     weights: tuple[float, float, float, float]
-    surface: tuple[float, float]
+    surface: tuple[float, float, float]
     log_scale_limits: tuple[float, float]
     farthest: float
     dazzling: float
@@ -514,7 +515,7 @@ class ResidentGaussians:
         call = {name: rows[name] for name in ("row0", "row1", "row2", "intrinsics")} | {
             "width": view.width, "height": view.height, "degree": view.water_degree, "mode": view.mode,
             "absolute": l1 / (3 * pixels), "square": 2 * l2 / (3 * pixels), "open": coverage / pixels,
-            "least": view.surface[0], "most": view.surface[1],
+            "least": view.surface[0], "most": view.surface[1], "closed": view.surface[2],
         }  # fmt: skip
         sources = {
             "numbers": self._numbers, "blended": self._image("blended", view, GROUP),

@@ -127,6 +127,9 @@ PAPER_LOSS_TWO = Photometric(l1=(0.7, 1.2), ssim=0.0, l2=(0.9, 0.9))
 WATER = frozenset({"attenuation", "backscatter", "separate_backscatter"})
 """Effects of methods that always model the water."""
 
+DROPOUT = 0.1
+"""Largest fraction that is dropped: .2 blurs, none overfits long runs (docs/accuracy.md)."""
+
 RECIPES: dict[str, Recipe] = {
     "swag": Recipe(
         "Models the water and the effects that the scene calls for, and removes them",
@@ -134,7 +137,7 @@ RECIPES: dict[str, Recipe] = {
         water_rate=1e-3,
         B_inf_rate=1e-2,
         stage_two_from=0.9,
-        dropout=0.2,
+        dropout=DROPOUT,
         coverage=0.3,
     ),
     "3dgs": Recipe("Plain Gaussian splatting: the scene as photographed"),
@@ -182,7 +185,7 @@ RECIPES: dict[str, Recipe] = {
 
 SWITCHES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "stages": ({"stage_two_from": 0.6}, {"stage_two_from": 1.0}),
-    "dropout": ({"dropout": 0.2}, {"dropout": 0.0}),
+    "dropout": ({"dropout": DROPOUT}, {"dropout": 0.0}),
     "reallocation": ({"reallocation": "balanced"}, {"reallocation": "off"}),
     "grey_world": ({"grey_world": 0.02}, {"grey_world": 0.0}),
     "smoothness": ({"smoothness": 0.05}, {"smoothness": 0.0}),

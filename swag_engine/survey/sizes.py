@@ -9,12 +9,14 @@ from ..scene.resolved_width import resolved_width
 from ..settings.presets import Size
 from ..settings.settings import TrainSettings
 from ..training.pacing.memory import USABLE_FRACTION, needed
-from ..training.pacing.preset_size import FEWEST, largest_size, pixels_per_gaussian, suitable_gaussians, suited
+from ..training.pacing.preset_size import FEWEST, largest_size, suitable_gaussians, suited
 from ..training.pacing.speed import Extent
 from .cut import Part
 
 COARSE_GAUSSIANS = 200_000
 """Largest number of Gaussians of the coarse model."""
+COARSE_PIXELS = 10.0
+"""Pixels of the surface that one Gaussian of the coarse model is for."""
 COARSE_WIDTHS = (320, 240)
 """Widths of the images of the coarse model, pixels: the second where memory does not suffice for the first."""
 PROCESS_MEMORY = 400_000_000
@@ -84,8 +86,7 @@ class Sizes:
         Args:
             largest: Largest number of Gaussians of a block.
         """
-        pixels = pixels_per_gaussian("draft", self.asked.backend)
-        suitable = suitable_gaussians(self.extent, min(COARSE_WIDTHS[0], self.width), pixels)
+        suitable = suitable_gaussians(self.extent, min(COARSE_WIDTHS[0], self.width), COARSE_PIXELS)
         return min(COARSE_GAUSSIANS, suitable, largest)
 
     def block_memory(self, part: Part, largest: int = 0) -> int:

@@ -13,6 +13,8 @@ LIKE_WATER = 0.05
 """Display value: open water differs from its model by less, because of noise, exposure and haze."""
 UNLIKE_WATER = 0.15
 """Display value by which only surfaces differ from open water."""
+CLOSED = 0.1
+"""Part of what is behind a surface that may be seen: less is not worth opaque Gaussians that no photo needs."""
 
 
 def photometric(
@@ -84,7 +86,9 @@ def uncovered_surface(alpha: Tensor, target: Tensor, behind: Tensor, valid: Tens
     """Measure how much of the surfaces in a training image Gaussians leave open.
 
     Open water behind a surface that is not finished looks like its backscatter, so that the comparison of images alone
-    leaves far surfaces half transparent. They are too dark then once the water is removed.
+    leaves far surfaces half transparent. They are too dark then once the water is removed. A surface of which less than
+    CLOSED is open adds nothing: Adam makes steps of the same size for the smallest gradients, which would make opaque
+    what hardly any photo shows, as Gaussians in front of surfaces.
 
     Args:
         alpha: (H, W) of the rendered image.
@@ -93,12 +97,12 @@ def uncovered_surface(alpha: Tensor, target: Tensor, behind: Tensor, valid: Tens
         valid: (H, W) bool, pixels that count.
 
     Returns:
-        Mean of 1 - alpha, weighted by how sure it is that a pixel does not show open water: 0 where it differs from
+        Mean of what 1 - alpha exceeds CLOSED by, weighted by how sure it is that a pixel does not show open water: 0 where it differs from
         that by less than LIKE_WATER in all channels, 1 from UNLIKE_WATER on. A scalar, differentiable in alpha.
     """
     apart = (target - behind.detach()).abs().amax(-1)
     surface = ((apart - LIKE_WATER) / (UNLIKE_WATER - LIKE_WATER)).clamp(0, 1) * valid
-    return (surface * (1 - alpha)).mean()
+    return (surface * (1 - CLOSED - alpha).relu()).mean()
 
 
 def smoothness(range_image: Tensor, alpha: Tensor, guide: Tensor, median_range: float) -> Tensor:

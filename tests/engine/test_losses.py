@@ -7,6 +7,7 @@ import torch
 from swag_engine.base.timing import Ledger
 from swag_engine.evaluation.ssim import ssim
 from swag_engine.training.losses import (
+    CLOSED,
     attenuation_order,
     grey_world,
     photometric,
@@ -202,14 +203,14 @@ def test_attenuation_out_of_order_is_penalised_by_channel():
 
 
 def test_surfaces_are_pushed_to_be_opaque_and_open_water_is_not():
-    behind = torch.tensor([0.1, 0.4, 0.5]).expand(1, 4, 3)
+    behind = torch.tensor([0.1, 0.4, 0.5]).expand(1, 5, 3)
     target = behind.clone()
-    target[0, 1, 0], target[0, 2, 1], target[0, 3] = 0.14, 0.3, 0.9  # haze, half way, surface
-    valid = torch.ones(1, 4, dtype=torch.bool)
+    target[0, 1, 0], target[0, 2, 1], target[0, 3:] = 0.14, 0.3, 0.9  # haze, half way, surfaces: open and closed
+    valid = torch.ones(1, 5, dtype=torch.bool)
     value, gradient = value_and_gradient(
-        lambda alpha: uncovered_surface(alpha, target, behind, valid), torch.tensor([[0.2, 0.2, 0.6, 0.5]])
+        lambda alpha: uncovered_surface(alpha, target, behind, valid), torch.tensor([[0.2, 0.2, 0.6, 0.5, 0.96]])
     )
-    assert gradient[0].tolist() == pytest.approx([0, 0, -0.5 / 4, -1 / 4], abs=1e-6)
-    assert value == pytest.approx((0.5 * 0.4 + 0.5) / 4)
-    valid[0, 3] = False
-    assert uncovered_surface(torch.zeros(1, 4), target, behind, valid) == pytest.approx(0.5 / 4)
+    assert gradient[0].tolist() == pytest.approx([0, 0, -0.5 / 5, -1 / 5, 0], abs=1e-6)
+    assert value == pytest.approx((0.5 * (0.4 - CLOSED) + 0.5 - CLOSED) / 5)
+    valid[0, 3:] = False
+    assert uncovered_surface(torch.zeros(1, 5), target, behind, valid) == pytest.approx(0.5 * (1 - CLOSED) / 5)

@@ -11,7 +11,13 @@ from swag_engine.scene.resolved_width import resolved_width
 from swag_engine.settings.presets import CARD_PRESETS, PRESETS
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.pacing import preset_size
-from swag_engine.training.pacing.preset_size import DRAFT_SECONDS, FEWEST, fit_preset, suitable_gaussians
+from swag_engine.training.pacing.preset_size import (
+    DRAFT_SECONDS,
+    FEWEST,
+    LEAST_ITERATIONS,
+    fit_preset,
+    suitable_gaussians,
+)
 from swag_engine.training.pacing.speed import Extent, Speed, predicted_seconds
 from tests.scenes.tiny import make_tiny_scene
 
@@ -58,6 +64,17 @@ def test_better_presets_have_more_gaussians_for_the_same_surface(scenes, monkeyp
     assert on_card.max_gaussians >= gaussians[2]
 
 
+def test_presets_train_longer_the_more_photos_there_are(scenes, monkeypatch):
+    def iterations(photos, preset="high"):
+        monkeypatch.setattr(Extent, "of", lambda scene: replace(SURVEY, training=photos))
+        return fit_preset(scenes["sharp"], TrainSettings(preset=preset), FAST).iterations
+
+    assert iterations(1) == LEAST_ITERATIONS < iterations(20) < iterations(20 * 3 // 2) < PRESETS["high"].iterations
+    assert iterations(300) == PRESETS["high"].iterations
+    by_preset = [iterations(20, preset) for preset in PRESETS]
+    assert by_preset == sorted(by_preset) and by_preset[0] < by_preset[2]
+
+
 def test_a_draft_ends_in_two_minutes_on_a_slow_machine(scenes, monkeypatch):
     monkeypatch.setattr(Extent, "of", lambda scene: SURVEY)
     monkeypatch.setattr(preset_size, "resolved_width", lambda scene, most: min(most, SURVEY.width))
@@ -82,4 +99,4 @@ def test_what_the_user_chose_stays(scenes):
     assert fit_preset(scenes["sharp"], chosen) is chosen
     partly = fit_preset(scenes["sharp"], TrainSettings(preset="standard", width=31))
     assert partly.width == 31 and partly.max_gaussians == FEWEST
-    assert partly.iterations == PRESETS["standard"].iterations
+    assert fit_preset(scenes["sharp"], TrainSettings(preset="high", iterations=8000)).iterations == 8000

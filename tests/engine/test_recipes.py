@@ -24,6 +24,7 @@ from swag_engine.settings.recipes import RECIPES, SWITCHES, Photometric, Recipe,
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.network_priors import depth_of_images, frames_between
+from swag_engine.training.losses import CLOSED
 from swag_engine.training.objective import Objective
 from swag_engine.training.step import GEOMETRY
 from swag_engine.training.targets import Target
@@ -107,7 +108,7 @@ def test_surfaces_are_closed_in_front_of_open_water_alone():
     target.valid = torch.ones(4, 4, dtype=torch.bool)
     picture: Any = StubPicture(color, torch.full((4, 4), 0.25), behind=torch.zeros(4, 4, 3))
     for fraction in (0.0, 0.4, 0.6):
-        assert objective(picture, target, None, fraction).item() == pytest.approx(0.1 * 0.75)
+        assert objective(picture, target, None, fraction).item() == pytest.approx(0.1 * (0.75 - CLOSED))
     picture.behind = None
     assert objective(picture, target, None, 0.6).item() == 0
 

@@ -1,6 +1,6 @@
 """The size of a run that suits its photos and its machine, where the user leaves it to a preset."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ...kernels.backends import device_for
 from ...scene.colmap import Scene
@@ -10,10 +10,26 @@ from ...settings.recipes import recipe_of
 from ...settings.settings import TrainSettings
 from .speed import Extent, Speed, measure_speed, predicted_seconds
 
-PIXELS_PER_GAUSSIAN = {"draft": 10.0, "standard": 5.0, "high": 3.0}
-"""Pixels of the surface that one Gaussian is for, by preset: longer runs gain by more of them (docs/accuracy.md)."""
-ON_CARD = 3.0
-"""The same on a graphics card, whatever the preset: large scenes in the literature have 1 to 5 million Gaussians."""
+
+@dataclass(frozen=True)
+class Fit:
+    """How a preset follows the photos.
+
+    Attributes:
+        visits: How often it sees each training photo at most: longer runs of few photos overfit (docs/accuracy.md).
+        pixels_each: Pixels of the surface that one Gaussian is for.
+    """
+
+    visits: int
+    pixels_each: float
+
+
+ON_PROCESSOR = {"draft": Fit(32, 6.0), "standard": Fit(120, 4.0), "high": Fit(200, 3.0)}
+"""By preset: as long as there are few Gaussians, more of them gain more than more iterations do (docs/accuracy.md)."""
+ON_CARD = {"draft": Fit(80, 3.0), "standard": Fit(120, 3.0), "high": Fit(200, 3.0)}
+"""The same on a graphics card: large scenes in the literature have 1 to 5 million Gaussians."""
+LEAST_ITERATIONS = 1000
+"""Iterations that a preset may always have, where there are few photos."""
 FEWEST = 5_000
 """Gaussians that a run may always have."""
 MOST_GROWTH = 3
@@ -24,9 +40,9 @@ DRAFT_STEPS = 40
 """Sizes below that of the draft that are tried."""
 
 
-def pixels_per_gaussian(preset: str, backend: str) -> float:
-    """Return how many pixels of the surface one Gaussian is for, for a preset on the machine that trains."""
-    return ON_CARD if device_for(backend).type == "cuda" else PIXELS_PER_GAUSSIAN[preset]
+def fit_of(settings: TrainSettings) -> Fit:
+    """Return how the preset of a run follows the photos on the machine that trains."""
+    return (ON_CARD if device_for(settings.backend).type == "cuda" else ON_PROCESSOR)[settings.preset]
 
 
 def suitable_gaussians(extent: Extent, width: int, pixels_each: float) -> int:
@@ -58,7 +74,7 @@ def suited(settings: TrainSettings, size: Size, extent: Extent, widest: int) -> 
         The sizes.
     """
     width = settings.width or min(size.width, widest)
-    most = suitable_gaussians(extent, width, pixels_per_gaussian(settings.preset, settings.backend))
+    most = suitable_gaussians(extent, width, fit_of(settings).pixels_each)
     gaussians = settings.max_gaussians or min(size.max_gaussians, most)
     return Size(settings.iterations or size.iterations, width, gaussians)
 
@@ -66,8 +82,8 @@ def suited(settings: TrainSettings, size: Size, extent: Extent, widest: int) -> 
 def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None) -> TrainSettings:
     """Fill in the sizes that the user left to the preset: no larger than the photos and the machine call for.
 
-    The width is at most what the photos resolve, the number of Gaussians follows the surface that they show, and a
-    draft is reduced where the machine would need more than two minutes.
+    The width is at most what the photos resolve, the number of Gaussians follows the surface that they show, that of
+    iterations the number of photos, and a draft is reduced where the machine would need more than two minutes.
 
     Args:
         scene: The scene.
@@ -83,6 +99,8 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
     if settings.budget or all(settings.size.numbers().values()):
         return settings
     extent, largest = Extent.of(scene), largest_size(settings)
+    enough = max(LEAST_ITERATIONS, fit_of(settings).visits * extent.training)
+    largest = replace(largest, iterations=min(largest.iterations, enough))
     widest = settings.width or resolved_width(scene, largest.width)
     found = suited(settings, largest, extent, widest)
     if settings.preset == "draft" and device_for(settings.backend).type != "cuda":
@@ -92,7 +110,8 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
             if predicted_seconds(speed, extent, found, densify_until) <= DRAFT_SECONDS:
                 break
             smaller = size_at(LADDER.index(PRESETS["draft"]) * (1 - step / DRAFT_STEPS))
-            found = suited(settings, _grown(smaller), extent, widest)
+            smaller = replace(_grown(smaller), iterations=min(smaller.iterations, enough))
+            found = suited(settings, smaller, extent, widest)
     return replace(settings, **found.numbers())
 
 
