@@ -90,8 +90,8 @@ class View:
         seed: Random numbers of the iteration, 32 bits.
         geometry: Whether means, quats and log_scales have gradients.
         weights: Of L1, 1 - SSIM, L2 and what is left open of surfaces.
-        surface: Differences from open water that are none, and that show a surface, display values; and the part of what
-            is behind a surface that may be seen.
+        surface: Differences from open water that are none, and that show a surface, display values; and the part of
+            what is behind a surface that may be seen.
         log_scale_limits: Of the logs of the scales.
         farthest: Largest component of an offset, scene units.
         dazzling: Largest display value that water is applied to.

@@ -97,8 +97,9 @@ def uncovered_surface(alpha: Tensor, target: Tensor, behind: Tensor, valid: Tens
         valid: (H, W) bool, pixels that count.
 
     Returns:
-        Mean of what 1 - alpha exceeds CLOSED by, weighted by how sure it is that a pixel does not show open water: 0 where it differs from
-        that by less than LIKE_WATER in all channels, 1 from UNLIKE_WATER on. A scalar, differentiable in alpha.
+        Mean of what 1 - alpha exceeds CLOSED by, weighted by how sure it is that a pixel does not show open water: 0
+        where it differs from that by less than LIKE_WATER in all channels, 1 from UNLIKE_WATER on. A scalar,
+        differentiable in alpha.
     """
     apart = (target - behind.detach()).abs().amax(-1)
     surface = ((apart - LIKE_WATER) / (UNLIKE_WATER - LIKE_WATER)).clamp(0, 1) * valid

@@ -23,8 +23,8 @@ from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.recipes import RECIPES, SWITCHES, Photometric, Recipe, recipe_of
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
-from swag_engine.training.network_priors import depth_of_images, frames_between
 from swag_engine.training.losses import CLOSED
+from swag_engine.training.network_priors import depth_of_images, frames_between
 from swag_engine.training.objective import Objective
 from swag_engine.training.step import GEOMETRY
 from swag_engine.training.targets import Target
