@@ -13,7 +13,7 @@ LIKE_WATER = 0.05
 """Display value: open water differs from its model by less, because of noise, exposure and haze."""
 UNLIKE_WATER = 0.15
 """Display value by which only surfaces differ from open water."""
-CLOSED = 0.1
+CLOSED = 0.02
 """Part of what is behind a surface that may be seen: less is not worth opaque Gaussians that no photo needs."""
 
 

@@ -208,7 +208,7 @@ def test_surfaces_are_pushed_to_be_opaque_and_open_water_is_not():
     target[0, 1, 0], target[0, 2, 1], target[0, 3:] = 0.14, 0.3, 0.9  # haze, half way, surfaces: open and closed
     valid = torch.ones(1, 5, dtype=torch.bool)
     value, gradient = value_and_gradient(
-        lambda alpha: uncovered_surface(alpha, target, behind, valid), torch.tensor([[0.2, 0.2, 0.6, 0.5, 0.96]])
+        lambda alpha: uncovered_surface(alpha, target, behind, valid), torch.tensor([[0.2, 0.2, 0.6, 0.5, 0.99]])
     )
     assert gradient[0].tolist() == pytest.approx([0, 0, -0.5 / 5, -1 / 5, 0], abs=1e-6)
     assert value == pytest.approx((0.5 * (0.4 - CLOSED) + 0.5 - CLOSED) / 5)
