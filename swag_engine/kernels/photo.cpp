@@ -120,9 +120,9 @@ API void photo_forward(int64_t begin, int64_t end, int64_t height, int64_t width
 
 // Rows [begin, end) of the gradients by the blended image, by alpha and by what is behind, and sums (7,) of
 // those by the logs of the gains and the polynomial's coefficients, and of what Gaussians leave open of the surfaces seen
-// (losses.uncovered_surface), what 1 - alpha exceeds `closed` by times how sure it is that the target shows a surface. The gradient by the photo is
-// `by_photo` (H, W, 3), if it is not null, plus `absolute` sign(error) plus `square` error; that by what is left open of
-// one pixel's surface is `open`.
+// (losses.uncovered_surface): what 1 - alpha exceeds `closed` by, times how sure it is that the target shows a surface. The
+// gradient by the photo is `by_photo` (H, W, 3), if it is not null, plus `absolute` sign(error) plus `square` error; that
+// by what is left open of one pixel's surface is `open`.
 API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t width, const float *blended,
                         const float *transmittance, const float *behind, const float *gain_numbers, const uint8_t *valid,
                         const float *photo, const float *target, const float *by_photo, float absolute, float square,

@@ -128,7 +128,7 @@ WATER = frozenset({"attenuation", "backscatter", "separate_backscatter"})
 """Effects of methods that always model the water."""
 
 DROPOUT = 0.1
-"""Largest fraction that is dropped: .2 blurs, none overfits long runs (docs/accuracy.md)."""
+"""Largest fraction that is dropped: .2 blurs, and without dropout long runs overfit (docs/accuracy.md)."""
 
 RECIPES: dict[str, Recipe] = {
     "swag": Recipe(

@@ -14,7 +14,7 @@ from swag_engine.training.pacing import preset_size
 from swag_engine.training.pacing.preset_size import (
     DRAFT_SECONDS,
     FEWEST,
-    LEAST_ITERATIONS,
+    ON_PROCESSOR,
     fit_preset,
     suitable_gaussians,
 )
@@ -69,10 +69,17 @@ def test_presets_train_longer_the_more_photos_there_are(scenes, monkeypatch):
         monkeypatch.setattr(Extent, "of", lambda scene: replace(SURVEY, training=photos))
         return fit_preset(scenes["sharp"], TrainSettings(preset=preset), FAST).iterations
 
-    assert iterations(1) == LEAST_ITERATIONS < iterations(20) < iterations(20 * 3 // 2) < PRESETS["high"].iterations
+    assert (
+        iterations(1)
+        == ON_PROCESSOR["high"].least
+        < iterations(20)
+        < iterations(20 * 3 // 2)
+        < PRESETS["high"].iterations
+    )
     assert iterations(300) == PRESETS["high"].iterations
-    by_preset = [iterations(20, preset) for preset in PRESETS]
-    assert by_preset == sorted(by_preset) and by_preset[0] < by_preset[2]
+    for photos in (1, 20):
+        draft, standard, high = (iterations(photos, preset) for preset in PRESETS)
+        assert draft < standard < high
 
 
 def test_a_draft_ends_in_two_minutes_on_a_slow_machine(scenes, monkeypatch):
@@ -99,4 +106,5 @@ def test_what_the_user_chose_stays(scenes):
     assert fit_preset(scenes["sharp"], chosen) is chosen
     partly = fit_preset(scenes["sharp"], TrainSettings(preset="standard", width=31))
     assert partly.width == 31 and partly.max_gaussians == FEWEST
+    assert partly.iterations == ON_PROCESSOR["standard"].least  # there are few photos
     assert fit_preset(scenes["sharp"], TrainSettings(preset="high", iterations=8000)).iterations == 8000

@@ -16,20 +16,20 @@ class Fit:
     """How a preset follows the photos.
 
     Attributes:
+        least: Iterations that it may always have, where there are few photos.
         visits: How often it sees each training photo at most: longer runs of few photos overfit (docs/accuracy.md).
         pixels_each: Pixels of the surface that one Gaussian is for.
     """
 
+    least: int
     visits: int
     pixels_each: float
 
 
-ON_PROCESSOR = {"draft": Fit(32, 6.0), "standard": Fit(120, 4.0), "high": Fit(200, 3.0)}
+ON_PROCESSOR = {"draft": Fit(1000, 32, 6.0), "standard": Fit(1500, 120, 4.0), "high": Fit(2000, 200, 3.0)}
 """By preset: as long as there are few Gaussians, more of them gain more than more iterations do (docs/accuracy.md)."""
-ON_CARD = {"draft": Fit(80, 3.0), "standard": Fit(120, 3.0), "high": Fit(200, 3.0)}
+ON_CARD = {"draft": Fit(1000, 80, 3.0), "standard": Fit(1500, 120, 3.0), "high": Fit(2000, 200, 3.0)}
 """The same on a graphics card: large scenes in the literature have 1 to 5 million Gaussians."""
-LEAST_ITERATIONS = 1000
-"""Iterations that a preset may always have, where there are few photos."""
 FEWEST = 5_000
 """Gaussians that a run may always have."""
 MOST_GROWTH = 3
@@ -99,7 +99,8 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
     if settings.budget or all(settings.size.numbers().values()):
         return settings
     extent, largest = Extent.of(scene), largest_size(settings)
-    enough = max(LEAST_ITERATIONS, fit_of(settings).visits * extent.training)
+    fit = fit_of(settings)
+    enough = max(fit.least, fit.visits * extent.training)
     largest = replace(largest, iterations=min(largest.iterations, enough))
     widest = settings.width or resolved_width(scene, largest.width)
     found = suited(settings, largest, extent, widest)
