@@ -293,8 +293,22 @@ def likely_light(J: Tensor, error: Tensor, colors: SceneColors) -> Tensor:
         (N, 3) linear light, at least 0.
     """
     mean, covariance = colors.mean.to(J.device), colors.covariance.to(J.device)
-    likely, _ = estimated_light(J.double(), error.double().clamp(min=LEAST), mean, covariance)
-    return likely.clamp(min=0).to(J.dtype)
+    above = estimated(J.double() - mean, error.double().clamp(min=LEAST), covariance)
+    return (mean + above).clamp(min=0).to(J.dtype)
+
+
+def estimated(values: Tensor, error: Tensor, covariance: Tensor) -> Tensor:
+    """Estimate what has mean 0 by the linear estimate of least mean square error.
+
+    Args:
+        values: (N, 3) uncertain values.
+        error: (N, 3) variance of their error, above 0.
+        covariance: (3, 3) of what is estimated, or (N, 3, 3).
+
+    Returns:
+        The estimate (N, 3).
+    """
+    return (covariance @ torch.linalg.solve(covariance + torch.diag_embed(error), values)[..., None])[..., 0]
 
 
 def estimated_light(J: Tensor, error: Tensor, mean: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:

@@ -5,7 +5,7 @@ and where little light is left, mostly noise. What the photo shows beyond the re
 noise; docs/method.md, section 1, has the formulas.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import cv2
@@ -15,12 +15,13 @@ import torch
 from ..base.transfer import linear_to_srgb, srgb_to_linear
 from ..evidence.noise import Noise
 from ..gaussians.contributions import contribution_sums
+from ..scene.cameras import Camera
 from ..scene.images import TrainingImage
 from ..water.medium import Medium
 from .model import SceneModel
 from .photo_terms import uniform_image
 from .render import Picture, background_color, render
-from .restoration import WIDTH, RestorationLimit, estimated_light, render_confidence
+from .restoration import WIDTH, RestorationLimit, estimated, render_confidence
 
 NOISE_FACTOR = 4.0
 """Factor of the estimated variance of noise, which is that of flat parts: compression adds more to details."""
@@ -28,6 +29,12 @@ WINDOW = 160
 """Width of the image over the standard deviation of the window that the variance of details is measured in."""
 LIKE_WATER, UNLIKE_WATER = 0.01, 0.04
 """Differences from open water, display values: up to the first one a pixel shows no surface, from the second on one."""
+FITTED_STRIDE = 3
+"""Of so many photos, one is used to fit colors to: all of them change delta E by less than .1 (docs/method.md)."""
+FEWEST_FITTED = 6
+"""Photos that colors are fitted to, where there are so many."""
+REDUCED_TO = 4.0
+"""Standard deviation, pixels, down to which images are reduced for a blur."""
 LEAST_GAIN = 1e-4
 """Least fraction of the place's light in that of a pixel."""
 ROWS = 64
@@ -76,21 +83,39 @@ def _corrected(
         return without.clip(min=0)
     black, white = (light_of(uniform_image(cloud, effects, camera, value)) for value in (0.0, 1.0))
     gain = np.maximum(white - black, LEAST_GAIN)
-    light, window = light_of(image.pixels / np.float32(255)), max(1.0, camera.width / WINDOW)
-    detail = likely_detail(
-        light - black - gain * without,
-        gain,
-        (NOISE_FACTOR * (noise.offset + noise.slope * light)).astype(np.float32),
-        np.cov(without[surface].T),
-        window,
-    )
+    light, window = light_of(image.pixels / np.float32(255)), window_of(camera)
+    variance = (NOISE_FACTOR * (noise.offset + noise.slope * light)).astype(np.float32)
+    detail = likely_detail(light - black - gain * without, gain, variance, np.cov(without[surface].T), window)
     if limit:
         covered = covered * render_confidence(cloud, limit.least_confidence, camera).nan_to_num().cpu().numpy()
-    covered = covered * unlike_open_water(model, image, window)
+    covered = covered * unlike_open_water(model, image)
     return (without + covered[..., None] * detail).clip(min=0)
 
 
-def unlike_open_water(model: SceneModel, image: TrainingImage, window: float) -> np.ndarray | float:
+def window_of(camera: Camera) -> float:
+    """Return the standard deviation, pixels, of the window that images of a camera are averaged in."""
+    return max(1.0, camera.width / WINDOW)
+
+
+def blurred(values: np.ndarray, deviation: float) -> np.ndarray:
+    """Blur an image by a Gaussian; wide ones on a reduced image, where they take less time.
+
+    Args:
+        values: (H, W) or (H, W, C).
+        deviation: Standard deviation of the Gaussian, pixels.
+
+    Returns:
+        The blurred image, of the same shape.
+    """
+    height, width = values.shape[:2]
+    factor = max(1, int(deviation / REDUCED_TO))
+    if factor == 1:
+        return cv2.GaussianBlur(values, (0, 0), deviation)
+    small = cv2.resize(values, (-(-width // factor), -(-height // factor)), interpolation=cv2.INTER_AREA)
+    return cv2.resize(cv2.GaussianBlur(small, (0, 0), deviation / factor), (width, height))
+
+
+def unlike_open_water(model: SceneModel, image: TrainingImage) -> np.ndarray:
     """Return how sure it is that each pixel of a photo shows more than open water, (H, W) in 0..1; 1 without any.
 
     What else a photo shows there is compression, which would be taken for colors of far surfaces.
@@ -98,14 +123,18 @@ def unlike_open_water(model: SceneModel, image: TrainingImage, window: float) ->
     Args:
         model: The Gaussians and the effects.
         image: The photo.
-        window: Standard deviation of the window that is compared, pixels.
     """
     medium, camera = model.effects.medium, image.camera
     if not isinstance(medium, Medium) or medium.background_sh is None:
-        return 1.0
+        return np.ones(image.valid.shape)
     water = model.effects.apply_to_image(background_color(model.cloud, camera, medium), camera.name).cpu().numpy()
-    difference = cv2.GaussianBlur(image.pixels / np.float32(255) - water, (0, 0), window)
+    difference = blurred(image.pixels / np.float32(255) - water, window_of(camera))
     return ((np.abs(difference).max(-1) - LIKE_WATER) / (UNLIKE_WATER - LIKE_WATER)).clip(0, 1)
+
+
+def photos_to_fit(photos: Sequence[TrainingImage]) -> Sequence[TrainingImage]:
+    """Choose the photos of a run that colors are fitted to, evenly spaced."""
+    return photos[:: max(1, min(FITTED_STRIDE, len(photos) // FEWEST_FITTED))]
 
 
 @torch.no_grad()
@@ -121,7 +150,7 @@ def fit_to_photos(
     Args:
         model: The Gaussians as trained, and the effects, in linear light.
         limit: Limit of the restored colors.
-        images: Photos that were trained on.
+        images: Photos that were trained on, as `photos_to_fit` chooses them.
         noise: Their noise.
         sh_degree: Degree of the Gaussians' colors.
 
@@ -160,12 +189,8 @@ def likely_detail(
     Returns:
         (H, W, 3) linear light.
     """
-
-    def around(values: np.ndarray) -> np.ndarray:
-        return cv2.GaussianBlur(values, (0, 0), window)
-
-    expected = (gain**2 * np.diag(covariance)).sum(-1) + LEAST_VARIANCE
-    excess = around((difference**2).sum(-1)) - around(noise.sum(-1))
+    expected = np.square(gain) @ np.diag(covariance) + LEAST_VARIANCE
+    excess = blurred(np.einsum("hwc,hwc->hw", difference, difference) - np.einsum("hwc->hw", noise), window)
     factor = np.clip(excess / expected, 0, 1)
     strips = [slice(row, row + ROWS) for row in range(0, len(difference), ROWS)]
     parts = [_estimate(difference[rows], gain[rows], noise[rows], covariance, factor[rows]) for rows in strips]
@@ -180,4 +205,4 @@ def _estimate(
         torch.from_numpy(array.astype(np.float64))
         for array in (difference / gain, (noise + LEAST_VARIANCE) / gain**2, factor[..., None, None] * covariance)
     )
-    return estimated_light(values, error, torch.zeros(3, dtype=torch.float64), prior)[0].numpy().astype(np.float32)
+    return estimated(values, error, prior).numpy().astype(np.float32)

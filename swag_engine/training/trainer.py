@@ -33,7 +33,7 @@ from ..kernels.webgpu import WebGpuKernels
 from ..planning.plan import write_plan
 from ..rendering.model import SceneModel
 from ..rendering.restoration import CONFIDENCE, WIDTH, RestorationLimit, describe_restored, restoration_limit
-from ..rendering.restored_photo import fit_to_photos
+from ..rendering.restored_photo import fit_to_photos, photos_to_fit
 from ..scene.colmap import Points, Scene, load_scene
 from ..scene.color_size import small_jpeg_note
 from ..scene.images import TrainingImage
@@ -71,8 +71,9 @@ InitialCloud = Callable[[Points, int, int, int, np.ndarray], GaussianCloud]
 
 PREVIEWED = ("means", "quats", "log_scales", "opacity_logits", "sh0")
 """Parameters of the Gaussians that a preview shows."""
-RESTORING_COST = 10
-"""Time in which colors are restored with a photo, at most WIDTH pixels wide, over that of scoring one of that size."""
+LIMITING_COST, FITTING_COST = 3, 11
+"""Time in which colors are limited by a photo and fitted to one, at most WIDTH pixels wide, over that of scoring one of
+that size."""
 PROGRESS_SECONDS = 0.2
 """Seconds between two `progress` events."""
 
@@ -528,7 +529,9 @@ class Trainer:
         if budget := self.pacer.budget:
             each = (time.monotonic() - started) / len(inputs.validation)
             pixels = min(1.0, WIDTH / inputs.training[0].camera.width) ** 2
-            restored = RESTORING_COST * pixels * len(inputs.training) if self._restores else 0
+            training = inputs.training
+            restoring = LIMITING_COST * len(training) + FITTING_COST * len(photos_to_fit(training))
+            restored = pixels * restoring if self._restores else 0
             budget.held_out = each * (len(inputs.validation) + len(inputs.test) + restored)
         if state.recipe.dropout:
             scored = inputs.training[:: -(-len(inputs.training) // SCORED_IMAGES)]
@@ -566,7 +569,7 @@ class Trainer:
             state.cloud, cameras, medium, noise, state.effects.lamp, inputs.settings.backend, colors
         )
         self.notes += filter(None, [describe_restored(restored)])
-        static = map(state.motion.static_pixels, inputs.training)
+        static = map(state.motion.static_pixels, photos_to_fit(inputs.training))
         return fit_to_photos(SceneModel(state.cloud, state.effects), limit, static, noise, inputs.settings.sh_degree)
 
     def _finish(self, loss: float, interrupted: bool, limit: RestorationLimit | None) -> Event:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -14,7 +15,7 @@ from swag_engine.kernels.reference.harmonics import C0
 from swag_engine.rendering.model import SceneModel
 from swag_engine.rendering.render import background_color, render
 from swag_engine.rendering.restoration import RestorationLimit
-from swag_engine.rendering.restored_photo import fit_to_photos, likely_detail, restored_photo
+from swag_engine.rendering.restored_photo import blurred, fit_to_photos, likely_detail, photos_to_fit, restored_photo
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
 from swag_engine.water.medium import Medium
@@ -113,6 +114,20 @@ def test_colors_are_fitted_to_restored_photos(wall):
     before, after = ((of.color - true).abs().mean() for of in (limit, fitted))
     assert after < 0.2 * before
     assert torch.equal(fitted.confidence, limit.confidence)
+
+
+def test_colors_are_fitted_to_some_of_many_photos_and_to_all_of_few(wall):
+    _, image, _ = wall
+    assert [len(photos_to_fit([image] * count)) for count in (1, 5, 6, 12, 18, 300)] == [1, 5, 6, 6, 6, 100]
+
+
+@pytest.mark.parametrize("deviation", [1.0, 9.0, 25.0])
+def test_wide_blurs_on_reduced_images_are_those_of_the_image(deviation):
+    values = cv2.GaussianBlur(np.random.default_rng(0).random((330, 401, 3)).astype(np.float32), (0, 0), 2.0)
+    values[:, 200:] += 1
+    wide = blurred(values, deviation)
+    assert wide.shape == values.shape
+    assert np.abs(wide - cv2.GaussianBlur(values, (0, 0), deviation))[40:-40, 40:-40].max() < 0.02
 
 
 def test_pixels_that_are_not_valid_change_no_color(wall):
