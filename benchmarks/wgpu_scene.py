@@ -20,7 +20,7 @@ from swag_engine.kernels.webgpu_training import (
     adam_fields,
 )
 from swag_engine.rendering.render import DAZZLING, FARTHEST
-from swag_engine.training.losses import CLOSED, LIKE_WATER, UNLIKE_WATER
+from swag_engine.training.losses import SURFACE_LIMITS
 from swag_engine.training.optimizer import BETAS, EPS, MOMENTS
 
 LEARNING_RATE = 1e-9
@@ -103,7 +103,7 @@ class WgpuScene:
             seed=0,
             geometry=True,
             weights=(0.8, 0.2, 0.0, 0.3),
-            surface=(LIKE_WATER, UNLIKE_WATER, CLOSED),
+            surface=SURFACE_LIMITS,
             log_scale_limits=LOG_SCALE_LIMITS,
             farthest=FARTHEST,
             dazzling=DAZZLING,

@@ -15,6 +15,8 @@ UNLIKE_WATER = 0.15
 """Display value by which only surfaces differ from open water."""
 CLOSED = 0.02
 """Part of what is behind a surface that may be seen: less is not worth opaque Gaussians that no photo needs."""
+SURFACE_LIMITS = (LIKE_WATER, UNLIKE_WATER, CLOSED)
+"""The three as the kernels take them."""
 
 
 def photometric(

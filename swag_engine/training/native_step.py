@@ -23,7 +23,7 @@ from .densification import strategy_of
 from .dropout import opacity_factors
 from .effect_selection import EffectSelection
 from .inputs import RunInputs
-from .losses import CLOSED, LIKE_WATER, UNLIKE_WATER
+from .losses import SURFACE_LIMITS
 from .objective import Objective
 from .state import RunState
 from .step import AutogradStep, StepConfig, StepResult, update_parameters
@@ -182,7 +182,7 @@ def compare(
     by_alpha = torch.empty_like(image.transmittance)
     by_behind = by_blended.new_empty(0) if image.behind is None else torch.empty_like(by_blended)
     compared = valid, photo, wanted, by_photo, l1 / count, 2 * l2 / count
-    surface = coverage / valid.numel(), LIKE_WATER, UNLIKE_WATER, CLOSED
+    surface = coverage / valid.numel(), *SURFACE_LIMITS
     outputs = by_blended, by_alpha, by_behind
     with part("photo backward"):
         sums = kernels.sum_each("photo_backward", items, 4 + TERMS, *sources, *compared, *surface, *outputs)

@@ -41,7 +41,7 @@ from ..water.network import WaterNetwork
 from .densification import strategy_of
 from .effect_selection import EffectSelection
 from .inputs import RunInputs
-from .losses import CLOSED, LIKE_WATER, UNLIKE_WATER
+from .losses import SURFACE_LIMITS
 from .native_step import compare, runs_natively
 from .optimizer import BETAS, EPS, MOMENTS
 from .state import RunState
@@ -437,7 +437,7 @@ class WebGpuStep:
             seed=int(seed),
             geometry=False,
             weights=(0.0, 0.0, 0.0, 0.0),
-            surface=(LIKE_WATER, UNLIKE_WATER, CLOSED),
+            surface=SURFACE_LIMITS,
             log_scale_limits=LOG_SCALE_LIMITS,
             farthest=FARTHEST,
             dazzling=DAZZLING,
