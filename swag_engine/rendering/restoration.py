@@ -269,7 +269,9 @@ def scene_colors(J: Tensor, error: Tensor, weight: Tensor, signal: Tensor) -> Sc
     mean = (certain * values).sum(0)
     covariance = torch.diag((certain * (values - mean).square()).sum(0) + LEAST)
     for _ in range(PRIOR_STEPS):
-        likely, uncertainty = estimated_light(values, variances, mean, covariance)
+        likely = mean + estimated(values - mean, variances, covariance)
+        inverse = torch.linalg.inv(covariance + torch.diag_embed(variances))
+        uncertainty = covariance - covariance @ inverse @ covariance
         mean = (weights * likely).sum(0)
         apart = likely - mean
         spread = apart[:, :, None] * apart[:, None, :] + uncertainty
@@ -309,22 +311,6 @@ def estimated(values: Tensor, error: Tensor, covariance: Tensor) -> Tensor:
         The estimate (N, 3).
     """
     return (covariance @ torch.linalg.solve(covariance + torch.diag_embed(error), values)[..., None])[..., 0]
-
-
-def estimated_light(J: Tensor, error: Tensor, mean: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
-    """Estimate light by the linear estimate of least mean square error.
-
-    Args:
-        J: (N, 3) uncertain values.
-        error: (N, 3) variance of their error, above 0.
-        mean: (3,) of the light.
-        covariance: (3, 3) of the light, or (N, 3, 3).
-
-    Returns:
-        The estimate (N, 3), and its covariance (N, 3, 3).
-    """
-    gain = covariance @ torch.linalg.inv(covariance + torch.diag_embed(error))
-    return mean + (gain @ (J - mean)[..., None])[..., 0], covariance - gain @ covariance
 
 
 def describe_restored(restored: Tensor) -> str:

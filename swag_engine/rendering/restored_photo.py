@@ -30,9 +30,9 @@ WINDOW = 160
 LIKE_WATER, UNLIKE_WATER = 0.01, 0.04
 """Differences from open water, display values: up to the first one a pixel shows no surface, from the second on one."""
 FITTED_STRIDE = 3
-"""Of so many photos, one is used to fit colors to: all of them change delta E by less than .1 (docs/method.md)."""
+"""Colors are fitted to one photo of so many: fitting to all changes delta E by less than .1 (docs/method.md)."""
 FEWEST_FITTED = 6
-"""Photos that colors are fitted to, where there are so many."""
+"""Photos that colors are fitted to at least, where there are so many."""
 REDUCED_TO = 4.0
 """Standard deviation, pixels, down to which images are reduced for a blur."""
 LEAST_GAIN = 1e-4
