@@ -963,6 +963,10 @@ def main(arguments: list[str] | None = None) -> int:
         return refuse(TOO_LITTLE, arguments)
     except ModuleNotFoundError as error:
         return refuse_missing(error, arguments)
+    except BrokenPipeError:
+        # Who reads the output, such as `head`, has enough of it. Python would print an error when it closes the rest.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except SystemExit as usage:  # tyro has printed what is wrong
         if usage.code and "--json" in arguments:
             return refuse("The command line is not valid; the lines before this one say why.", arguments)

@@ -56,6 +56,15 @@ def run(tiny_scene, tmp_path_factory):
     return folder, json.loads(done.stdout)
 
 
+def test_a_reader_that_has_enough_of_the_output_is_no_error():
+    reader, writer = os.pipe()
+    os.close(reader)  # as `| head` does
+    command = [sys.executable, "-m", "swag_engine", "render", "--help"]
+    done = subprocess.run(command, cwd=ROOT, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120)
+    os.close(writer)
+    assert done.returncode == 1 and not done.stderr
+
+
 def test_inspect_prints_what_was_found(tiny_scene, call):
     done = swag("inspect", tiny_scene)
     assert done.returncode == 0 and "10" in done.stdout and "300" in done.stdout
