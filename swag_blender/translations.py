@@ -819,6 +819,7 @@ GERMAN = {
     ),
     "Interpolation": "Zwischenbilder",
     "Lamp": "Lampe",
+    "Lamp beam": "Lichtkegel der Lampe",
     "Largest number of Gaussians that densification may reach": (
         "Größte Zahl an Gaußglocken, bis zu der verdichtet wird"
     ),
@@ -898,6 +899,10 @@ GERMAN = {
         "Die Entscheidung in einem Satz, mit Zahlen und Schwellen"
     ),
     "The engine is installed: you can train.": "Der Rechenkern ist eingerichtet: Training ist möglich.",
+    "The lamp has a beam": "Die Lampe hat einen Lichtkegel",
+    "The lamp lights one part of each photo more than another.": (
+        "Die Lampe beleuchtet einen Teil jedes Fotos stärker als einen anderen."
+    ),
     "The lens darkens photos towards their corners.": "Das Objektiv dunkelt die Fotos zu den Ecken hin ab.",
     "The light that the water adds grows with range by a coefficient of its own.": (
         "Das Licht, das das Wasser hinzufügt, wächst mit dem Abstand nach einem eigenen Koeffizienten."

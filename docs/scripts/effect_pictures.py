@@ -55,6 +55,7 @@ def main() -> None:
     size = clean.shape[0]
     y, x = (np.mgrid[:size, :size] + 0.5) / size
     radius = np.hypot(x - 0.5, y - 0.5)[..., None] * 2
+    beam = np.exp(-((x - 0.7) ** 2 + (y - 0.5) ** 2) / 0.06)[..., None]
 
     absorbed = clean * np.exp(-BETA_D * ranges)
     hazy = absorbed + B_INF * -np.expm1(-BETA_D * ranges)
@@ -81,6 +82,7 @@ def main() -> None:
         "backscatter": (image_of(absorbed), image_of(hazy)),
         "separate_backscatter": (image_of(hazy), image_of(hazy_by_own_rate)),
         "lamp": (image_of(clean * 0.25), image_of(clean * 14 / (4 + ranges**2) * np.exp(-((radius / 1.1) ** 2)))),
+        "beam": (image_of(clean * 0.8), image_of(clean * 1.6 * beam)),
         "exposure": (image_of(clean * 0.6), image_of(clean * 1.5 * np.array([1.05, 1.0, 0.9]))),
         "vignetting": (plain, image_of(clean * (1 - 0.62 * np.minimum(radius, 1.3) ** 2))),
         "caustics": (plain, image_of(clean * np.exp(0.55 * np.maximum(waves, 0)[..., None]))),

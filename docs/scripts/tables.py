@@ -797,6 +797,37 @@ def water_colors() -> str:
 
 
 @table
+def lamp_beam() -> str:
+    """Decisions about the beam of a lamp by light."""
+    rows = [
+        [
+            light,
+            f"{found['lamp_on']} of {found['scenes']}",
+            str(found["beam_on"]),
+            "{:,.0f} to {:,.0f}".format(*found["bic_gain"]),
+            "{:.0%} to {:.0%}".format(*found["falloff"]),
+        ]
+        for light, found in results("lamp_beam")["decisions"].items()
+    ]
+    return markdown(["light", "lamp on", "beam on", "BIC gain", "fall-off"], rows)
+
+
+@table
+def lamp_beam_runs() -> str:
+    """Runs without and with the beam of a lamp."""
+    rows = []
+    for scene, by_state in results("lamp_beam")["runs"].items():
+        off, on = by_state["off"], by_state["on"]
+        colors = ["-"] * 3
+        if "delta_e" in on:
+            colors = [f"{delta_e:.1f}" for delta_e in (on["best_gain"], off["delta_e"], on["delta_e"])]
+        psnr = [f"{state[key]:.1f}" for key in ("psnr", "validation_psnr") for state in (off, on)]
+        rows.append([scene, *psnr, *colors])
+    titles = ["test PSNR without", "with", "validation PSNR without", "with"]
+    return markdown(["scene", *titles, "delta E of best gain", "ours without", "with"], rows)
+
+
+@table
 def effects_volume() -> str:
     """Decisions and coefficients in scattering water."""
     scenes, rows = results("effects_volume")["rows"], []

@@ -151,7 +151,7 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
     if terms.lamp.found:
         return decision.undetermined(
             "Cannot be distinguished from the beam of the lamp, which falls off from its axis as a lens does (by "
-            f"{falloff:.1%} from the centre of the photos to their corners)."
+            f"{falloff:.1%} from the centre of the photos to their corners) and is part of the effect beam."
         )
     return decision
 

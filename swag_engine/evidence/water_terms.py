@@ -89,6 +89,12 @@ class CameraTerms:
     lens_bic: float
     lens_fit: Fit
 
+    @property
+    def unevenness(self) -> float:
+        """Log ratio of the brightest and the darkest of an image's centre, edges and corners."""
+        places = np.stack(np.meshgrid([-0.8, 0, 0.8], [-0.6, 0, 0.6]), -1).reshape(-1, 2)
+        return float(np.ptp(lens_terms(places) @ self.lens_fit.lens))
+
 
 @dataclass(frozen=True)
 class LampTerm:
@@ -293,8 +299,8 @@ class _Comparison:
         gain_sd, gain_bic = _gain_sd(gained), bic(plain) - bic(gained)
         gains = gain_bic > LEAST_GAIN_BIC and gain_sd > LEAST_GAIN_SD
         lens_bic = bic(apart[False, gains]) - bic(apart[True, gains])
-        lens = lens_bic > LEAST_BIC_GAIN and _unevenness(apart[True, gains]) > LEAST_LENS
-        return CameraTerms(gains, gain_sd, gain_bic, lens, lens_bic, apart[True, gains])
+        terms = CameraTerms(gains, gain_sd, gain_bic, True, lens_bic, apart[True, gains])
+        return replace(terms, lens=lens_bic > LEAST_BIC_GAIN and terms.unevenness > LEAST_LENS)
 
     def water_families(self, camera: CameraTerms) -> dict[Family, Fit]:
         """No water, attenuation, backscatter tied and separate, each without and with a lamp."""
@@ -440,12 +446,6 @@ def _gain_sd(fit: Fit) -> float:
     known = squared_errors < LEAST_GAIN_SD**2
     variance = (directions.T @ fit.log_gains)[known] ** 2 - squared_errors[known]
     return float(np.sqrt(max(variance.sum() / max(known.sum() - 1, 1), 0)))
-
-
-def _unevenness(fit: Fit) -> float:
-    """Log ratio of the brightest and the darkest of an image's centre, edges and corners."""
-    places = np.stack(np.meshgrid([-0.8, 0, 0.8], [-0.6, 0, 0.6]), -1).reshape(-1, 2)
-    return float(np.ptp(lens_terms(places) @ fit.lens))
 
 
 def _intervals(fit: Fit, halves: Sequence[Fit]) -> dict[str, np.ndarray]:

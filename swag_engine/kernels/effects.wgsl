@@ -1,6 +1,6 @@
 // The learned numbers of water, lamp, gains and background: what a step takes from them, and how it updates them; and the
 // outcome of a step. One group of threads each. water/medium.py and the files of effects/ say what is computed.
-const PIXEL_SUMS = 40u;     // as in photo.wgsl
+const PIXEL_SUMS = 54u;     // as in photo.wgsl
 const GAUSSIAN_SUMS = 34u;  // as in water.wgsl
 
 // Places of `learned`, whose first `size` numbers are followed by their first and second moments.
@@ -9,8 +9,9 @@ const BACKSCATTER = 3u;      // (3,) raw
 const BACKGROUND_SH = 6u;    // (9, 3)
 const LOG_TAU = 33u;         // of the lamp
 const RAW_VIGNETTING = 34u;  // (3,) of the vignetting
-const RAW_BEHIND = 37u;      // (3,) raw color behind the Gaussians
-const EXPOSURES = 40u;       // (images, channels) log gains
+const RAW_BEAM = 37u;        // (14,) of the beam
+const RAW_BEHIND = 51u;      // (3,) raw color behind the Gaussians
+const EXPOSURES = 54u;       // (images, channels) log gains
 const MOST_LOG_TAU = 12.0;
 const OUTCOME = 8u;          // numbers of a step's outcome
 
@@ -27,6 +28,7 @@ struct Call {
     medium_range: f32, lamp_range: f32,                         // median ranges, scene units
     center_x: f32, center_y: f32, least: f32, most: f32,        // of the vignetting
     pixel_rows: u32, gaussian_rows: u32, squares: u32, bands: u32,
+    most_beam: f32,                                             // most of the beam's log gain, 0 without a beam
 }
 @group(0) @binding(0) var<uniform> call: Call;
 @group(0) @binding(2) var<storage, read_write> learned: array<f32>;
@@ -39,7 +41,7 @@ struct Call {
 @group(0) @binding(9) var<storage, read_write> flags: array<u32>;  // of the step; whether a step before it overflowed
 
 var<workgroup> partial: array<f32, 256>;
-var<workgroup> sums: array<f32, 74>;
+var<workgroup> sums: array<f32, 88>;
 var<workgroup> found: u32;
 
 fn sigmoid(x: f32) -> f32 { return 1.0 / (1.0 + exp(-x)); }
@@ -77,6 +79,7 @@ fn set_numbers(@builtin(local_invocation_index) thread: u32) {
         numbers_out[VIGNETTING + thread] = learned[RAW_VIGNETTING + thread];
         numbers_out[COLOR_BEHIND + thread] = sigmoid(learned[RAW_BEHIND + thread]);
     }
+    if (thread < BEAM_TERMS) { numbers_out[BEAM + thread] = learned[RAW_BEAM + thread]; }
     if (thread < 27u) { numbers_out[BACKGROUND + thread] = learned[BACKGROUND_SH + thread]; }
     if (thread == 0u) {
         numbers_out[TAU] = exp(clamp(learned[LOG_TAU], -MOST_LOG_TAU, MOST_LOG_TAU));
@@ -85,6 +88,7 @@ fn set_numbers(@builtin(local_invocation_index) thread: u32) {
         numbers_out[CENTRE + 1u] = call.center_y;
         numbers_out[BOUNDS] = call.least;
         numbers_out[BOUNDS + 1u] = call.most;
+        numbers_out[BEAM + BEAM_TERMS] = call.most_beam;
     }
     for (var c = 0u; c < 3u; c++) {
         var log_gain = 0.0;
@@ -110,13 +114,13 @@ fn gradient_of(place: u32) -> f32 {
         return by * sigmoid(value) / call.medium_range;
     }
     if (place < LOG_TAU) {
-        return sums[PIXEL_SUMS + place] + select(0.0, sums[12u + place - BACKGROUND_SH], (call.mode & OPEN) != 0u);
+        return sums[PIXEL_SUMS + place] + select(0.0, sums[26u + place - BACKGROUND_SH], (call.mode & OPEN) != 0u);
     }
     if (place == LOG_TAU) { return select(0.0, sums[PIXEL_SUMS + TAU] * exp(value), abs(value) <= MOST_LOG_TAU); }
     if (place < RAW_BEHIND) { return sums[6u + place - RAW_VIGNETTING]; }
     if (place < EXPOSURES) {
         let color = sigmoid(value);
-        return sums[9u + place - RAW_BEHIND] * color * (1.0 - color);
+        return sums[23u + place - RAW_BEHIND] * color * (1.0 - color);
     }
     let channel = (place - EXPOSURES) % call.channels;
     var by = sums[3u + channel];
@@ -130,9 +134,10 @@ fn rate_of(place: u32) -> f32 {
     if (place < BACKGROUND_SH) { return call.rates.y; }
     if (place < LOG_TAU) { return call.rates.z; }
     if (place == LOG_TAU) { return call.rates.w; }
-    if (place < RAW_BEHIND) { return call.more_rates.x; }
-    if (place < EXPOSURES) { return call.more_rates.y; }
-    return call.more_rates.z;
+    if (place < RAW_BEAM) { return call.more_rates.x; }
+    if (place < RAW_BEHIND) { return call.more_rates.y; }
+    if (place < EXPOSURES) { return call.more_rates.z; }
+    return call.more_rates.w;
 }
 
 // Sums, then the outcome: sums of |error|, error^2, what is left open and SSIM; flags; pairs in the longest list, and in

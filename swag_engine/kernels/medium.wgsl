@@ -9,13 +9,15 @@ const VIGNETTING = 38u;  // (3,) coefficients
 const CENTRE = 41u;      // (2,) principal point, fractions of width and height
 const BOUNDS = 43u;      // (2,) least and most of the vignetting's gain
 const COLOR_BEHIND = 45u;  // (3,) display color behind the Gaussians where there is no open water
+const BEAM = 48u;        // (14,) coefficients, and most of the polynomial's absolute value: 0 for no beam
+const BEAM_TERMS = 14u;
 const COEFFICIENTS = 33u;
 
 // Bits of `mode`.
 const WATER = 1u;        // there is water
 const LINEAR = 2u;       // whose formula works on linear light
 const LAMP = 4u;         // there is a lamp
-const GAIN = 8u;         // there is exposure or vignetting
+const GAIN = 8u;         // there is exposure, vignetting or a beam
 const OPEN = 16u;        // the background light is behind the Gaussians
 const SIMILARITY = 32u;  // SSIM is part of the loss
 

@@ -5,23 +5,60 @@
 
 namespace {
 
-constexpr int TERMS = 3;         // of the vignetting's polynomial
-constexpr int SUMS = 4 + TERMS;  // gradients by the logs of the gains (3) and by the polynomial's coefficients; open surface
+constexpr int TERMS = 3;   // of the vignetting's polynomial
+constexpr int DEGREE = 4;  // of the beam's polynomial
+constexpr int BEAM = 14;   // its coefficients: of x, y, x^2, xy, y^2, x^3 and so on
+constexpr int SUMS = 4 + TERMS + BEAM;  // gradients by the logs of the gains (3), by both polynomials' coefficients; open surface
 
-// What a camera does to linear light (effects/exposure.py, effects/vignetting.py): a gain for each channel times
-// 1 + k1 r^2 + k2 r^4 + k3 r^6 within bounds, r from the principal point over half of the image's diagonal.
+// What a camera and its lamp do to linear light (effects/exposure.py, vignetting.py, beam.py): a gain for each channel, times
+// 1 + k1 r^2 + k2 r^4 + k3 r^6 within bounds, r from the principal point, times the exponential of a polynomial in x and y
+// within bounds, from the middle of the image; r, x and y over half of its diagonal.
 struct Gain {
-    float gain[3], k[TERMS], centre_x, centre_y, least, most, scale;
+    float gain[3], k[TERMS], centre_x, centre_y, least, most, beam[BEAM], most_beam, middle_x, middle_y, scale;
 
-    // numbers: gain (3), k (3), principal point as fractions of width and height, least and most of the polynomial; null for
-    // no gain.
+    // numbers: gain (3), k (3), principal point as fractions of width and height, least and most of the vignetting, beam
+    // (14), most of the beam's absolute value, 0 for no beam; null for no gain.
     Gain(const float *numbers, int64_t height, int64_t width) {
         if (!numbers) return;
         memcpy(gain, numbers, sizeof gain);
         memcpy(k, numbers + 3, sizeof k);
         centre_x = numbers[6] * width, centre_y = numbers[7] * height;
         least = numbers[8], most = numbers[9];
+        memcpy(beam, numbers + 10, sizeof beam);
+        most_beam = numbers[10 + BEAM];
+        middle_x = .5f * width, middle_y = .5f * height;
         scale = 4.f / (float)(width * width + height * height);
+    }
+
+    // The beam's coefficients of x^0 .. x^4 in a row of pixels, and powers of its y.
+    struct Row {
+        float of_x[DEGREE + 1] = {}, y[DEGREE + 1] = {1.f};
+    };
+
+    Row row(int64_t y) const {
+        Row row;
+        float at = ((float)y + .5f - middle_y) * __builtin_sqrtf(scale);
+        for (int j = 1; j <= DEGREE; j++) row.y[j] = row.y[j - 1] * at;
+        for (int t = 0, total = 1; total <= DEGREE; total++)
+            for (int j = 0; j <= total; j++) row.of_x[total - j] += beam[t++] * row.y[j];
+        return row;
+    }
+
+    Vec beam_x(int64_t x) const {
+        Vec dx;
+        for (int l = 0; l < VW; l++) dx[l] = (float)l;
+        return (dx + ((float)x + .5f - middle_x)) * __builtin_sqrtf(scale);
+    }
+
+    // The log of the beam's gain before its bounds.
+    Vec log_beam(const Row &row, Vec x) const {
+        Vec value = splat(row.of_x[DEGREE]);
+        for (int i = DEGREE - 1; i >= 0; i--) value = value * x + row.of_x[i];
+        return value;
+    }
+
+    Vec beam_gain(Vec log_beam) const {
+        return exponential(larger(smaller(log_beam, splat(most_beam)), splat(-most_beam)));
     }
 
     Vec squared_radius(int64_t x, int64_t y) const {
@@ -92,6 +129,7 @@ API void photo_forward(int64_t begin, int64_t end, int64_t height, int64_t width
     sums[0] = sums[1] = 0;
     for (int64_t y = begin; y < end; y++) {
         int64_t first = 3 * y * width, floats = 3 * width;
+        const Gain::Row beam = gain.row(y);
         float *__restrict row = photo + first, *__restrict wanted = target + first;
         for (int64_t i = 0; i < floats; i++) wanted[i] = pixels[first + i] / 255.f;
         if (!behind && !gain_numbers) memcpy(row, blended + first, floats * sizeof(float));
@@ -101,6 +139,7 @@ API void photo_forward(int64_t begin, int64_t end, int64_t height, int64_t width
             compose(blended, transmittance, behind, y * width + x, count, T, color, water);
             if (gain_numbers) {
                 Vec factor = gain.bounded(gain.polynomial(gain.squared_radius(x, y)));
+                if (gain.most_beam) factor *= gain.beam_gain(gain.log_beam(beam, gain.beam_x(x)));
                 for (int c = 0; c < 3; c++)
                     color[c] = to_display(to_light(color[c], slope) * (factor * gain.gain[c]), slope);
             }
@@ -118,8 +157,8 @@ API void photo_forward(int64_t begin, int64_t end, int64_t height, int64_t width
     }
 }
 
-// Rows [begin, end) of the gradients by the blended image, by alpha and by what is behind, and sums (7,) of
-// those by the logs of the gains and the polynomial's coefficients, and of what Gaussians leave open of the surfaces seen
+// Rows [begin, end) of the gradients by the blended image, by alpha and by what is behind, and sums (21,) of
+// those by the logs of the gains and both polynomials' coefficients, and of what Gaussians leave open of the surfaces seen
 // (losses.uncovered_surface): what 1 - alpha exceeds `closed` by, times how sure it is that the target shows a surface. The
 // gradient by the photo is `by_photo` (H, W, 3), if it is not null, plus `absolute` sign(error) plus `square` error; that
 // by what is left open of one pixel's surface is `open`.
@@ -145,7 +184,8 @@ API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t widt
         for_invalid(valid + y * width, width, [&](int64_t x) { memset(row + 3 * x, 0, 3 * sizeof(float)); });
         memset(by_alpha + y * width, 0, width * sizeof(float));
 
-        Vec total[SUMS] = {};
+        Vec total[4 + TERMS] = {}, by_powers[DEGREE + 1] = {};
+        const Gain::Row beam = gain.row(y);
         for (int64_t x = 0; x < width && (behind || gain_numbers); x += VW) {
             int count = (int)smaller<int64_t>(VW, width - x);
             int64_t pixel = y * width + x;
@@ -154,7 +194,11 @@ API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t widt
             compose(blended, transmittance, behind, pixel, count, T, color, water);
             if (gain_numbers) {
                 Vec squared = gain.squared_radius(x, y), polynomial = gain.polynomial(squared);
-                Vec factor = gain.bounded(polynomial), by_log_factor = {};
+                Vec vignetting = gain.bounded(polynomial), factor = vignetting, by_log_factor = {}, place = {}, log_beam = {};
+                if (gain.most_beam) {
+                    place = gain.beam_x(x), log_beam = gain.log_beam(beam, place);
+                    factor *= gain.beam_gain(log_beam);
+                }
                 for (int c = 0; c < 3; c++) {
                     Vec in_slope, out_slope, applied = factor * gain.gain[c], light = to_light(color[c], in_slope) * applied;
                     to_display(light, out_slope);
@@ -163,8 +207,12 @@ API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t widt
                     total[c] += by_log;
                     by_log_factor += by_log;
                 }
-                Vec by_term = masked((polynomial >= gain.least) & (polynomial <= gain.most), by_log_factor / factor);
+                Vec by_term = masked((polynomial >= gain.least) & (polynomial <= gain.most), by_log_factor / vignetting);
                 for (int j = 0; j < TERMS; j++) total[3 + j] += by_term *= squared;
+                if (gain.most_beam) {
+                    Vec by_power = masked((log_beam >= -gain.most_beam) & (log_beam <= gain.most_beam), by_log_factor);
+                    for (int i = 0; i <= DEGREE; i++, by_power *= place) by_powers[i] += by_power;
+                }
                 store_rows(by, count, row + 3 * x);
             }
             if (behind) {
@@ -188,6 +236,9 @@ API void photo_backward(int64_t begin, int64_t end, int64_t height, int64_t widt
                 store_rows(by, count, by_behind + 3 * pixel);
             }
         }
-        for (int k = 0; k < SUMS; k++) sums[k] += sum(total[k]);
+        for (int k = 0; k < 3 + TERMS; k++) sums[k] += sum(total[k]);
+        for (int t = 0, total_power = 1; total_power <= DEGREE; total_power++)
+            for (int j = 0; j <= total_power; j++) sums[3 + TERMS + t++] += sum(by_powers[total_power - j]) * beam.y[j];
+        sums[SUMS - 1] += sum(total[3 + TERMS]);
     }
 }

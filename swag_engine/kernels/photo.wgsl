@@ -1,7 +1,7 @@
 // From a blended image to the photo that a camera would take of it, its differences from a training image, and back;
 // photo.cpp says what is computed. A training image has a word a pixel: red, green, blue and whether it is valid.
-const SUMS = 40u;  // |error|, error^2, what is left open of surfaces; gradients by the log gains (3), the vignetting's
-                   // coefficients (3), the background (3) and the background light (27); one to spare
+const SUMS = 54u;  // |error|, error^2, what is left open of surfaces; gradients by the log gains (3), the coefficients
+                   // of vignetting (3) and beam (14), the background (3) and the background light (27); one to spare
 
 struct Call {
     row0: vec4f, row1: vec4f, row2: vec4f,  // rotation, world to camera
@@ -32,7 +32,21 @@ struct Seen {
     light: vec3f, slope: vec3f,      // after the gain; of the photo by the color
     photo: vec3f,
     behind: vec3f, B: vec3f,         // what is behind the Gaussians as display values; the light of open water
-    squared: f32, polynomial: f32, factor: f32,
+    squared: f32, polynomial: f32, vignetting: f32,
+    place: vec2f, log_beam: f32,     // from the middle of the image, over half of its diagonal
+}
+
+// The powers of x and y in a term of the beam, in the order of its coefficients: x, y, x^2, xy, y^2, x^3 and so on.
+fn beam_term(place: vec2f, term: u32) -> f32 {
+    var power = 1u;
+    var j = term;
+    while (j > power) {
+        j -= power + 1u;
+        power++;
+    }
+    var value = 1.0;
+    for (var k = 0u; k < power; k++) { value *= select(place.x, place.y, k < j); }
+    return value;
 }
 
 fn direction_of(x: u32, y: u32) -> vec3f {
@@ -69,10 +83,17 @@ fn pixel_seen(at: u32, basis: ptr<function, array<f32, 16>>) -> Seen {
         var change = 0.0;
         for (var j = 3u; j > 0u; j--) { change = (change + numbers[VIGNETTING + j - 1u]) * s.squared; }
         s.polynomial = 1.0 + change;
-        s.factor = clamp(s.polynomial, numbers[BOUNDS], numbers[BOUNDS + 1u]);
+        s.vignetting = clamp(s.polynomial, numbers[BOUNDS], numbers[BOUNDS + 1u]);
+        var factor = s.vignetting;
+        let most_beam = numbers[BEAM + BEAM_TERMS];
+        if (most_beam > 0.0) {
+            s.place = (vec2f(f32(x), f32(y)) + 0.5 - 0.5 * size) * (2.0 / length(size));
+            for (var term = 0u; term < BEAM_TERMS; term++) { s.log_beam += numbers[BEAM + term] * beam_term(s.place, term); }
+            factor *= exp(clamp(s.log_beam, -most_beam, most_beam));
+        }
         for (var c = 0u; c < 3u; c++) {
             let linear = to_light(s.color[c]);
-            let applied = s.factor * numbers[GAINS + c];
+            let applied = factor * numbers[GAINS + c];
             let display = to_display(linear.x * applied);
             s.light[c] = linear.x * applied;
             s.photo[c] = display.x;
@@ -101,7 +122,7 @@ fn photo_forward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) g
 @compute @workgroup_size(256)
 fn photo_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u,
                   @builtin(local_invocation_index) thread: u32) {
-    var total: array<f32, 40>;
+    var total: array<f32, 54>;
     let used = (call.degree + 1u) * (call.degree + 1u);
     for (var at = group.x * THREADS + thread; at < call.width * call.height; at += groups.x * THREADS) {
         var basis: array<f32, 16>;
@@ -119,15 +140,19 @@ fn photo_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) 
                 total[3u + c] += by_log;
                 by_log_factor += by_log;
             }
-            var by_term = by_log_factor / s.factor;
+            var by_term = by_log_factor / s.vignetting;
             if (s.polynomial < numbers[BOUNDS] || s.polynomial > numbers[BOUNDS + 1u]) { by_term = 0.0; }
             for (var j = 0u; j < 3u; j++) {
                 by_term *= s.squared;
                 total[6u + j] += by_term;
             }
+            let most_beam = numbers[BEAM + BEAM_TERMS];
+            if (most_beam > 0.0 && abs(s.log_beam) <= most_beam) {
+                for (var term = 0u; term < BEAM_TERMS; term++) { total[9u + term] += by_log_factor * beam_term(s.place, term); }
+            }
             by *= s.slope;
         }
-        for (var c = 0u; c < 3u; c++) { total[9u + c] += by[c] * s.T; }
+        for (var c = 0u; c < 3u; c++) { total[23u + c] += by[c] * s.T; }
         by_blended[at] = vec4f(by, 0.0);
         var through_alpha = -dot(by, s.behind);
         if ((call.mode & OPEN) != 0u) {
@@ -135,7 +160,7 @@ fn photo_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) 
                 var slope = 1.0;
                 if ((call.mode & LINEAR) != 0u) { slope = to_display(s.B[c]).y; }
                 let by_raw = by[c] * s.T * slope * s.B[c] * (1.0 - s.B[c]);
-                for (var k = 0u; k < used; k++) { total[12u + 3u * k + c] += by_raw * basis[k]; }
+                for (var k = 0u; k < used; k++) { total[26u + 3u * k + c] += by_raw * basis[k]; }
             }
             if (s.valid && call.open > 0.0 && s.T > call.closed) {
                 let apart = abs(s.wanted - s.behind);

@@ -33,16 +33,16 @@ from .webgpu_tiles import (
 
 WATER, LINEAR, LAMP, GAIN, OPEN, SIMILARITY = (1 << bit for bit in range(6))
 """Bits of `mode`, as in medium.wgsl."""
-NUMBERS = 48
+NUMBERS = 64
 """Numbers of water, lamp, gains and background, in the order of medium.wgsl."""
-EXPOSURES = 40
-"""Learned numbers of water, lamp, vignetting and background, in the order of effects.wgsl; exposures follow."""
+EXPOSURES = 54
+"""Learned numbers of water, lamp, vignetting, beam and background, in the order of effects.wgsl; exposures follow."""
 OUTCOME = 8
 """Numbers of a step's outcome, as in effects.wgsl."""
 STEPS_READ = 8
 """Steps whose outcomes are read together. The host is at most twice as many ahead of the device, so that a run that is
 stopped or paused does not have many to wait for."""
-PIXEL_SUMS, GAUSSIAN_SUMS = 40, 34
+PIXEL_SUMS, GAUSSIAN_SUMS = 54, 34
 """Sums over pixels and over Gaussians, as in photo.wgsl and water.wgsl."""
 GRADIENTS = ("means", "quats", "log_scales", "opacity_logits", "sh0")
 """Parameters by the bits of the flags of gaussians.wgsl."""

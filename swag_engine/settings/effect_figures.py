@@ -60,6 +60,7 @@ FIGURES: dict[str, dict[str, Figure]] = {
     },
     "separate_backscatter": {"bic_gain": _BIC, **_VIEWS},
     "lamp": {"falloff": Figure("Fall-off", "fraction"), "bic_gain": _BIC, **_VIEWS},
+    "beam": {"falloff": Figure("Fall-off", "fraction"), "bic_gain": _BIC, **_VIEWS},
     "exposure": {"gain_sd": Figure("Variation", "fraction"), "bic_gain": _BIC, **_VIEWS},
     "vignetting": {
         "falloff": Figure("Fall-off", "fraction"),

@@ -28,6 +28,7 @@ EFFECTS = {
         "Haze grows at its own rate", "The light that the water adds grows with range by a coefficient of its own."
     ),
     "lamp": EffectWords("A lamp is at the camera", "Light from a lamp at the camera falls off with its distance."),
+    "beam": EffectWords("The lamp has a beam", "The lamp lights one part of each photo more than another."),
     "exposure": EffectWords("Exposure varies", "Each photo has an exposure and a color balance of its own."),
     "vignetting": EffectWords("Corners are darker", "The lens darkens photos towards their corners."),
     "caustics": EffectWords("Waves cast moving light", "Light that waves throw on the ground flickers."),
@@ -54,7 +55,7 @@ PARTS = {
 """Parts of a method that do not depend on the scene; the plan does not decide about them."""
 TOGETHER = {"water": ("attenuation", "backscatter")}
 """Names for several effects at once."""
-NEEDS = {"backscatter": "attenuation", "separate_backscatter": "backscatter"}
+NEEDS = {"backscatter": "attenuation", "separate_backscatter": "backscatter", "beam": "lamp"}
 """Effects that make no sense without another."""
 
 

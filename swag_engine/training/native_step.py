@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from ..base.timing import part
+from ..effects.beam import MOST_LOG_GAIN, POWERS, Beam
 from ..effects.exposure import Exposure
 from ..effects.registry import MODELS
 from ..effects.scene_effects import SceneEffects
@@ -29,7 +30,7 @@ from .state import RunState
 from .step import AutogradStep, StepConfig, StepResult, update_parameters
 from .targets import Target
 
-IMAGE_EFFECTS = ("exposure", "vignetting")
+IMAGE_EFFECTS = ("exposure", "vignetting", "beam")
 """Models of image effects that the kernels know."""
 
 
@@ -110,34 +111,42 @@ class Gain:
     Attributes:
         log_gain: (1 or 3,) of the exposure, with its graph; None without.
         vignetting: The vignetting; None without.
-        numbers: (10,) gains, coefficients of the vignetting, its centre and bounds; 0 where there is no image effect.
+        beam: The beam; None without.
+        numbers: (25,) gains; coefficients of the vignetting, its centre and bounds; coefficients of the beam and their
+            bound, 0 without a beam. 0 where there is no image effect.
     """
 
     log_gain: Tensor | None
     vignetting: Vignetting | None
+    beam: Beam | None
     numbers: Tensor | int
 
     @classmethod
     def of(cls, effects: SceneEffects, image: str, device: torch.device) -> "Gain":
         """Return the gain of an image by its name."""
-        exposure, vignetting = effects.models.get("exposure"), effects.models.get("vignetting")
+        exposure, vignetting, beam = (effects.models.get(name) for name in IMAGE_EFFECTS)
         assert isinstance(exposure, Exposure | None) and isinstance(vignetting, Vignetting | None)
-        if exposure is None and vignetting is None:
-            return cls(None, None, 0)
+        assert isinstance(beam, Beam | None)
+        if exposure is None and vignetting is None and beam is None:
+            return cls(None, None, None, 0)
         log_gain = exposure.log_gain(image) if exposure else None
         gains = torch.ones(3, device=device) if log_gain is None else log_gain.detach().exp().expand(3)
         coefficients, centre = torch.zeros(TERMS, device=device), (0.5, 0.5)
         if vignetting:
             coefficients, centre = vignetting.coefficients.detach(), vignetting.centre
         bounds = constants((*centre, LEAST_GAIN, MOST_GAIN), torch.float32, device)
-        return cls(log_gain, vignetting, torch.cat([gains, coefficients, bounds]))
+        of_beam = beam.coefficients.detach() if beam else torch.zeros(len(POWERS), device=device)
+        most = constants((MOST_LOG_GAIN if beam else 0.0,), torch.float32, device)
+        return cls(log_gain, vignetting, beam, torch.cat([gains, coefficients, bounds, of_beam, most]))
 
     def backward(self, sums: Tensor) -> None:
-        """Set the gradients of the effects from those (6,) by the logs of the gains and by the coefficients."""
+        """Set the gradients of the effects from those (20,) by the logs of the gains and by coefficients."""
         if self.log_gain is not None:
             add_gradients([(self.log_gain, sums[:3].sum_to_size(self.log_gain.shape))])
         if self.vignetting:
-            self.vignetting.coefficients.grad = sums[3:]
+            self.vignetting.coefficients.grad = sums[3 : 3 + TERMS]
+        if self.beam:
+            self.beam.coefficients.grad = sums[3 + TERMS :]
 
 
 def compare(
@@ -185,7 +194,8 @@ def compare(
     surface = coverage / valid.numel(), *SURFACE_LIMITS
     outputs = by_blended, by_alpha, by_behind
     with part("photo backward"):
-        sums = kernels.sum_each("photo_backward", items, 4 + TERMS, *sources, *compared, *surface, *outputs)
+        made = 4 + TERMS + len(POWERS)
+        sums = kernels.sum_each("photo_backward", items, made, *sources, *compared, *surface, *outputs)
     gain.backward(sums[:-1].float())
     terms = torch.cat([errors, similarity, sums[-1:]])
     factors = l1 / count, l2 / count, *([-ssim / count] if ssim else []), surface[0]

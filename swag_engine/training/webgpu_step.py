@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from ..base.timing import part
+from ..effects.beam import MOST_LOG_GAIN
 from ..effects.exposure import Exposure
 from ..effects.vignetting import LEAST_GAIN, MOST_GAIN, Vignetting
 from ..gaussians.cloud import LOG_SCALE_LIMITS
@@ -42,7 +43,7 @@ from .densification import strategy_of
 from .effect_selection import EffectSelection
 from .inputs import RunInputs
 from .losses import SURFACE_LIMITS
-from .native_step import compare, runs_natively
+from .native_step import IMAGE_EFFECTS, compare, runs_natively
 from .optimizer import BETAS, EPS, MOMENTS
 from .state import RunState
 from .step import GEOMETRY, Step, StepConfig, StepResult
@@ -62,7 +63,8 @@ LEARNED = {
     "medium.background_sh": slice(6, 33),
     "lamp.log_tau": slice(33, 34),
     "vignetting.coefficients": slice(34, 37),
-    "background": slice(37, 40),
+    "beam.coefficients": slice(37, 51),
+    "background": slice(51, 54),
     "exposure.raw": slice(EXPOSURES, None),
 }
 """Other parameters that are kept on the GPU with their moments, and their places there, as in effects.wgsl."""
@@ -354,6 +356,7 @@ class WebGpuStep:
         fields = {
             "size": EXPOSURES, "image": image, "lamp_range": lamp.unit_range if lamp else 1.0, "medium_range": 1.0,
             "center_x": 0.5, "center_y": 0.5, "least": LEAST_GAIN, "most": MOST_GAIN,
+            "most_beam": MOST_LOG_GAIN if "beam" in models else 0.0,
         }  # fmt: skip
         if isinstance(medium := models.get("medium"), Medium):
             fields |= {"medium_range": medium.unit_range, "same_beta": int(medium.backscatter is None)}
@@ -420,7 +423,7 @@ class WebGpuStep:
         if medium:
             mode |= WATER | (LINEAR if medium.light == "linear" else 0)
             mode |= OPEN if medium.background_sh is not None else 0
-        mode |= (LAMP if state.effects.lamp else 0) | (GAIN if models.keys() & {"exposure", "vignetting"} else 0)
+        mode |= (LAMP if state.effects.lamp else 0) | (GAIN if models.keys() & set(IMAGE_EFFECTS) else 0)
         seed = np.random.SeedSequence((self.inputs.settings.seed, state.iteration)).generate_state(1)[0]
         return View(
             target=None,

@@ -15,9 +15,9 @@ from swag_engine.training.step import AutogradStep
 from swag_engine.training.targets import Target
 from swag_engine.training.trainer import make_trainer
 
-NONE = "water=off,lamp=off,exposure=off,vignetting=off,caustics=off,moving_objects=off,depth_prior=off"
+NONE = "water=off,lamp=off,beam=off,exposure=off,vignetting=off,caustics=off,moving_objects=off,depth_prior=off"
 WATER = NONE.replace("water=off", "attenuation=on,backscatter=on,separate_backscatter=on")
-ALL = WATER.replace("lamp=off,exposure=off,vignetting=off", "lamp=on,exposure=on,vignetting=on")
+ALL = WATER.replace("lamp=off,beam=off,exposure=off,vignetting=off", "lamp=on,beam=on,exposure=on,vignetting=on")
 NO_BACKSCATTER = NONE.replace("water=off", "attenuation=on").replace("lamp=off", "lamp=on")
 
 

@@ -131,7 +131,7 @@ def test_test_images_are_not_read(planned, tmp_path):
 
 
 def test_choices_of_the_user_are_parsed():
-    assert parse_effects("caustics=off, lamp=on,lamp=off") == {"caustics": False, "lamp": False}
+    assert parse_effects("caustics=off, exposure=on,exposure=off") == {"caustics": False, "exposure": False}
     assert parse_effects("") == {}
     assert parse_effects("grey-world=on") == {"grey_world": True}
     water = ("attenuation", "backscatter", "separate_backscatter")

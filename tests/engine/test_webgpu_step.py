@@ -293,8 +293,8 @@ def test_outcomes_are_read_together_while_later_steps_run(make, kernels, gpu):
     assert gpu.counters.downloaded - before.downloaded == 16 * 32
     state.synchronize(())
     assert len(outcomes) == 17 == state.optimizer.steps
-    # Beside the outcomes: 40 numbers of water, lamp, vignetting and background and one of each image, with two moments.
-    numbers = 40 + len(state.effects.models["exposure"].raw)
+    # Beside the outcomes: 54 numbers of water, lamp, camera and background and one of each image, with two moments.
+    numbers = 54 + len(state.effects.models["exposure"].raw)
     assert gpu.counters.downloaded - before.downloaded == 16 * 32 + 3 * 4 * numbers
 
 
@@ -412,7 +412,7 @@ def test_a_preview_reads_what_it_shows_and_a_checkpoint_all(make, kernels, gpu):
     steps_of(trainer, kernels)[0](state, target, config)
     before, written = gpu.counters.downloaded, state.cloud.sh0.detach().clone()
     trainer._write_preview()
-    effects = 3 * 4 * (40 + len(state.effects.models["exposure"].raw))
+    effects = 3 * 4 * (54 + len(state.effects.models["exposure"].raw))
     assert gpu.counters.downloaded - before == 4 * 14 * len(state.cloud) + effects and state.on_device
     assert not torch.equal(state.cloud.sh0, written)
     before = gpu.counters.downloaded

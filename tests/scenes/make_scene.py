@@ -69,6 +69,8 @@ class Settings:
     lamp: float = 0.0
     """Fraction of the light at the median range from a lamp at the camera, which falls as 1 / (lamp_tau + r^2)."""
     lamp_tau: float = 1.0
+    beam: float = 0.0
+    """How narrow the lamp's beam is: all light falls as exp(-beam d^2), d from BEAM_AXIS in half diagonals."""
     exposure: float = 0.0
     """Standard deviation of the images' log gains."""
     caustics: float = 0.0
@@ -101,6 +103,7 @@ HELD_OUT = 8  # every eighth image of sorted names, from index 0
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 91, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
 PNG = [cv2.IMWRITE_PNG_COMPRESSION, 9]
 LOSSLESS_WEBP = [cv2.IMWRITE_WEBP_QUALITY, 101]  # a quarter smaller than PNG
+BEAM_AXIS = (0.3, -0.2)  # where the lamp points: right of the image's middle and above it, half diagonals
 PIXEL_NOISE = 0.3  # standard deviation of an observation, pixels
 
 
@@ -186,11 +189,12 @@ def caustic_pattern(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return light / light.mean()
 
 
-def squared_radius(shape: tuple[int, ...]) -> np.ndarray:
-    """(H,W) squared distance to the image's middle, 1 at the corners."""
+def squared_radius(shape: tuple[int, ...], centre: tuple[float, float] = (0, 0)) -> np.ndarray:
+    """(H,W) squared distance to a place right of and below the image's middle, in half diagonals."""
     y, x = np.mgrid[: shape[0], : shape[1]]
-    middle_x, middle_y = shape[1] / 2, shape[0] / 2
-    return ((x + 0.5 - middle_x) ** 2 + (y + 0.5 - middle_y) ** 2) / (middle_x**2 + middle_y**2)
+    half = np.hypot(shape[0], shape[1]) / 2
+    middle_x, middle_y = shape[1] / 2 + half * centre[0], shape[0] / 2 + half * centre[1]
+    return ((x + 0.5 - middle_x) ** 2 + (y + 0.5 - middle_y) ** 2) / half**2
 
 
 def world_points(distance: np.ndarray, focal: float, world_to_camera: np.ndarray) -> np.ndarray:
@@ -220,6 +224,7 @@ def photograph(
         light = light * lamp_light(
             np.where(np.isinf(passes.range), reference, passes.range), settings.lamp, settings.lamp_tau, reference
         )
+        light = light * np.exp(-settings.beam * squared_radius(light.shape, BEAM_AXIS))
     if settings.caustics:
         pattern = caustic_pattern(world_points(passes.range, focal, pose), rng)
         light = light * (1 + settings.caustics * passes.sun_share * (pattern - 1))
