@@ -16,7 +16,7 @@ OUT = ROOT / "swag_blender" / "pictures"
 NAME = "reef_000"
 SIDE = 160
 """Width and height of a picture, pixels."""
-QUALITY = 88
+QUALITY = 80
 """JPEG quality; a picture then has less than 20 kB."""
 BETA_D, BETA_B = np.array([0.17, 0.062, 0.042]), np.array([0.13, 0.08, 0.068])
 B_INF = np.array([0.03, 0.175, 0.255])
@@ -101,7 +101,7 @@ def write(name: str, without: np.ndarray, with_effect: np.ndarray) -> None:
     picture, right = (cv2.resize(image, (SIDE, SIDE), interpolation=cv2.INTER_AREA) for image in (without, with_effect))
     picture[:, SIDE // 2 :] = right[:, SIDE // 2 :]
     picture[:, SIDE // 2 - 1 : SIDE // 2 + 1] = 255
-    cv2.imwrite(str(OUT / f"{name}.jpg"), picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    cv2.imwrite(str(OUT / f"{name}.jpg"), picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY, cv2.IMWRITE_JPEG_OPTIMIZE, 1])
 
 
 if __name__ == "__main__":
