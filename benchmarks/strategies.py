@@ -100,6 +100,10 @@ class GsplatDensification(Densification):
         trainer.step = self.recorded = RecordingStep(trainer.step)
         trainer.densification = self
 
+    def due(self, state: RunState) -> bool:
+        """Return that a strategy is given every step; it decides itself when to act."""
+        return True
+
     def after_step(self, state: RunState, means_rate: float, sh_degree: int, water_degree: int) -> None:
         """Give the strategy the step that was made; see `Densification.after_step`."""
         with torch.no_grad():

@@ -730,6 +730,7 @@ GERMAN = {
     ),
     "Attenuation": "Dämpfung",
     "Backscatter": "Rückstreuung",
+    "Beam": "Lichtkegel",
     "Blender has no online access.": "Blender hat keinen Online-Zugriff.",
     "Caustics": "Kaustiken",
     "Filled cells": "Volle Felder",
@@ -819,7 +820,6 @@ GERMAN = {
     ),
     "Interpolation": "Zwischenbilder",
     "Lamp": "Lampe",
-    "Lamp beam": "Lichtkegel der Lampe",
     "Largest number of Gaussians that densification may reach": (
         "Größte Zahl an Gaußglocken, bis zu der verdichtet wird"
     ),
