@@ -22,7 +22,7 @@ from .image_gain import apply_log_gains
 from .range_limits import too_few_observations
 
 DEGREE = 4
-"""Of the polynomial: on photographs of a robot with two lamps, degree 2 gains .6 dB and degree 4 .8 dB."""
+"""Of the polynomial: on photographs of a robot with lamps of its own, degree 2 gains .6 dB and degree 4 .8 dB."""
 POWERS = tuple((total - j, j) for total in range(1, DEGREE + 1) for j in range(total + 1))
 """Powers of x and y, in the order of the coefficients."""
 MOST_LOG_GAIN = 3.0
