@@ -14,7 +14,8 @@ constexpr int SUMS = 4 + TERMS + BEAM;  // gradients by the logs of the gains (3
 // 1 + k1 r^2 + k2 r^4 + k3 r^6 within bounds, r from the principal point, times the exponential of a polynomial in x and y
 // within bounds, from the middle of the image; r, x and y over half of its diagonal.
 struct Gain {
-    float gain[3], k[TERMS], centre_x, centre_y, least, most, beam[BEAM], most_beam, middle_x, middle_y, scale;
+    float gain[3] = {}, k[TERMS] = {}, beam[BEAM] = {};
+    float centre_x = 0, centre_y = 0, least = 0, most = 0, most_beam = 0, middle_x = 0, middle_y = 0, scale = 0;
 
     // numbers: gain (3), k (3), principal point as fractions of width and height, least and most of the vignetting, beam
     // (14), most of the beam's absolute value, 0 for no beam; null for no gain.
@@ -44,11 +45,14 @@ struct Gain {
         return row;
     }
 
-    Vec beam_x(int64_t x) const {
+    // Distances of the middles of the pixels from x on to a column.
+    static Vec right_of(float column, int64_t x) {
         Vec dx;
         for (int l = 0; l < VW; l++) dx[l] = (float)l;
-        return (dx + ((float)x + .5f - middle_x)) * __builtin_sqrtf(scale);
+        return dx + ((float)x + .5f - column);
     }
+
+    Vec beam_x(int64_t x) const { return right_of(middle_x, x) * __builtin_sqrtf(scale); }
 
     // The log of the beam's gain before its bounds.
     Vec log_beam(const Row &row, Vec x) const {
@@ -62,9 +66,7 @@ struct Gain {
     }
 
     Vec squared_radius(int64_t x, int64_t y) const {
-        Vec dx;
-        for (int l = 0; l < VW; l++) dx[l] = (float)l;
-        dx += (float)x + .5f - centre_x;
+        Vec dx = right_of(centre_x, x);
         float dy = (float)y + .5f - centre_y;
         return (dx * dx + dy * dy) * scale;
     }

@@ -10,7 +10,6 @@ from swag_engine.effects.beam import MOST_LOG_GAIN, POWERS, Beam
 from swag_engine.effects.registry import REGISTRY
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.evidence.scene_evidence import SceneEvidence
-from swag_engine.planning.plan import Plan, PlannedEffect
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.settings.effect_names import EFFECTS, parse_effects
@@ -68,14 +67,6 @@ def test_a_checkpoint_holds_it():
     read = SceneEffects.from_checkpoint(effects.parameters(), state).models["beam"]
     assert isinstance(read, Beam)
     assert torch.equal(read.coefficients, effects.parameters()["beam.coefficients"])
-
-
-def test_a_plan_from_before_it_existed_opens_with_it_off():
-    line = PlannedEffect("on", {}, "", 0.0)
-    document = Plan({name: line for name in EFFECTS}, None, "").to_json()
-    del document["effects"]["beam"]
-    plan = Plan.from_json(document)
-    assert not plan.on("beam") and plan.on("lamp")
 
 
 def test_without_a_lamp_there_is_no_beam():

@@ -100,12 +100,13 @@ def test_a_checkpoint_holds_it():
     assert read.centre == (0.4, 0.6)
 
 
-def test_a_plan_from_before_it_existed_opens_with_it_off():
+@pytest.mark.parametrize("effect", ["vignetting", "beam"])
+def test_a_plan_from_before_it_existed_opens_with_it_off(effect):
     line = PlannedEffect("on", {}, "", 0.0)
     document = Plan({name: line for name in EFFECTS}, None, "").to_json()
-    del document["effects"]["vignetting"]
+    del document["effects"][effect]
     plan = Plan.from_json(document)
-    assert not plan.on("vignetting") and plan.on("exposure")
+    assert not plan.on(effect) and plan.on("exposure") and plan.on("lamp")
 
 
 # -- decisions ---------------------------------------------------------------------------------------------------------
