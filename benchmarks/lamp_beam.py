@@ -70,7 +70,10 @@ def make(folder: Path, seeds: list[int]) -> dict[tuple[str, str, str, int], Path
 
 
 def summary(decisions: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return by light how often lamp and beam are on, and the ranges of the beam's figures where the lamp is."""
+    """Return by light how often lamp, beam and water are on, and the ranges of the beam's figures where the lamp is.
+
+    Water is on where attenuation and backscatter both are; false water where one of them is in clear water.
+    """
     found = {}
     for light in LIGHTS:
         rows = [row for row in decisions if row["light"] == light]
@@ -79,6 +82,13 @@ def summary(decisions: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
             "scenes": len(rows),
             "lamp_on": len(lit),
             "beam_on": sum(row["beam"] == "on" for row in lit),
+            "in_water": sum(row["water"] != "clear" for row in rows),
+            "water_on": sum(
+                row["water"] != "clear" and row["attenuation"] == row["backscatter"] == "on" for row in rows
+            ),
+            "false_water": sum(
+                row["water"] == "clear" and "on" in (row["attenuation"], row["backscatter"]) for row in rows
+            ),
             "bic_gain": [min(row["bic_gain"] for row in lit), max(row["bic_gain"] for row in lit)],
             "falloff": [min(row["falloff"] for row in lit), max(row["falloff"] for row in lit)],
         }
@@ -111,8 +121,9 @@ def main() -> None:
     for (place, water, light, seed), scene in scenes.items():
         effects = plan_scene(scene, scene).effects
         evidence = effects["beam"].evidence
-        row = {"place": place, "water": water, "light": light, "seed": seed, "lamp": effects["lamp"].state}
-        row |= {"beam": effects["beam"].state} | {key: evidence.get(key) for key in ("falloff", "bic_gain")}
+        row = {"place": place, "water": water, "light": light, "seed": seed}
+        row |= {name: effects[name].state for name in ("lamp", "beam", "attenuation", "backscatter")}
+        row |= {key: evidence.get(key) for key in ("falloff", "bic_gain")}
         print(row, flush=True)
         decisions.append(row)
     runs = {}

@@ -803,13 +803,17 @@ def lamp_beam() -> str:
         [
             light,
             f"{found['lamp_on']} of {found['scenes']}",
+            f"{found['water_on']} of {found['in_water']}",
+            str(found["false_water"]),
             str(found["beam_on"]),
             "{:,.0f} to {:,.0f}".format(*found["bic_gain"]),
             "{:.0%} to {:.0%}".format(*found["falloff"]),
         ]
         for light, found in results("lamp_beam")["decisions"].items()
     ]
-    return markdown(["light", "lamp on", "beam on", "BIC gain", "fall-off"], rows)
+    return markdown(
+        ["light", "lamp on", "water on", "on in clear water", "beam on", "BIC gain of the beam", "fall-off"], rows
+    )
 
 
 @table

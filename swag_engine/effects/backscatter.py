@@ -33,7 +33,8 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
         },
         f"The water adds light of {water.background.max():.3f} at the far end (threshold {LEAST_BACKGROUND_LIGHT}), "
         f"BIC gain {water.background_bic:,.0f} (threshold {LEAST_BIC_GAIN:.0f}); the darkest light rises with range by "
-        f"{water.dark_rise:.3f} (threshold {water.dark_rise_needed:.3f})"
+        f"{water.dark_rise:.3f}{' beyond what the lamp explains' if terms.lamp.found else ''} "
+        f"(threshold {water.dark_rise_needed:.3f})"
         + ("." if water.attenuates else "; without attenuation this is not water."),
     )
     attenuation = decide_by_color(water)

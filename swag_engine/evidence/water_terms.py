@@ -145,7 +145,7 @@ class WaterTerm:
         adds_light: Whether the observations show background light.
         background: (3,) light that the water adds at the far end of the scene.
         background_bic: BIC gain by it.
-        dark_rise: Rise of the darkest light with range.
+        dark_rise: Rise of the darkest light with range, beyond what a lamp's fall-off leaves of that at the near end.
         dark_rise_needed: Rise that is needed.
         loses: Whether light is lost with range.
         attenuates: Whether that loss is water's.
@@ -250,10 +250,12 @@ def find_water_terms(observations: Observations, open_water: np.ndarray | None =
     comparison = _Comparison(observations, weighted.without_outliers(first), independent_channels(first.residual))
     camera = comparison.camera_terms(rich)
     fits = comparison.water_families(camera)
-    dark = comparison.dark_rise(fits, camera)
-    lamp = comparison.lamp_term([fit for family, fit in fits.items() if dark.rises or not family.backscatter])
+    widest = Family(True, True, True, lens=camera.lens, gains=camera.gains)
+    dark = {lit: comparison.dark_rise(fits[replace(widest, lamp=lit)]) for lit in (False, True)}
+    may_add_light = any(each.rises for each in dark.values())
+    lamp = comparison.lamp_term([fit for family, fit in fits.items() if may_add_light or not family.backscatter])
     none, direct, tied, separate = (fit for family, fit in fits.items() if family.lamp == lamp.found)
-    water, fit, intervals = comparison.water_term(none, direct, tied, separate, lamp, dark, random)
+    water, fit, intervals = comparison.water_term(none, direct, tied, separate, lamp, dark[lamp.found], random)
     images = np.unique(comparison.weighted.observations.image).tolist()
     separate_bic = comparison.bic(tied) - comparison.bic(separate)
     family = comparison.lamp_family(fit)
@@ -266,7 +268,11 @@ def find_water_terms(observations: Observations, open_water: np.ndarray | None =
 
 @dataclass(frozen=True)
 class _DarkRise:
-    """Rise of the darkest light with range in the channel where backscatter should raise it most."""
+    """Rise of the darkest light with range in the channel where backscatter should raise it most.
+
+    Under a lamp near surfaces are lit and far ones are not: the rise is counted from what is left of the darkest near
+    light at the far end.
+    """
 
     rise: float
     needed: float
@@ -315,13 +321,15 @@ class _Comparison:
             )
         }
 
-    def dark_rise(self, fits: dict[Family, Fit], camera: CameraTerms) -> _DarkRise:
+    def dark_rise(self, fit: Fit) -> _DarkRise:
         """Colors that grow alike with range, as where far texture is blurred, look like backscatter without it."""
-        fit = fits[Family(True, True, True, lens=camera.lens, gains=camera.gains)]
-        expected = fit.B * (np.exp(-fit.beta_B * self.near) - np.exp(-fit.beta_B * self.far))
+        left = (fit.tau + self.near**2) / (fit.tau + self.far**2) if fit.family.lamp else 1.0
+        near, far = dark_ends(self.observations)
+        near_light, far_light = (fit.B * -np.expm1(-fit.beta_B * end) for end in (self.near, self.far))
+        expected = far_light - left * near_light
         channel = int(np.argmax(expected))
         needed = max(LEAST_DARK_RISE * expected[channel], LEAST_DARK)
-        return _DarkRise(float(dark_rise(self.observations)[channel]), float(needed))
+        return _DarkRise(float((far - left * near)[channel]), float(needed))
 
     def lamp_term(self, fits: Sequence[Fit]) -> LampTerm:
         """A lamp where light falls off as 1 / (tau + r^2) beyond what water takes, or where the loss has no color."""
@@ -458,16 +466,16 @@ def _intervals(fit: Fit, halves: Sequence[Fit]) -> dict[str, np.ndarray]:
     return bounds
 
 
-def dark_rise(observations: Observations) -> np.ndarray:
-    """Measure by how much the darkest light around the points is brighter at the far end of the ranges.
+def dark_ends(observations: Observations) -> tuple[np.ndarray, np.ndarray]:
+    """Measure the darkest light around the points at the near and at the far end of the ranges.
 
     Args:
         observations: Observations of the scene.
 
     Returns:
-        (3,) difference in linear light.
+        (3,) linear light at the near end, and at the far end.
     """
     edges = np.quantile(observations.ranges, np.linspace(0, 1, RANGE_BINS + 1))
     bins = np.clip(np.searchsorted(edges, observations.ranges) - 1, 0, RANGE_BINS - 1)
     dark = np.stack([np.quantile(observations.darkest[bins == k], DARKEST, axis=0) for k in np.unique(bins)])
-    return dark[-2:].mean(0) - dark[:2].mean(0)
+    return dark[:2].mean(0), dark[-2:].mean(0)

@@ -38,11 +38,12 @@ def observations_of(
     spread=3.0,
     noise=0.06,
     grey=False,
+    shade=(0.02, 0.3),
     count=600,
     seed=0,
 ):
     """`count` points, each seen in five of VIEWS photographs at ranges between 2 and 2 `spread`, with errors as large
-    as photographs have (mostly alike in all channels), and a dark pixel beside each."""
+    as photographs have (mostly alike in all channels), and beside each a pixel of `shade` times its light."""
     r = np.random.default_rng(seed)
     track = np.repeat(np.arange(count), 5)
     image = np.concatenate([r.choice(VIEWS, 5, replace=False) for _ in range(count)])
@@ -61,7 +62,7 @@ def observations_of(
         1 + noise * r.standard_normal((len(track), 1)) + 0.3 * noise * r.standard_normal((len(track), 3)) * (not grey)
     )
     light = gains[:, None] * (J[track] * direct * error + veiling)
-    darkest = gains[:, None] * (r.uniform(0.02, 0.3, (len(track), 1)) * J[track] * direct + veiling)
+    darkest = gains[:, None] * (r.uniform(shade[0], shade[1], (len(track), 1)) * J[track] * direct + veiling)
     return Observations(track, ranges, light, image, place, darkest)
 
 
@@ -201,6 +202,19 @@ def test_veiling_light_that_the_darkest_pixels_lack_is_no_backscatter():
     observations = observations_of(**BLUE)
     assert states(observations)["backscatter"] == "on"
     assert states(replace(observations, darkest=0 * observations.darkest))["backscatter"] == "off"
+
+
+def test_backscatter_is_found_where_a_lamp_lights_all_near_surfaces():
+    """Without anything dark near the lamp, the darkest light falls with range although backscatter rises."""
+    lit = {"tau": 1.0, "shade": (0.5, 1.0)}
+    dark = observations_of(**BLUE, **lit).darkest.mean(1)
+    ranges = observations_of(**BLUE, **lit).ranges
+    assert np.quantile(dark[ranges < 2.5], 0.01) > 1.5 * np.quantile(dark[ranges > 5], 0.01)
+    found = Found(observations_of(**BLUE, **lit)).effects
+    assert {found[name].state for name in ("attenuation", "backscatter", "lamp")} == {"on"}
+    assert "beyond what the lamp explains" in found["backscatter"].reason
+    clear = states(observations_of(**lit))
+    assert clear["lamp"] == "on" and clear["attenuation"] != "on" and clear["backscatter"] == "off"
 
 
 def test_light_lost_on_one_surface_only_is_not_water():
