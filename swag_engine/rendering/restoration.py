@@ -1,7 +1,8 @@
-"""Limit restored colors where noise and errors of the water exceed what is left of their light.
+"""Limit restored colors where noise and errors of the water exceed what is left of their light, and hide open water.
 
 Restoring divides by the transmission of the water, so that far away it multiplies noise and what is wrong with the
-water until only these are seen. docs/method.md, section 1, has the formulas.
+water until only these are seen. Gaussians that stand for open water would be a grey haze without water.
+docs/method.md, section 1, has the formulas.
 """
 
 from collections.abc import Iterable, Mapping
@@ -40,6 +41,12 @@ BRIGHTEST_COLOR = 2.0
 """Largest display value of a color: brighter ones are of Gaussians that images hardly show."""
 MOST_ERROR = 1e6
 """Largest variance of an error: keeps matrices of doubles invertible."""
+OPEN_WATER_ERROR = 0.02
+"""Relative standard deviation of the light of Gaussians that stand for open water from the background light."""
+OPEN_WATER_LOG_RATIO = 5.0
+"""Log ratio of the likelihoods of open water and of a surface from which a Gaussian counts as open water."""
+HIDDEN_LOGIT = -20.0
+"""Opacity logit of Gaussians that are not shown: in 8 bits they are fully transparent."""
 PRIOR_GAUSSIANS = 5000
 """Gaussians, at most about twice as many, that the distribution of the scene's colors is found from."""
 PRIOR_STEPS = 30
@@ -53,16 +60,20 @@ class RestorationLimit:
     Attributes:
         confidence: (N, 3) in 0..1 of red, green and blue.
         color: (N, 3) display values.
+        open_water: (N,) bool, Gaussians that show nothing but open water; without water they are not shown.
     """
 
     confidence: Tensor
     color: Tensor
+    open_water: Tensor
 
     @classmethod
     def from_checkpoint(cls, tensors: Mapping[str, Tensor]) -> "RestorationLimit | None":
         """Read the limit from the tensors of a checkpoint; None where it has none."""
         stored = {field.name: tensors.get(STORED + field.name) for field in fields(cls)}
         found = {name: tensor for name, tensor in stored.items() if tensor is not None}
+        if "confidence" in found:  # runs before open water was told from surfaces
+            found.setdefault("open_water", torch.zeros(len(found["confidence"]), dtype=torch.bool))
         return cls(**found) if len(found) == len(stored) else None
 
     def tensors(self) -> dict[str, Tensor]:
@@ -76,7 +87,7 @@ class RestorationLimit:
 
     @torch.no_grad()
     def apply(self, cloud: GaussianCloud, water: float = 0.0) -> GaussianCloud:
-        """Return the cloud with the likely colors, which change with direction as far as they are certain.
+        """Return the cloud without open water, with the likely colors, which change with direction if certain.
 
         Through all of the water the colors as trained are right, as they were compared with the photos through it.
         Through a fraction w of it, errors of colors count as 1 - w of what they are without water.
@@ -92,7 +103,8 @@ class RestorationLimit:
         left = (1 - water) ** 2
         certain = confidence / (confidence + left * (1 - confidence))
         sh0 = torch.lerp((color - 0.5) / C0, cloud.sh0, certain * (1 - left))
-        return replace(cloud, sh0=sh0, shN=certain * cloud.shN)
+        opacity_logits = cloud.opacity_logits.masked_fill(self.open_water.to(cloud.means.device), HIDDEN_LOGIT)
+        return replace(cloud, sh0=sh0, shN=certain * cloud.shN, opacity_logits=opacity_logits)
 
 
 @dataclass
@@ -110,6 +122,7 @@ class LightSums:
         backscatter: Of weight * transmission * backscatter.
         optical_depth: Of weight * transmission^2 * (-log transmission).
         noise: Of weight * transmission^2 * variance of a pixel.
+        background: Of weight * transmission * light of open water.
     """
 
     weight: Tensor
@@ -118,8 +131,17 @@ class LightSums:
     backscatter: Tensor
     optical_depth: Tensor
     noise: Tensor
+    background: Tensor
 
-    def add(self, weight: Tensor, light: Tensor, transmission: Tensor, backscatter: Tensor, variance: Tensor) -> None:
+    def add(
+        self,
+        weight: Tensor,
+        light: Tensor,
+        transmission: Tensor,
+        backscatter: Tensor,
+        variance: Tensor,
+        background: Tensor,
+    ) -> None:
         """Add an image.
 
         Args:
@@ -128,6 +150,7 @@ class LightSums:
             transmission: (N, 3) fraction of J in it; above 1 where a lamp is near.
             backscatter: (N, 3) the rest of it.
             variance: (N, 3) of a pixel of that light.
+            background: (N, 3) light of open water in the direction of each.
         """
         information = weight * transmission.square()
         self.weight += weight
@@ -136,6 +159,11 @@ class LightSums:
         self.backscatter += weight * transmission * backscatter
         self.optical_depth -= information * transmission.clamp(LEAST, 1.0).log()
         self.noise += information * variance
+        self.background += weight * transmission * background
+
+    def rows(self, chosen: Tensor) -> "LightSums":
+        """Return the sums of the Gaussians where `chosen` (N,) is True."""
+        return LightSums(*(getattr(self, entry.name)[chosen] for entry in fields(self)))
 
     def signal(self, J: Tensor) -> Tensor:
         """Return the mean square (3,) of the light J (N, 3) of the scene.
@@ -234,13 +262,70 @@ def restoration_limit(
         backscatter, whole = (to_light(through_water(of, offsets, medium, backend=backend)) for of in (black, lighted))
         transmission = (whole - backscatter).clamp(min=0)
         light = transmission * J + backscatter
-        sums.add(weight, light, transmission, backscatter, offset + slope * light)
-    signal = sums.signal(J) if colors is None else colors.signal.to(J)
-    confidence, error, weight = sums.confidence(signal), sums.error(signal), sums.weight[:, 0]
-    colors = colors or scene_colors(J, error, weight, signal)
-    likely = to_display(likely_light(J, error, colors))
-    restored = (sums.weight * (confidence >= RESTORED_FROM)).sum(0) / sums.weight.sum(0).clamp(min=LEAST)
-    return RestorationLimit(confidence, torch.where(sums.weight > 0, likely, color)), restored, colors
+        background = medium.background_light(offsets / offsets.norm(dim=1, keepdim=True).clamp(min=LEAST))
+        sums.add(weight, light, transmission, backscatter, offset + slope * light, background)
+    known, everything = colors, torch.ones_like(sums.weight[:, 0], dtype=torch.bool)
+    colors = known or colors_of(J, sums, everything)
+    water = open_water_gaussians(J, sums, colors) if medium.background_sh is not None else ~everything
+    if water.any():
+        colors = known or colors_of(J, sums, ~water)
+    signal = colors.signal.to(J)
+    confidence, shown = sums.confidence(signal), sums.weight * ~water[:, None]
+    likely = to_display(likely_light(J, sums.error(signal), colors))
+    restored = (shown * (confidence >= RESTORED_FROM)).sum(0) / shown.sum(0).clamp(min=LEAST)
+    limit = RestorationLimit(confidence, torch.where(sums.weight > 0, likely, color), water)
+    return limit, restored, colors
+
+
+def colors_of(J: Tensor, sums: LightSums, chosen: Tensor) -> SceneColors:
+    """Estimate how the colors of chosen Gaussians are distributed.
+
+    Args:
+        J: (N, 3) linear light of all Gaussians.
+        sums: Their sums.
+        chosen: (N,) bool.
+
+    Returns:
+        The distribution.
+    """
+    light, some = J[chosen], sums.rows(chosen)
+    signal = some.signal(light)
+    return scene_colors(light, some.error(signal), some.weight[:, 0], signal)
+
+
+def open_water_gaussians(J: Tensor, sums: LightSums, colors: SceneColors) -> Tensor:
+    """Find the Gaussians that show nothing but open water.
+
+    What arrives from them is the background light in every image. A surface looks so by chance where the color of its
+    restored light is J* = sum(weight * transmission * (background - backscatter)) / information. The likelihood of
+    J - J* as an error of open water is compared with that of a surface, whose colors are distributed as the scene's.
+    Where no light of a surface arrives, both are the same, and nothing is taken for open water.
+
+    Args:
+        J: (N, 3) linear light.
+        sums: Sums of the Gaussians.
+        colors: How the scene's colors are distributed.
+
+    Returns:
+        (N,) bool.
+    """
+    information = sums.information.double().clamp(min=LEAST)
+    as_water = (sums.background - sums.backscatter).double() / information
+    depth = sums.optical_depth.double() / information
+    noise = sums.noise.double() / information.square()
+    error = (noise + (OPEN_WATER_ERROR * sums.background.double() / information).square()).clamp(LEAST, MOST_ERROR)
+    mean, covariance = colors.mean.to(error.device), colors.covariance.to(error.device)
+    beyond = (ATTENUATION_ERROR * depth * (mean - as_water)).square().clamp(max=MOST_ERROR)
+    difference = J.double() - as_water
+    water = _log_likelihood(difference, torch.diag_embed(error))
+    surface = _log_likelihood(J.double() - mean, covariance + torch.diag_embed(error + beyond))
+    return (water - surface > OPEN_WATER_LOG_RATIO) & (sums.information > LEAST).all(1)
+
+
+def _log_likelihood(differences: Tensor, covariances: Tensor) -> Tensor:
+    """Return the log of normal densities (N,), up to a constant, of differences (N, 3) from the mean."""
+    scaled = torch.linalg.solve(covariances, differences)
+    return -0.5 * (torch.logdet(covariances) + (differences * scaled).sum(-1))
 
 
 def scene_colors(J: Tensor, error: Tensor, weight: Tensor, signal: Tensor) -> SceneColors:
@@ -326,6 +411,18 @@ def describe_restored(restored: Tensor) -> str:
     return (
         f"Too far away to be restored: {', '.join(parts)} of what the photos show. The color "
         "that is most likely in this scene takes its place."
+    )
+
+
+def describe_open_water(limit: RestorationLimit) -> str:
+    """Return a sentence for the user on Gaussians that are hidden without water; empty if none are."""
+    count = int(limit.open_water.sum())
+    if not count:
+        return ""
+    return (
+        "1 splat looks like open water in all photos and is not shown without water."
+        if count == 1
+        else (f"{count:,} splats look like open water in all photos and are not shown without water.")
     )
 
 

@@ -32,7 +32,14 @@ from ..kernels.backends import KERNELS, device_for
 from ..kernels.webgpu import WebGpuKernels
 from ..planning.plan import write_plan
 from ..rendering.model import SceneModel
-from ..rendering.restoration import CONFIDENCE, WIDTH, RestorationLimit, describe_restored, restoration_limit
+from ..rendering.restoration import (
+    CONFIDENCE,
+    WIDTH,
+    RestorationLimit,
+    describe_open_water,
+    describe_restored,
+    restoration_limit,
+)
 from ..rendering.restored_photo import fit_to_photos, photos_to_fit
 from ..scene.colmap import Points, Scene, load_scene
 from ..scene.color_size import small_jpeg_note
@@ -568,7 +575,7 @@ class Trainer:
         limit, restored, _ = restoration_limit(
             state.cloud, cameras, medium, noise, state.effects.lamp, inputs.settings.backend, colors
         )
-        self.notes += filter(None, [describe_restored(restored)])
+        self.notes += filter(None, [describe_restored(restored), describe_open_water(limit)])
         static = map(state.motion.static_pixels, photos_to_fit(inputs.training))
         return fit_to_photos(SceneModel(state.cloud, state.effects), limit, static, noise, inputs.settings.sh_degree)
 

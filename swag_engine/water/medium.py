@@ -149,6 +149,10 @@ class Medium:
         """Return beta_D, beta_B and the raw SH of the background light, (33,)."""
         return torch.cat([self.beta_D, self.beta_B, self._raw_background_light.reshape(-1)])
 
+    def background_light(self, directions: Tensor, degree: int = MAX_DEGREE) -> Tensor:
+        """Return the background light (N, 3) of unit vectors (N, 3), in 0..1 of `light`; 0 without any."""
+        return background_light(directions, self.coefficients(), degree)
+
     @property
     def _raw_background_light(self) -> Tensor:
         """`background_sh`, or values (9, 3) whose background light is 0."""
@@ -210,7 +214,7 @@ def without_water(seen: Tensor, ranges: Tensor, medium: Medium) -> Tensor:
     r = ranges[:, None]
     B = torch.zeros_like(seen[:1])
     if medium.background_sh is not None:
-        B = background_light(B, medium.coefficients(), degree=0)
+        B = medium.background_light(B, degree=0)
     light = to_light(seen) if medium.light == "linear" else seen
     J = (light + B * torch.expm1(-medium.beta_B * r)).clamp(min=0) * torch.exp((medium.beta_D * r).clamp(max=80.0))
     return (to_display(J) if medium.light == "linear" else J).clamp(max=BRIGHTEST)
