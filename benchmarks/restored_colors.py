@@ -283,7 +283,7 @@ def write_picture(folder: Path) -> None:
         return
     picture = np.concatenate([cv2.imread(str(paths[0])) for paths in strips])
     picture = cv2.resize(picture, None, fx=PICTURE_SCALE, fy=PICTURE_SCALE, interpolation=cv2.INTER_AREA)
-    for quality in range(85, 20, -5):
+    for quality in range(85, 10, -5):
         packed = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, quality])[1]
         if len(packed) <= MOST_BYTES:
             break
