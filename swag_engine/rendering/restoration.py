@@ -87,7 +87,9 @@ class RestorationLimit:
 
     @torch.no_grad()
     def apply(self, cloud: GaussianCloud, water: float = 0.0) -> GaussianCloud:
-        """Return the cloud without open water, with the likely colors, which change with direction if certain.
+        """Return the cloud with the likely colors, which change with direction as far as they are certain.
+
+        What shows nothing but open water is hidden.
 
         Through all of the water the colors as trained are right, as they were compared with the photos through it.
         Through a fraction w of it, errors of colors count as 1 - w of what they are without water.
@@ -316,8 +318,7 @@ def open_water_gaussians(J: Tensor, sums: LightSums, colors: SceneColors) -> Ten
     error = (noise + (OPEN_WATER_ERROR * sums.background.double() / information).square()).clamp(LEAST, MOST_ERROR)
     mean, covariance = colors.mean.to(error.device), colors.covariance.to(error.device)
     beyond = (ATTENUATION_ERROR * depth * (mean - as_water)).square().clamp(max=MOST_ERROR)
-    difference = J.double() - as_water
-    water = _log_likelihood(difference, torch.diag_embed(error))
+    water = _log_likelihood(J.double() - as_water, torch.diag_embed(error))
     surface = _log_likelihood(J.double() - mean, covariance + torch.diag_embed(error + beyond))
     return (water - surface > OPEN_WATER_LOG_RATIO) & (sums.information > LEAST).all(1)
 
@@ -419,11 +420,7 @@ def describe_open_water(limit: RestorationLimit) -> str:
     count = int(limit.open_water.sum())
     if not count:
         return ""
-    return (
-        "1 splat looks like open water in all photos and is not shown without water."
-        if count == 1
-        else (f"{count:,} splats look like open water in all photos and are not shown without water.")
-    )
+    return f"Splats not shown without water, because they look like open water in all photos: {count:,}."
 
 
 @torch.no_grad()

@@ -207,10 +207,10 @@ def test_veiling_light_that_the_darkest_pixels_lack_is_no_backscatter():
 def test_backscatter_is_found_where_a_lamp_lights_all_near_surfaces():
     """Without anything dark near the lamp, the darkest light falls with range although backscatter rises."""
     lit = {"tau": 1.0, "shade": (0.5, 1.0)}
-    dark = observations_of(**BLUE, **lit).darkest.mean(1)
-    ranges = observations_of(**BLUE, **lit).ranges
+    observations = observations_of(**BLUE, **lit)
+    dark, ranges = observations.darkest.mean(1), observations.ranges
     assert np.quantile(dark[ranges < 2.5], 0.01) > 1.5 * np.quantile(dark[ranges > 5], 0.01)
-    found = Found(observations_of(**BLUE, **lit)).effects
+    found = Found(observations).effects
     assert {found[name].state for name in ("attenuation", "backscatter", "lamp")} == {"on"}
     assert "beyond what the lamp explains" in found["backscatter"].reason
     clear = states(observations_of(**lit))

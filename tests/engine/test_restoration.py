@@ -201,44 +201,6 @@ def test_gaussians_that_no_image_shows_keep_their_color():
     np.testing.assert_allclose(limit.apply(cloud).sh0[2], cloud.sh0[2], atol=1e-6)
 
 
-# Open water -----------------------------------------------------------------------------------------------------------
-
-
-def fog_and_surfaces(ranges, medium=BLUE):
-    """Gaussians of open water's look at these ranges, between twice as many surfaces of all colors near by."""
-    count, random = len(ranges), np.random.default_rng(1)
-    distances = torch.tensor(ranges).float()
-    background = to_display(BLUE.background_light(torch.tensor([[0.0, 0.0, 1.0]])))
-    fog = without_water(background.expand(count, 3), distances, BLUE).numpy()
-    colors = np.concatenate([fog, random.random((2 * count, 3))])
-    everywhere = np.concatenate([ranges, random.uniform(1, 4, 2 * count)])
-    cloud = row_of_gaussians(colors, everywhere)
-    cloud.shN *= 0
-    return cloud, restoration_limit(cloud, [CAMERA, CAMERA.resized(80)], medium, NOISE)[0]
-
-
-def test_gaussians_that_look_like_open_water_are_hidden_without_water():
-    cloud, limit = fog_and_surfaces([4.0, 5.0, 6.0])
-    assert limit.open_water.tolist() == [True] * 3 + [False] * 6
-    shown = limit.apply(cloud)
-    assert shown.opacities[:3].max() < 1e-6 and torch.equal(shown.opacities[3:], cloud.opacities[3:])
-    assert torch.equal(limit.apply(cloud, 1).opacities, cloud.opacities)
-    before, after = (render(of, CAMERA, 1, BLUE).color for of in (cloud, shown))
-    assert (before - after).abs().max() < 0.02, "through the water nothing changes"
-
-
-def test_far_surfaces_that_no_light_reaches_the_camera_from_are_not_taken_for_open_water():
-    assert not fog_and_surfaces([40.0, 60.0, 80.0])[1].open_water.any()
-
-
-def test_without_backscatter_a_black_surface_is_not_open_water():
-    medium = Medium(BLUE.attenuation, None, None, BLUE.unit_range)
-    colors = np.random.default_rng(1).random((9, 3))
-    colors[:3] = 0
-    cloud = row_of_gaussians(colors, np.linspace(1, 4, 9))
-    assert not restoration_limit(cloud, [CAMERA], medium, NOISE)[0].open_water.any()
-
-
 def likely(J, error, weight):
     J, error, weight = map(torch.from_numpy, (J, error, weight))
     return likely_light(J, error, scene_colors(J, error, weight, J.square().mean(0))).numpy()
@@ -318,3 +280,41 @@ def test_the_user_is_told_what_cannot_be_restored():
         "Too far away to be restored: red in 17%, green in 1% of what the photos show."
     )
     assert describe_restored(torch.tensor([0.996, 1.0, 1.0])) == ""
+
+
+# Open water -----------------------------------------------------------------------------------------------------------
+
+
+def fog_and_surfaces(ranges):
+    """Gaussians of open water's look at these ranges, between twice as many surfaces of all colors near by."""
+    count, random = len(ranges), np.random.default_rng(1)
+    distances = torch.tensor(ranges).float()
+    background = to_display(BLUE.background_light(torch.tensor([[0.0, 0.0, 1.0]])))
+    fog = without_water(background.expand(count, 3), distances, BLUE).numpy()
+    colors = np.concatenate([fog, random.random((2 * count, 3))])
+    everywhere = np.concatenate([ranges, random.uniform(1, 4, 2 * count)])
+    cloud = row_of_gaussians(colors, everywhere)
+    cloud.shN *= 0
+    return cloud, restoration_limit(cloud, [CAMERA, CAMERA.resized(80)], BLUE, NOISE)[0]
+
+
+def test_gaussians_that_look_like_open_water_are_hidden_without_water():
+    cloud, limit = fog_and_surfaces([4.0, 5.0, 6.0])
+    assert limit.open_water.tolist() == [True] * 3 + [False] * 6
+    shown = limit.apply(cloud)
+    assert shown.opacities[:3].max() < 1e-6 and torch.equal(shown.opacities[3:], cloud.opacities[3:])
+    assert torch.equal(limit.apply(cloud, 1).opacities, cloud.opacities)
+    before, after = (render(of, CAMERA, 1, BLUE).color for of in (cloud, shown))
+    assert (before - after).abs().max() < 0.02, "through the water nothing changes"
+
+
+def test_far_surfaces_that_no_light_reaches_the_camera_from_are_not_taken_for_open_water():
+    assert not fog_and_surfaces([40.0, 60.0, 80.0])[1].open_water.any()
+
+
+def test_without_backscatter_a_black_surface_is_not_open_water():
+    medium = Medium(BLUE.attenuation, None, None, BLUE.unit_range)
+    colors = np.random.default_rng(1).random((9, 3))
+    colors[:3] = 0
+    cloud = row_of_gaussians(colors, np.linspace(1, 4, 9))
+    assert not restoration_limit(cloud, [CAMERA], medium, NOISE)[0].open_water.any()
