@@ -139,12 +139,13 @@ def trained_errors(
     if not RunFolder(out).finished():
         train(scene_folder, out, SETTINGS, resume=out.exists())
     run = load_run(out)
-    model, solid = SceneModel(run.trained, run.effects), np.isfinite(ranges)
+    model, solid, scene = SceneModel(run.trained, run.effects), np.isfinite(ranges), load_scene(scene_folder)
     images = [
         render_image(run.cloud, photo.camera, SETTINGS.sh_degree, effects=run.effects, amount=0) for photo in photos
     ]
     restored = [
-        restored_photo(model, run.limit, photo, estimate_noise([photo]), SETTINGS.sh_degree) for photo in photos
+        restored_photo(model, run.limit, photo, estimate_noise([photo], scene.views), SETTINGS.sh_degree)
+        for photo in photos
     ]
     lights = {"trained": srgb_to_linear(np.stack([image.numpy() for image in images])), "photo": np.stack(restored)}
     return {name: color_error(clean[solid], light[solid]) for name, light in lights.items()}

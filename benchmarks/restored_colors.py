@@ -37,7 +37,7 @@ from swag_engine.rendering.model import SceneModel
 from swag_engine.rendering.render import render
 from swag_engine.rendering.restored_photo import restored_photo
 from swag_engine.scene.cameras import Camera
-from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.colmap import Scene, load_scene
 from swag_engine.scene.images import TrainingImage, load_images
 from swag_engine.scene.split import split_views
 from swag_engine.training.trainer import train
@@ -144,10 +144,10 @@ def true_range(scene_folder: Path, camera: Camera) -> np.ndarray:
 
 
 def images_of(
-    run: LoadedRun, scene_folder: Path, image: TrainingImage, truth: np.ndarray, valid: np.ndarray
+    run: LoadedRun, scene: Scene, image: TrainingImage, truth: np.ndarray, valid: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Return the image (H, W, 3) that each method makes of a test view, without development."""
-    water = json.loads((scene_folder / "truth.json").read_text("utf-8"))["water"]
+    water = json.loads((scene.folder / "truth.json").read_text("utf-8"))["water"]
     photo = image.pixels.astype(np.float32) / 255
     made = {
         "photo": photo,
@@ -156,13 +156,17 @@ def images_of(
         "grey world + CLAHE": clahe(grey_world(photo)),
         "Sea-thru": sea_thru(photo, rendered_range(run, image.camera)),
         "best gain": best_gain(photo, truth, valid),
-        "true water": true_water(photo, true_range(scene_folder, image.camera), water),
+        "true water": true_water(photo, true_range(scene.folder, image.camera), water),
         "render, not developed": render_image(
             run.cloud, image.camera, SETTINGS.sh_degree, effects=run.effects, amount=0
         ).numpy(),
         "restored photo, not developed": linear_to_srgb(
             restored_photo(
-                SceneModel(run.trained, run.effects), run.limit, image, estimate_noise([image]), SETTINGS.sh_degree
+                SceneModel(run.trained, run.effects),
+                run.limit,
+                image,
+                estimate_noise([image], scene.views),
+                SETTINGS.sh_degree,
             )
         ).clip(0, 1),
     }
@@ -197,7 +201,7 @@ def compare(scene_folder: Path, out: Path) -> tuple[dict[str, Any], dict[str, np
         fractions.append(seen.mean())
         compared = valid.copy()
         compared[valid] = seen
-        pictures = images_of(run, scene_folder, image, truth, compared)
+        pictures = images_of(run, scene, image, truth, compared)
         for name in ("render", OURS):
             pictures[name] = development.apply(pictures[f"{name}, not developed"])
         for name in METHODS:

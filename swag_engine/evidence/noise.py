@@ -1,13 +1,17 @@
-"""Estimate the noise of images: its variance in linear light, which rises with the light."""
+"""Estimate the noise of images: that of the camera, whose variance rises with the light, and that of compression."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
+import torch
 from scipy.optimize import nnls
+from torch import Tensor
 
 from ..base.transfer import linear_of_bytes
+from ..scene.colmap import View
+from ..scene.compression import compression_variance
 from ..scene.images import TrainingImage
 
 KERNEL = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
@@ -28,35 +32,72 @@ MOST_IMAGES = 12
 """Images that are examined, evenly spaced: all are of one camera."""
 DARK, BRIGHT = 2, 253
 """8-bit values between which no noise is clipped."""
-LEAST_OFFSET = (1 / 12.92 / 255) ** 2
-"""Variance of one 8-bit step at black: images in 8 bits tell nothing finer, and JPEG hides noise below it."""
-LEAST_SLOPE = (2.4 / 1.055 / 255) ** 2
-"""Variance of one 8-bit step per linear light, nearly a constant."""
+LEAST_OFFSET = (1 / 12.92 / 255) ** 2 / 12
+"""Variance of rounding to 8 bits at black: images in 8 bits tell nothing finer."""
+LEAST_SLOPE = (2.4 / 1.055 / 255) ** 2 / 12
+"""Variance of rounding to 8 bits per linear light, nearly a constant."""
+YCC_TO_RGB = np.array([[1, 0, 1.402], [1, -0.344136, -0.714136], [1, 1.772, 0]])
+"""Display values of red, green and blue from brightness Y and the colors Cb and Cr of JPEG files (ITU-T T.871)."""
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Variance of a pixel in linear light, offset + slope * light.
+    """Noise of a pixel.
 
     Attributes:
-        offset: (3,) variance at black.
-        slope: (3,) increase of the variance with light.
+        offset: (3,) variance of linear light at black, without compression.
+        slope: (3,) increase of that variance with light.
+        compression: (3,) variance of Y, Cb and Cr by compression, display values, in details.
     """
 
     offset: np.ndarray
     slope: np.ndarray
+    compression: np.ndarray
+
+    def variance(self, light: Tensor) -> Tensor:
+        """Return the variance (..., 3) of linear light (..., 3) of red, green and blue."""
+        offset, slope, compression = self._tensors(light)
+        return offset + slope * light + compression.diagonal() * _light_by_display(light).square()
+
+    def covariance(self, light: Tensor) -> Tensor:
+        """Return the covariance (..., 3, 3) of linear light (..., 3) of red, green and blue."""
+        offset, slope, compression = self._tensors(light)
+        change = _light_by_display(light)
+        return torch.diag_embed(offset + slope * light) + change[..., :, None] * compression * change[..., None, :]
+
+    def _tensors(self, like: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Offset, slope and the covariance (3, 3) of display values by compression, as tensors."""
+        covariance = YCC_TO_RGB * self.compression @ YCC_TO_RGB.T
+        offset, slope, compression = (torch.from_numpy(part).to(like) for part in (self.offset, self.slope, covariance))
+        return offset, slope, compression
+
+    def to_json(self) -> dict[str, list[float]]:
+        """Return a plain dict that `from_json` reads."""
+        return {entry.name: getattr(self, entry.name).tolist() for entry in fields(self)}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, list[float]]) -> "Noise":
+        """Read what `to_json` returned."""
+        return cls(*(np.array(document[entry.name]) for entry in fields(cls)))
 
 
-def estimate_noise(images: Sequence[TrainingImage]) -> Noise:
-    """Estimate the noise in the flat parts of images, at the size they have.
+def _light_by_display(light: Tensor) -> Tensor:
+    """The derivative of linear light by display values (sRGB)."""
+    return (2.4 / 1.055 * light.clamp(min=0) ** (1.4 / 2.4)).clamp(min=1 / 12.92)
+
+
+def estimate_noise(images: Sequence[TrainingImage], views: Iterable[View]) -> Noise:
+    """Estimate the noise in the flat parts of images, and that of compression in details, at the size they have.
 
     Args:
         images: Images of one camera.
+        views: Views of their scene, which have the files of the photos.
 
     Returns:
-        The noise, nowhere below one 8-bit step.
+        The noise, nowhere below that of rounding to 8 bits.
     """
-    samples = [_flat_pixels(image) for image in images[:: max(1, -(-len(images) // MOST_IMAGES))]]
+    examined = images[:: max(1, -(-len(images) // MOST_IMAGES))]
+    samples = [_flat_pixels(image) for image in examined]
     offsets, slopes = [LEAST_OFFSET] * 3, [LEAST_SLOPE] * 3
     for channel, parts in enumerate(zip(*samples, strict=True)):
         light, deviation = np.concatenate(parts, axis=1)
@@ -69,7 +110,9 @@ def estimate_noise(images: Sequence[TrainingImage]) -> Noise:
             weight = 1 / (variance + LEAST_OFFSET + LEAST_SLOPE * at)
             (offset, slope), _ = nnls(np.stack([weight, weight * at], 1), weight * variance)
             offsets[channel], slopes[channel] = max(offset, LEAST_OFFSET), max(slope, LEAST_SLOPE)
-    return Noise(np.array(offsets), np.array(slopes))
+    widths = {image.camera.name: image.camera.width for image in examined}
+    compression = [compression_variance(view.path, widths[view.name]) for view in views if view.name in widths]
+    return Noise(np.array(offsets), np.array(slopes), np.mean(compression or [np.zeros(3)], axis=0))
 
 
 def _flat_pixels(image: TrainingImage) -> list[np.ndarray]:

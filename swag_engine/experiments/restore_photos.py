@@ -65,6 +65,6 @@ def restore_photos(
     for number, view in enumerate(views):
         progress("Restore photos", number / len(views))
         image = load_image(scene, view, width)
-        light = restored_photo(model, run.limit, image, estimate_noise([image]), settings.sh_degree)
+        light = restored_photo(model, run.limit, image, estimate_noise([image], [view]), settings.sh_degree)
         files.append(write_picture(out, view.name, linear_to_srgb(light), colors.at(0), exr))
     return files

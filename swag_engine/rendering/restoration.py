@@ -252,7 +252,6 @@ def restoration_limit(
     color = (0.5 + C0 * cloud.sh0[:, 0]).clamp(0, BRIGHTEST_COLOR)
     J = to_light(color)
     black, white = torch.zeros_like(color), torch.ones_like(color)
-    offset, slope = (torch.from_numpy(values).to(color) for values in (noise.offset, noise.slope))
     sums = LightSums(*(torch.zeros_like(color) for _ in fields(LightSums)))
     for camera in cameras:
         small = camera.resized(min(camera.width, WIDTH))
@@ -265,7 +264,7 @@ def restoration_limit(
         transmission = (whole - backscatter).clamp(min=0)
         light = transmission * J + backscatter
         background = medium.background_light(offsets / offsets.norm(dim=1, keepdim=True).clamp(min=LEAST))
-        sums.add(weight, light, transmission, backscatter, offset + slope * light, background)
+        sums.add(weight, light, transmission, backscatter, noise.variance(light), background)
     known, everything = colors, torch.ones_like(sums.weight[:, 0], dtype=torch.bool)
     colors = known or colors_of(J, sums, everything)
     water = open_water_gaussians(J, sums, colors) if medium.background_sh is not None else ~everything
@@ -354,9 +353,10 @@ def scene_colors(J: Tensor, error: Tensor, weight: Tensor, signal: Tensor) -> Sc
     certain = certain / certain.sum(0)
     mean = (certain * values).sum(0)
     covariance = torch.diag((certain * (values - mean).square()).sum(0) + LEAST)
+    errors = torch.diag_embed(variances)
     for _ in range(PRIOR_STEPS):
-        likely = mean + estimated(values - mean, variances, covariance)
-        inverse = torch.linalg.inv(covariance + torch.diag_embed(variances))
+        likely = mean + estimated(values - mean, errors, covariance)
+        inverse = torch.linalg.inv(covariance + errors)
         uncertainty = covariance - covariance @ inverse @ covariance
         mean = (weights * likely).sum(0)
         apart = likely - mean
@@ -381,7 +381,7 @@ def likely_light(J: Tensor, error: Tensor, colors: SceneColors) -> Tensor:
         (N, 3) linear light, at least 0.
     """
     mean, covariance = colors.mean.to(J.device), colors.covariance.to(J.device)
-    above = estimated(J.double() - mean, error.double().clamp(min=LEAST), covariance)
+    above = estimated(J.double() - mean, torch.diag_embed(error.double().clamp(min=LEAST)), covariance)
     return (mean + above).clamp(min=0).to(J.dtype)
 
 
@@ -390,13 +390,13 @@ def estimated(values: Tensor, error: Tensor, covariance: Tensor) -> Tensor:
 
     Args:
         values: (N, 3) uncertain values.
-        error: (N, 3) variance of their error, above 0.
+        error: (N, 3, 3) covariance of their error, positive definite.
         covariance: (3, 3) of what is estimated, or (N, 3, 3).
 
     Returns:
         The estimate (N, 3).
     """
-    return (covariance @ torch.linalg.solve(covariance + torch.diag_embed(error), values)[..., None])[..., 0]
+    return (covariance @ torch.linalg.solve(covariance + error, values)[..., None])[..., 0]
 
 
 def describe_restored(restored: Tensor) -> str:

@@ -13,22 +13,23 @@ import numpy as np
 import torch
 
 from ..base.transfer import linear_to_srgb, srgb_to_linear
-from ..evidence.noise import Noise
+from ..evidence.noise import MAD_TO_SD, Noise
 from ..gaussians.contributions import contribution_sums
 from ..scene.cameras import Camera
 from ..scene.images import TrainingImage
-from ..water.medium import Medium
 from .model import SceneModel
 from .photo_terms import uniform_image
-from .render import Picture, background_color, render
-from .restoration import WIDTH, RestorationLimit, estimated, render_confidence
+from .render import Picture, render
+from .restoration import WIDTH, RestorationLimit, estimated
 
-NOISE_FACTOR = 4.0
-"""Factor of the estimated variance of noise, which is that of flat parts: compression adds more to details."""
 WINDOW = 160
 """Width of the image over the standard deviation of the window that the variance of details is measured in."""
-LIKE_WATER, UNLIKE_WATER = 0.01, 0.04
-"""Differences from open water, display values: up to the first one a pixel shows no surface, from the second on one."""
+MOSTLY_WATER = 3.0
+"""Light that the water adds over that of surfaces from which a pixel tells how wrong the water is."""
+FEWEST_PIXELS = 100
+"""Such pixels from which the error of the water is measured."""
+WATER_DEVIATIONS = 2.0
+"""Standard deviations that the water is taken to be wrong by: in places it is more so than at the median."""
 FITTED_STRIDE = 3
 """Colors are fitted to one photo of so many: fitting to all changes delta E by less than .1 (docs/method.md)."""
 FEWEST_FITTED = 6
@@ -59,17 +60,15 @@ def restored_photo(
         sh_degree: Degree of the Gaussians' colors.
 
     Returns:
-        Linear light (H, W, 3) of the surfaces, at least 0. Pixels that are not valid, what looks like open water and
-        surfaces whose color is not certain are as rendered.
+        Linear light (H, W, 3) of the surfaces, at least 0. Pixels that are not valid, and places where hardly any light
+        of a surface arrives, are as rendered.
     """
     limited = limit.apply(model.cloud) if limit else model.cloud
     seen = render(limited, image.camera, sh_degree, model.effects.medium, amount=0)
-    return _corrected(seen, model, limit, image, noise)
+    return _corrected(seen, model, image, noise, sh_degree)
 
 
-def _corrected(
-    seen: Picture, model: SceneModel, limit: RestorationLimit | None, image: TrainingImage, noise: Noise
-) -> np.ndarray:
+def _corrected(seen: Picture, model: SceneModel, image: TrainingImage, noise: Noise, sh_degree: int) -> np.ndarray:
     """Return the light (H, W, 3) of a render without water, with what the photo shows beyond it."""
     cloud, effects, camera = model.cloud, model.effects, image.camera
 
@@ -84,11 +83,13 @@ def _corrected(
     black, white = (light_of(uniform_image(cloud, effects, camera, value)) for value in (0.0, 1.0))
     gain = np.maximum(white - black, LEAST_GAIN)
     light, window = light_of(image.pixels / np.float32(255)), window_of(camera)
-    variance = (NOISE_FACTOR * (noise.offset + noise.slope * light)).astype(np.float32)
-    detail = likely_detail(light - black - gain * without, gain, variance, np.cov(without[surface].T), window)
-    if limit:
-        covered = covered * render_confidence(cloud, limit.least_confidence, camera).nan_to_num().cpu().numpy()
-    covered = covered * unlike_open_water(model, image)
+    through = render(cloud, camera, sh_degree, effects.medium, lamp=effects.lamp).color
+    fitted = light_of(effects.apply_to_image(through, camera.name).cpu().numpy())
+    brightness = np.sqrt(np.square(without[surface]).mean(axis=0))
+    deviation = water_deviation(light - fitted, black, gain * brightness, image.valid, window)
+    water_error = WATER_DEVIATIONS * deviation * black
+    difference, covariance = light - black - gain * without, np.cov(without[surface].T)
+    detail = likely_detail(difference, gain, light, noise, water_error, covariance, window)
     return (without + covered[..., None] * detail).clip(min=0)
 
 
@@ -115,21 +116,28 @@ def blurred(values: np.ndarray, deviation: float) -> np.ndarray:
     return cv2.resize(cv2.GaussianBlur(small, (0, 0), deviation / factor), (width, height))
 
 
-def unlike_open_water(model: SceneModel, image: TrainingImage) -> np.ndarray:
-    """Return how sure it is that each pixel of a photo shows more than open water, (H, W) in 0..1; 1 without any.
-
-    What else a photo shows there is compression, which would be taken for colors of far surfaces.
+def water_deviation(
+    difference: np.ndarray, added: np.ndarray, surface: np.ndarray, valid: np.ndarray, window: float
+) -> np.ndarray:
+    """Measure how much the water of a photo differs from the one that was fitted to all, where it shows hardly more.
 
     Args:
-        model: The Gaussians and the effects.
-        image: The photo.
+        difference: (H, W, 3) photo - render through the water, linear light.
+        added: (H, W, 3) light that the water adds.
+        surface: (H, W, 3) usual light of surfaces that reaches the camera.
+        valid: (H, W) valid pixels.
+        window: Standard deviation of the window that noise is averaged in, pixels.
+
+    Returns:
+        (3,) standard deviation relative to the light that is added, from the median; 0 without enough such pixels.
     """
-    medium, camera = model.effects.medium, image.camera
-    if not isinstance(medium, Medium) or medium.background_sh is None:
-        return np.ones(image.valid.shape)
-    water = model.effects.apply_to_image(background_color(model.cloud, camera, medium), camera.name).cpu().numpy()
-    difference = blurred(image.pixels / np.float32(255) - water, window_of(camera))
-    return ((np.abs(difference).max(-1) - LIKE_WATER) / (UNLIKE_WATER - LIKE_WATER)).clip(0, 1)
+    apart, far = np.abs(blurred(difference, window)), (added > MOSTLY_WATER * surface) & valid[..., None]
+    deviations = np.zeros(3)
+    for channel in range(3):
+        chosen = far[..., channel]
+        if chosen.sum() >= FEWEST_PIXELS:
+            deviations[channel] = MAD_TO_SD * np.median(apart[chosen, channel] / added[chosen, channel])
+    return deviations
 
 
 def photos_to_fit(photos: Sequence[TrainingImage]) -> Sequence[TrainingImage]:
@@ -164,7 +172,7 @@ def fit_to_photos(
     for full in images:
         image = full.resized(min(full.camera.width, WIDTH))
         seen = render(limited, image.camera, sh_degree, model.effects.medium, amount=0)
-        restored = torch.from_numpy(linear_to_srgb(_corrected(seen, model, limit, image, noise))).to(seen.color)
+        restored = torch.from_numpy(linear_to_srgb(_corrected(seen, model, image, noise, sh_degree))).to(seen.color)
         valid = torch.from_numpy(image.valid).to(seen.color)[..., None]
         difference = (restored - seen.color.clamp(min=0)) * valid
         sums += contribution_sums(cloud, image.camera, torch.cat([difference, valid], -1))
@@ -172,7 +180,13 @@ def fit_to_photos(
 
 
 def likely_detail(
-    difference: np.ndarray, gain: np.ndarray, noise: np.ndarray, covariance: np.ndarray, window: float
+    difference: np.ndarray,
+    gain: np.ndarray,
+    light: np.ndarray,
+    noise: Noise,
+    water_error: np.ndarray,
+    covariance: np.ndarray,
+    window: float,
 ) -> np.ndarray:
     """Estimate the light of surfaces beyond a render, from what a photo shows beyond it.
 
@@ -182,7 +196,9 @@ def likely_detail(
     Args:
         difference: (H, W, 3) photo - render, linear light.
         gain: (H, W, 3) fraction of a surface's light in that of the photo.
-        noise: (H, W, 3) variance of the photo's noise.
+        light: (H, W, 3) of the photo.
+        noise: Its noise.
+        water_error: (H, W, 3) standard deviation of the light that the water adds.
         covariance: (3, 3) of the scene's linear light.
         window: Standard deviation of the window that the factor is measured in, pixels.
 
@@ -190,19 +206,28 @@ def likely_detail(
         (H, W, 3) linear light.
     """
     expected = np.square(gain) @ np.diag(covariance) + LEAST_VARIANCE
-    excess = blurred(np.einsum("hwc,hwc->hw", difference, difference) - np.einsum("hwc->hw", noise), window)
-    factor = np.clip(excess / expected, 0, 1)
-    strips = [slice(row, row + ROWS) for row in range(0, len(difference), ROWS)]
-    parts = [_estimate(difference[rows], gain[rows], noise[rows], covariance, factor[rows]) for rows in strips]
+    variance = noise.variance(torch.from_numpy(light)).numpy() + np.square(water_error)
+    factor = np.clip(blurred((np.square(difference) - variance).sum(axis=-1), window) / expected, 0, 1)
+    parts = [
+        _estimate(difference[rows], gain[rows], light[rows], water_error[rows], factor[rows], noise, covariance)
+        for rows in (slice(row, row + ROWS) for row in range(0, len(difference), ROWS))
+    ]
     return np.concatenate(parts)
 
 
 def _estimate(
-    difference: np.ndarray, gain: np.ndarray, noise: np.ndarray, covariance: np.ndarray, factor: np.ndarray
+    difference: np.ndarray,
+    gain: np.ndarray,
+    light: np.ndarray,
+    water_error: np.ndarray,
+    factor: np.ndarray,
+    noise: Noise,
+    covariance: np.ndarray,
 ) -> np.ndarray:
     """Return the estimate of strips of images, with the covariance times the factor (H, W)."""
-    values, error, prior = (
+    beyond, passed, seen, water, prior = (
         torch.from_numpy(array.astype(np.float64))
-        for array in (difference / gain, (noise + LEAST_VARIANCE) / gain**2, factor[..., None, None] * covariance)
+        for array in (difference, gain, light, water_error, factor[..., None, None] * covariance)
     )
-    return estimated(values, error, prior).numpy().astype(np.float32)
+    error = (noise.covariance(seen) + torch.diag_embed(water.square())) / (passed[..., :, None] * passed[..., None, :])
+    return estimated(beyond / passed, error + LEAST_VARIANCE * torch.eye(3), prior).numpy().astype(np.float32)

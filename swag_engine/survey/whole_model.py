@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
 import torch
 
 from ..base.errors import InputError
@@ -57,13 +56,10 @@ def keep_whole(folder: SurveyFolder) -> None:
     training = set(survey.coarse_training)
     if isinstance(medium, Medium) and medium.light == "linear":
         images = load_images(part, [view for view in part.views if view.name in training], survey.coarse_settings.width)
-        noise = estimate_noise(images)
+        noise = estimate_noise(images, part.views)
         cameras = [image.camera for image in images]
         _, _, colors = restoration_limit(model.cloud, cameras, medium, noise, model.effects.lamp)
-        document |= {
-            "colors": colors.to_json(),
-            "noise": {"offset": noise.offset.tolist(), "slope": noise.slope.tolist()},
-        }
+        document |= {"colors": colors.to_json(), "noise": noise.to_json()}
     exposure = model.effects.models.get("exposure")
     if isinstance(exposure, Exposure):
         views = read_part(folder.all_views, survey.scene)
@@ -111,7 +107,7 @@ def load_whole(folder: SurveyFolder) -> Whole:
             model.cloud,
             {str(name): bool(on) for name, on in document["choices"].items()},
             colors and SceneColors.from_json(colors),
-            noise and Noise(np.array(noise["offset"]), np.array(noise["slope"])),
+            noise and Noise.from_json(noise),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(

@@ -42,7 +42,7 @@ from ..rendering.restoration import (
 )
 from ..rendering.restored_photo import fit_to_photos, photos_to_fit
 from ..scene.colmap import Points, Scene, load_scene
-from ..scene.color_size import small_jpeg_note
+from ..scene.compression import small_jpeg_note
 from ..scene.images import TrainingImage
 from ..semantics.embed import DIMENSIONS
 from ..settings.jerlov import water_of_type
@@ -569,7 +569,7 @@ class Trainer:
         state, inputs = self.state, self.inputs
         medium = state.effects.medium
         assert isinstance(medium, Medium)
-        noise = (self.whole and self.whole.noise) or estimate_noise(inputs.training)
+        noise = (self.whole and self.whole.noise) or estimate_noise(inputs.training, inputs.scene.views)
         colors = self.whole.colors if self.whole else None
         cameras = [image.camera for image in inputs.training]
         limit, restored, _ = restoration_limit(

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from swag_engine.base.transfer import linear_to_srgb
+from swag_engine.base.transfer import linear_to_srgb, srgb_to_linear
 from swag_engine.effects.lamp import Lamp
 from swag_engine.evidence.noise import LEAST_OFFSET, LEAST_SLOPE, Noise, estimate_noise
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.densify import PER_GAUSSIAN
 from swag_engine.kernels.reference.harmonics import C0
-from swag_engine.kernels.reference.transfer import to_display
+from swag_engine.kernels.reference.transfer import to_display, to_light
 from swag_engine.rendering.render import render
 from swag_engine.rendering.restoration import (
     ATTENUATION_ERROR,
@@ -32,7 +32,7 @@ from swag_engine.scene.images import TrainingImage
 from swag_engine.water.medium import Medium, without_water
 
 CAMERA = Camera("a.jpg", 96, 32, 48.0, 48.0, 48.0, 16.0, np.eye(4))
-NOISE = Noise(np.full(3, LEAST_OFFSET), np.full(3, LEAST_SLOPE))
+NOISE = Noise(np.full(3, LEAST_OFFSET), np.full(3, LEAST_SLOPE), np.zeros(3))
 RANGES = np.array([1.0, 3.0, 10.0, 20.0, 40.0, 80.0])
 BLUE = Medium.starting(
     5.0, "linear", *(torch.tensor(v) for v in ([0.3, 0.09, 0.06], [0.3, 0.1, 0.08], [0.02, 0.2, 0.3]))
@@ -56,28 +56,48 @@ def noisy_image(offset, slope, seed):
 
 @pytest.mark.parametrize(("offset", "slope"), [(1e-5, 2e-4), (0, 1e-3), (1e-4, 2e-4)])
 def test_noise_is_estimated_beside_edges_and_texture(offset, slope):
-    noise = estimate_noise([noisy_image(offset, slope, seed) for seed in range(3)])
+    noise = estimate_noise([noisy_image(offset, slope, seed) for seed in range(3)], [])
     for light in (0.1, 0.2, 0.5):
         found, true = np.sqrt(noise.offset + noise.slope * light), np.sqrt(offset + slope * light)
         np.testing.assert_allclose(found, true, rtol=0.2)
 
 
-def test_images_in_8_bits_have_the_noise_of_a_step():
+def test_images_in_8_bits_have_the_noise_of_rounding():
     for images in (
         [noisy_image(0, 0, 0)],
         [],
         [TrainingImage(CAMERA, np.zeros((9, 9, 3), np.uint8), np.ones((9, 9), bool))],
     ):
-        noise = estimate_noise(images)
-        np.testing.assert_allclose(noise.offset, LEAST_OFFSET, rtol=0.1)
-        np.testing.assert_allclose(noise.slope, LEAST_SLOPE, rtol=0.1)
+        noise = estimate_noise(images, [])
+        for light in (0.1, 0.3, 0.6):
+            at = linear_to_srgb(light)
+            rounding = (srgb_to_linear(at + 0.5 / 255) - srgb_to_linear(at - 0.5 / 255)) ** 2 / 12
+            assert (noise.offset + noise.slope * light > 0.8 * rounding).all(), light
+            assert (noise.offset + noise.slope * light < 1.5 * rounding).all(), light
 
 
 def test_pixels_that_are_not_valid_do_not_count():
     image = noisy_image(0, 0, 0)
     image.pixels[:, :150] = np.random.default_rng(0).integers(60, 190, (180, 150, 3))
     image.valid[:, :150] = False
-    assert estimate_noise([image]).slope.max() < 2 * LEAST_SLOPE
+    assert estimate_noise([image], []).slope.max() < 2 * LEAST_SLOPE
+
+
+def test_the_noise_of_compression_is_that_of_brightness_and_color():
+    compression = np.array([1e-5, 4e-5, 9e-5])
+    noise = Noise(np.full(3, LEAST_OFFSET), np.full(3, LEAST_SLOPE), compression)
+    display = torch.tensor([0.02, 0.3, 0.6], dtype=torch.float64)
+    light = to_light(display)
+    with torch.enable_grad():
+        change = torch.autograd.functional.jacobian(to_light, display).diagonal()
+    # Y, Cb and Cr of display values, by the definition of ITU-R BT.601.
+    red, green, blue = 0.299, 0.587, 0.114
+    ycc = np.array([[red, green, blue], [-red / 1.772, -green / 1.772, 0.5], [0.5, -green / 1.402, -blue / 1.402]])
+    rounded = np.diag(LEAST_OFFSET + LEAST_SLOPE * light.numpy())
+    lost = np.linalg.inv(ycc) @ np.diag(compression) @ np.linalg.inv(ycc).T * np.outer(change, change)
+    np.testing.assert_allclose(noise.covariance(light).numpy(), rounded + lost, rtol=1e-3)
+    np.testing.assert_allclose(noise.variance(light), noise.covariance(light).diagonal())
+    assert Noise.from_json(noise.to_json()).compression.tolist() == compression.tolist()
 
 
 # Confidence -----------------------------------------------------------------------------------------------------------
@@ -181,7 +201,8 @@ def test_through_all_of_the_water_colors_are_as_trained():
 def test_more_noise_and_a_lamp_that_does_not_reach_lower_the_confidence():
     cloud = row_of_gaussians()
     plain = restoration_limit(cloud, [CAMERA], BLUE, NOISE)[0].confidence
-    noisy = restoration_limit(cloud, [CAMERA], BLUE, Noise(100 * NOISE.offset, 100 * NOISE.slope))[0].confidence
+    more = Noise(100 * NOISE.offset, 100 * NOISE.slope, np.zeros(3))
+    noisy = restoration_limit(cloud, [CAMERA], BLUE, more)[0].confidence
     lamp = restoration_limit(cloud, [CAMERA], BLUE, NOISE, Lamp.starting(5.0, 0.1))[0].confidence
     assert (noisy[:-1] < plain[:-1]).all() and (lamp[3:-1] < plain[3:-1]).all()
 

@@ -9,13 +9,21 @@ import torch
 
 from swag_engine.base.transfer import linear_to_srgb, srgb_to_linear
 from swag_engine.effects.scene_effects import SceneEffects
-from swag_engine.evidence.noise import LEAST_OFFSET, LEAST_SLOPE, Noise
+from swag_engine.evidence.noise import LEAST_OFFSET, LEAST_SLOPE, MAD_TO_SD, YCC_TO_RGB, Noise
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.reference.harmonics import C0
 from swag_engine.rendering.model import SceneModel
-from swag_engine.rendering.render import background_color, render
+from swag_engine.rendering.photo_terms import uniform_image
+from swag_engine.rendering.render import render
 from swag_engine.rendering.restoration import RestorationLimit
-from swag_engine.rendering.restored_photo import blurred, fit_to_photos, likely_detail, photos_to_fit, restored_photo
+from swag_engine.rendering.restored_photo import (
+    blurred,
+    fit_to_photos,
+    likely_detail,
+    photos_to_fit,
+    restored_photo,
+    water_deviation,
+)
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
 from swag_engine.water.medium import Medium
@@ -23,13 +31,13 @@ from swag_engine.water.medium import Medium
 COVARIANCE = 0.02 * np.array([[1.0, 0.8, 0.6], [0.8, 1.0, 0.8], [0.6, 0.8, 1.0]])
 
 
-def seen(gain: tuple[float, float, float], noise: float, seed: int = 0) -> tuple[np.ndarray, ...]:
-    """Details of a surface (64, 80, 3), the difference that a photo shows, gain and noise."""
-    random = np.random.default_rng(seed)
+def seen(gain: tuple[float, float, float], noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Details of a surface (64, 80, 3), the difference that a photo with noise shows, and gain."""
+    random = np.random.default_rng(0)
     detail = random.multivariate_normal(np.zeros(3), COVARIANCE, (64, 80))
-    gains, variance = np.broadcast_to(np.array(gain), detail.shape), np.full(detail.shape, noise**2)
+    gains = np.broadcast_to(np.array(gain), detail.shape)
     difference = gains * detail + noise * random.standard_normal(detail.shape)
-    return detail, difference, gains, variance
+    return detail, difference, gains
 
 
 def error(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
@@ -37,40 +45,57 @@ def error(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.sqrt(((estimate - truth) ** 2).mean((0, 1)))
 
 
+def found(
+    difference: np.ndarray, gain: np.ndarray, deviation: float, compression: tuple[float, ...] = (0, 0, 0), window=4.0
+) -> np.ndarray:
+    """The details that are found with noise of a standard deviation of linear light, in a photo of middle grey."""
+    noise = Noise(np.full(3, deviation**2), np.zeros(3), np.array(compression))
+    light, water_error = np.full(difference.shape, 0.2), np.zeros(difference.shape)
+    return likely_detail(difference, gain, light, noise, water_error, COVARIANCE, window)
+
+
 def test_near_details_are_those_of_the_photo():
-    detail, difference, gain, noise = seen((0.9, 0.9, 0.9), 1e-4)
-    assert error(likely_detail(difference, gain, noise, COVARIANCE, 4.0), detail).max() < 1e-3
+    detail, difference, gain = seen((0.9, 0.9, 0.9), 1e-4)
+    assert error(found(difference, gain, 1e-4), detail).max() < 1e-3
 
 
 def test_details_are_nearer_to_the_truth_than_the_render_and_than_the_photo_without_water():
-    detail, difference, gain, noise = seen((0.05, 0.4, 0.5), 0.02)
-    found = error(likely_detail(difference, gain, noise, COVARIANCE, 4.0), detail)
+    detail, difference, gain = seen((0.05, 0.4, 0.5), 0.02)
+    estimate = error(found(difference, gain, 0.02), detail)
     rendered, inverted = error(np.zeros_like(detail), detail), error(difference / gain, detail)
-    assert (found < 0.65 * rendered).all() and (found < inverted).all()
+    assert (estimate < 0.65 * rendered).all() and (estimate < inverted).all()
 
 
 def test_red_that_no_light_reaches_follows_green_and_blue_as_in_the_scene():
-    detail, difference, gain, noise = seen((1e-4, 0.5, 0.5), 0.005)
-    found = likely_detail(difference, gain, noise, COVARIANCE, 4.0)
-    assert np.corrcoef(found[..., 0].ravel(), detail[..., 0].ravel())[0, 1] > 0.75
+    detail, difference, gain = seen((1e-4, 0.5, 0.5), 0.005)
+    estimate = found(difference, gain, 0.005)
+    assert np.corrcoef(estimate[..., 0].ravel(), detail[..., 0].ravel())[0, 1] > 0.75
 
 
 def test_what_is_not_more_than_noise_is_left_out():
-    _, difference, gain, noise = seen((0.5, 0.5, 0.5), 0.05)
-    only_noise = difference - gain * seen((0.5, 0.5, 0.5), 0.05)[0]
-    found = likely_detail(only_noise, gain, noise, COVARIANCE, 8.0)
-    assert np.abs(found).mean() < 0.02 * np.abs(only_noise / gain).mean()
+    detail, difference, gain = seen((0.5, 0.5, 0.5), 0.05)
+    only_noise = difference - gain * detail
+    assert np.abs(found(only_noise, gain, 0.05, window=8.0)).mean() < 0.02 * np.abs(only_noise / gain).mean()
+
+
+def test_of_compressed_photos_brightness_is_kept_and_color_follows_the_scene():
+    detail, difference, gain = seen((0.8, 0.8, 0.8), 1e-3)
+    change = 0.53  # of linear light at .2 by display values
+    lost = np.random.default_rng(1).normal(size=(64, 80, 2)) * 0.1
+    difference = difference + gain * change / 0.8 * (lost @ YCC_TO_RGB[:, 1:].T)
+    compression = (0.0, 0.1**2, 0.1**2)
+    told, untold = (error(found(difference, gain, 1e-3, each), detail) for each in (compression, (0, 0, 0)))
+    assert (told < 0.75 * untold).all()
 
 
 def test_blocks_of_compression_in_open_water_do_not_become_colors():
     difference = np.zeros((64, 80, 3))
     difference[:, ::8] = 0.02
-    gain, noise = np.full(difference.shape, 1e-4), np.full(difference.shape, 1e-5)
-    assert np.abs(likely_detail(difference, gain, noise, COVARIANCE, 4.0)).max() < 0.1
+    assert np.abs(found(difference, np.full(difference.shape, 1e-4), 3e-3)).max() < 0.1
 
 
 CAMERA = Camera("a.jpg", 400, 300, 200.0, 200.0, 200.0, 150.0, np.eye(4))
-NOISE = Noise(np.full(3, LEAST_OFFSET), np.full(3, LEAST_SLOPE))
+NOISE = Noise(np.full(3, LEAST_OFFSET), np.full(3, LEAST_SLOPE), np.zeros(3))
 WATER = Medium.starting(
     3.0, "linear", *(torch.tensor(v) for v in ([0.3, 0.09, 0.06], [0.3, 0.1, 0.08], [0.02, 0.2, 0.3]))
 )
@@ -142,17 +167,36 @@ def test_pixels_that_are_not_valid_change_no_color(wall):
     torch.testing.assert_close(fitted.color[x < -1], whole.color[x < -1], atol=0.02, rtol=0)
 
 
-def test_what_looks_like_open_water_stays_as_rendered(wall):
-    model, image, limit = wall
-    water = (255 * open_water_of(model, image)).round().clip(0, 255).astype(np.uint8)
-    pixels = image.pixels.copy()
-    pixels[:, 200:] = (water + np.indices(water.shape[:2]).sum(0)[..., None] // 8 % 2)[:, 200:]  # blocks of one step
-    rendered = srgb_to_linear(render(limit.apply(model.cloud), CAMERA, 0, WATER, amount=0).color.numpy())
-    found = restored_photo(model, limit, replace(image, pixels=pixels), NOISE, 0)
-    np.testing.assert_allclose(found[:, 220:], rendered[:, 220:], atol=1e-5)
-    assert np.abs(found - rendered)[:, :180].mean() > 0.01
+def test_the_error_of_the_water_is_measured_where_a_photo_shows_hardly_more():
+    random = np.random.default_rng(0)
+    added = np.broadcast_to(np.array([0.05, 0.2, 0.3]), (60, 80, 3))
+    surface = np.full(added.shape, 0.001)
+    surface[:, :40] = 1.0  # near: what differs there is the color of surfaces
+    difference = np.array([0.02, 0.05, 0.1]) * added * np.where(random.random((60, 1, 1)) < 0.5, -1, 1)
+    difference[:, :40] = 0.3
+    valid = np.ones((60, 80), bool)
+    found = water_deviation(difference, added, surface, valid, 0.1)
+    np.testing.assert_allclose(found, MAD_TO_SD * np.array([0.02, 0.05, 0.1]), rtol=1e-6)
+    assert not water_deviation(difference, added, np.ones(added.shape), valid, 0.1).any()
+    assert not water_deviation(difference, added, surface, ~valid, 0.1).any()
 
 
-def open_water_of(model: SceneModel, image: TrainingImage) -> np.ndarray:
-    """Open water (H, W, 3) in a photo, display values."""
-    return background_color(model.cloud, image.camera, WATER).numpy()
+def test_far_places_do_not_take_the_color_of_water_that_differs_in_one_photo(wall):
+    model, _, limit = wall
+    away = model.cloud.means.clone()
+    away[:, 2] = torch.where(away[:, 0] > 0, 15.0, 3.0)
+    away[:, :2] *= away[:, 2:] / 3
+    far = replace(model.cloud, means=away, log_scales=model.cloud.log_scales + (away[:, 2:] / 3).log())
+    model, true = SceneModel(far, model.effects), replace(limit, color=0.5 + C0 * far.sh0[:, 0])
+    light = srgb_to_linear(render(far, CAMERA, 0, WATER).color.numpy())
+    rendered = srgb_to_linear(render(far, CAMERA, 0, WATER, amount=0).color.numpy())
+
+    def restored(brighter: float) -> np.ndarray:
+        water = srgb_to_linear(uniform_image(far, model.effects, CAMERA, 0.0))
+        pixels = (255 * linear_to_srgb(light + brighter * water)).round().clip(0, 255).astype(np.uint8)
+        return restored_photo(model, true, TrainingImage(CAMERA, pixels, np.ones(pixels.shape[:2], bool)), NOISE, 0)
+
+    changed = restored(0.1) - rendered
+    assert np.abs(restored(0.0) - rendered)[:, 240:].mean() < 0.01
+    inverted = 0.1 * np.array([0.02, 0.2, 0.3]) / np.exp(-15 * np.array([0.3, 0.09, 0.06]))
+    assert (np.abs(changed[:, 240:]).mean((0, 1)) < 0.25 * inverted).all()

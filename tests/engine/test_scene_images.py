@@ -10,8 +10,9 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from swag_engine.evidence.noise import YCC_TO_RGB
 from swag_engine.scene.colmap import load_scene
-from swag_engine.scene.color_size import small_jpeg_note
+from swag_engine.scene.compression import compression_variance, small_jpeg_note
 from swag_engine.scene.images import _drop_stale, load_images, read_image
 from swag_engine.scene.lenses import Lens
 from tests.scenes.dots import draw_dots, make_dot_scene
@@ -239,3 +240,43 @@ def test_small_jpeg_photos_are_told_where_their_color_is_coarser_than_what_is_tr
         Image.fromarray(read_image(view.path)[0]).save(view.path, **({"format": "JPEG"} | written))
     note = small_jpeg_note(scene, [view.camera.resized(width) for view in scene.views])
     assert (f"trained at {width} pixels" in note) == bool(note) == said
+
+
+def detailed_photo() -> np.ndarray:
+    """A photo (480, 640, 3) uint8 with details of all sizes, less contrast in smaller ones and in colors."""
+    random = np.random.default_rng(0)
+    waves = np.hypot(*np.meshgrid(np.fft.fftfreq(640), np.fft.fftfreq(480)))
+    spectra = np.fft.fft2(random.normal(size=(3, 480, 640))) / (waves + 0.01)
+    brightness, blue, red = np.fft.ifft2(spectra).real
+    display = 128 + np.stack([brightness + red, brightness - red - blue, brightness + blue], -1)
+    return display.round().clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("subsampling", ["4:2:0", "4:4:4"])
+@pytest.mark.parametrize("quality", [85, 90, 95])
+@pytest.mark.parametrize("width", [640, 320, 160])
+def test_what_compression_changes_is_estimated_from_the_file(
+    subsampling: str, quality: int, width: int, tmp_path: Path
+) -> None:
+    photo = detailed_photo()
+    Image.fromarray(photo).save(tmp_path / "a.jpg", quality=quality, subsampling=subsampling)
+    size = (width, width * 3 // 4)
+    exact, stored = (
+        cv2.resize(pixels / 255, size, interpolation=cv2.INTER_AREA)
+        for pixels in (photo.astype(float), np.asarray(Image.open(tmp_path / "a.jpg"), float))
+    )
+    change = np.square((stored - exact) @ np.linalg.inv(YCC_TO_RGB).T).mean((0, 1))
+    estimate = compression_variance(tmp_path / "a.jpg", width)
+    assert (estimate > 0.1 * change).all() and (estimate < 10 * change).all()
+
+
+def test_files_without_rounded_details_have_no_noise_of_compression(tmp_path: Path) -> None:
+    photo = Image.fromarray(detailed_photo())
+    photo.save(tmp_path / "a.png")
+    (tmp_path / "damaged.jpg").write_bytes(b"\xff\xd8\xff\xe0 not a photo")
+    for name in ("a.png", "damaged.jpg", "missing.jpg"):
+        assert not compression_variance(tmp_path / name, 320).any(), name
+    photo.convert("L").save(tmp_path / "grey.jpg", quality=90)
+    photo.save(tmp_path / "color.jpg", quality=90)
+    grey, color = (compression_variance(tmp_path / name, 320) for name in ("grey.jpg", "color.jpg"))
+    assert grey[0] == color[0] > 0 and not grey[1:].any() and color[1] > color[0]
