@@ -73,7 +73,7 @@ def test_images_in_8_bits_have_the_noise_of_rounding():
             at = linear_to_srgb(light)
             rounding = (srgb_to_linear(at + 0.5 / 255) - srgb_to_linear(at - 0.5 / 255)) ** 2 / 12
             assert (noise.offset + noise.slope * light > 0.8 * rounding).all(), light
-            assert (noise.offset + noise.slope * light < 1.5 * rounding).all(), light
+            assert (noise.offset + noise.slope * light < 2 * rounding).all(), light
 
 
 def test_pixels_that_are_not_valid_do_not_count():
