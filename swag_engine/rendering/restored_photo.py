@@ -70,27 +70,32 @@ def restored_photo(
 
 def _corrected(seen: Picture, model: SceneModel, image: TrainingImage, noise: Noise, sh_degree: int) -> np.ndarray:
     """Return the light (H, W, 3) of a render without water, with what the photo shows beyond it."""
-    cloud, effects, camera = model.cloud, model.effects, image.camera
-
-    def light_of(display: np.ndarray) -> np.ndarray:
-        return srgb_to_linear(display).astype(np.float32)
-
+    camera = image.camera
     without = light_of(seen.color.cpu().numpy())
     covered = (2 * seen.alpha - 1).clamp(0, 1).cpu().numpy() * image.valid  # half a surface may be open water
     surface = covered > 0
     if surface.sum() < 2:  # no color to compare with
         return without.clip(min=0)
-    black, white = (light_of(uniform_image(cloud, effects, camera, value)) for value in (0.0, 1.0))
-    gain = np.maximum(white - black, LEAST_GAIN)
-    light, window = light_of(image.pixels / np.float32(255)), window_of(camera)
-    through = render(cloud, camera, sh_degree, effects.medium, lamp=effects.lamp).color
-    fitted = light_of(effects.apply_to_image(through, camera.name).cpu().numpy())
     brightness = np.sqrt(np.square(without[surface]).mean(axis=0))
-    deviation = water_deviation(light - fitted, black, gain * brightness, image.valid, window)
-    water_error = WATER_DEVIATIONS * deviation * black
-    difference, covariance = light - black - gain * without, np.cov(without[surface].T)
-    detail = likely_detail(difference, gain, light, noise, water_error, covariance, window)
+    deviation = water_deviation(model, image.resized(min(camera.width, WIDTH)), brightness, sh_degree)
+    added, gain = water_terms(model, camera)
+    light, covariance = light_of(image.pixels / np.float32(255)), np.cov(without[surface].T)
+    water_error = WATER_DEVIATIONS * deviation * added
+    detail = likely_detail(
+        light - added - gain * without, gain, light, noise, water_error, covariance, window_of(camera)
+    )
     return (without + covered[..., None] * detail).clip(min=0)
+
+
+def light_of(display: np.ndarray) -> np.ndarray:
+    """Return the linear light of display values, float32."""
+    return srgb_to_linear(display).astype(np.float32)
+
+
+def water_terms(model: SceneModel, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return the light (H, W, 3) that is added in a photo, and the fraction of a surface's light in it."""
+    black, white = (light_of(uniform_image(model.cloud, model.effects, camera, value)) for value in (0.0, 1.0))
+    return black, np.maximum(white - black, LEAST_GAIN)
 
 
 def window_of(camera: Camera) -> float:
@@ -116,23 +121,25 @@ def blurred(values: np.ndarray, deviation: float) -> np.ndarray:
     return cv2.resize(cv2.GaussianBlur(small, (0, 0), deviation / factor), (width, height))
 
 
-def water_deviation(
-    difference: np.ndarray, added: np.ndarray, surface: np.ndarray, valid: np.ndarray, window: float
-) -> np.ndarray:
+def water_deviation(model: SceneModel, image: TrainingImage, brightness: np.ndarray, sh_degree: int) -> np.ndarray:
     """Measure how much the water of a photo differs from the one that was fitted to all, where it shows hardly more.
 
     Args:
-        difference: (H, W, 3) photo - render through the water, linear light.
-        added: (H, W, 3) light that the water adds.
-        surface: (H, W, 3) usual light of surfaces that reaches the camera.
-        valid: (H, W) valid pixels.
-        window: Standard deviation of the window that noise is averaged in, pixels.
+        model: The Gaussians as trained, and the effects.
+        image: The photo, reduced: only what is the same over many pixels counts.
+        brightness: (3,) usual linear light of surfaces.
+        sh_degree: Degree of the Gaussians' colors.
 
     Returns:
-        (3,) standard deviation relative to the light that is added, from the median; 0 without enough such pixels.
+        (3,) float32, standard deviation relative to the light that is added, from the median; 0 without enough pixels.
     """
-    apart, far = np.abs(blurred(difference, window)), (added > MOSTLY_WATER * surface) & valid[..., None]
-    deviations = np.zeros(3)
+    camera, effects = image.camera, model.effects
+    through = render(model.cloud, camera, sh_degree, effects.medium, lamp=effects.lamp).color
+    fitted = light_of(effects.apply_to_image(through, camera.name).cpu().numpy())
+    apart = np.abs(blurred(light_of(image.pixels / np.float32(255)) - fitted, window_of(camera)))
+    added, gain = water_terms(model, camera)
+    far = (added > MOSTLY_WATER * gain * brightness) & image.valid[..., None]
+    deviations = np.zeros(3, np.float32)
     for channel in range(3):
         chosen = far[..., channel]
         if chosen.sum() >= FEWEST_PIXELS:

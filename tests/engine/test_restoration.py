@@ -70,7 +70,7 @@ def test_images_in_8_bits_have_the_noise_of_rounding():
     ):
         noise = estimate_noise(images, [])
         for light in (0.1, 0.3, 0.6):
-            at = linear_to_srgb(light)
+            at = linear_to_srgb(np.array(light))
             rounding = (srgb_to_linear(at + 0.5 / 255) - srgb_to_linear(at - 0.5 / 255)) ** 2 / 12
             assert (noise.offset + noise.slope * light > 0.8 * rounding).all(), light
             assert (noise.offset + noise.slope * light < 2 * rounding).all(), light
