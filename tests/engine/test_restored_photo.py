@@ -46,11 +46,11 @@ def error(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def found(
-    difference: np.ndarray, gain: np.ndarray, deviation: float, compression: tuple[float, ...] = (0, 0, 0), window=4.0
+    difference: np.ndarray, gain: np.ndarray, deviation: float, compression=(0, 0, 0), window=4.0, water=(0, 0, 0)
 ) -> np.ndarray:
     """The details that are found with noise of a standard deviation of linear light, in a photo of middle grey."""
     noise = Noise(np.full(3, deviation**2), np.zeros(3), np.array(compression))
-    light, water_error = np.full(difference.shape, 0.2), np.zeros(difference.shape)
+    light, water_error = np.full(difference.shape, 0.2), np.broadcast_to(np.array(water, float), difference.shape)
     return likely_detail(difference, gain, light, noise, water_error, COVARIANCE, window)
 
 
@@ -86,6 +86,16 @@ def test_of_compressed_photos_brightness_is_kept_and_color_follows_the_scene():
     compression = (0.0, 0.1**2, 0.1**2)
     told, untold = (error(found(difference, gain, 1e-3, each), detail) for each in (compression, (0, 0, 0)))
     assert (told < 0.75 * untold).all()
+
+
+@pytest.mark.parametrize("only_error", [False, True])
+def test_what_the_water_is_wrong_by_is_not_taken_for_details(only_error):
+    detail, difference, gain = seen((0.5, 0.5, 0.5), 1e-3)
+    water = (0.2, 0.02, 0.02)
+    wrong = np.random.default_rng(1).normal(size=detail.shape) * water
+    truth, difference = (0 * detail, wrong) if only_error else (detail, difference + wrong)
+    told, untold = (error(found(difference, gain, 1e-3, water=each), truth) for each in (water, (0, 0, 0)))
+    assert (told < (0.05 if only_error else 0.8) * untold)[:1].all() and (told < untold).all()
 
 
 def test_blocks_of_compression_in_open_water_do_not_become_colors():
