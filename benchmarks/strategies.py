@@ -10,7 +10,8 @@ they ask for: parameters, optimisers with their moments, gradients on screen and
 gsplat's published rates, schedule and weights (its simple_trainer.py), whose 30 000 iterations are scaled to the run's
 length, and once more with our learning rates and image sizes: the shorter a run, the larger its steps have to be.
 
-DefaultStrategy has no limit of the number of Gaussians: the limit of all others is what it ends with.
+DefaultStrategy has no limit of the number of Gaussians: the limit of all others is what it ends with. One more run has
+the number that the preset `standard` takes for the photos at this width.
 """
 
 import argparse
@@ -42,6 +43,7 @@ from swag_engine.gaussians.init import gaussians_from_points
 from swag_engine.scene.colmap import Scene, load_scene
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.densification import Densification
+from swag_engine.training.pacing.preset_size import fit_preset
 from swag_engine.training.schedule import STANDARD, LearningRates, Schedule
 from swag_engine.training.state import RunState
 from swag_engine.training.step import Step, StepConfig, StepResult
@@ -265,6 +267,8 @@ def compare(scene: str, iterations: int, seed: int, rows: list[dict[str, Any]]) 
         print(rows[-1], flush=True)
         return rows[-1]
 
+    settings = TrainSettings(preset="standard", width=WIDTH, iterations=iterations, backend="cpu")
+    add("ours", iterations, fit_preset(load_scene(SCENES[scene]), settings).max_gaussians, "iterations", "preset")
     for rates in ("published rates", "our rates"):
         default = add(f"gsplat default, {rates}", iterations, MOST, "iterations", rates)
         mcmc = add(f"gsplat mcmc, {rates}", iterations, default["gaussians"], "iterations", rates)

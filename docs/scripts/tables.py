@@ -419,7 +419,8 @@ def strategies() -> str:
             sum(run[name] for run in runs) / len(runs) for name in ("gaussians", "processor_seconds", "psnr")
         )
         figures = [f"{gaussians:.0f}", f"{seconds:.0f} s", f"{psnr:.2f} dB", len(runs)]
-        rows.append([scene, length, strategy, f"gsplat default, {rates}", equal, *figures])
+        limit = "preset `standard`" if rates == "preset" else f"gsplat default, {rates}"
+        rows.append([scene, length, strategy, limit, equal, *figures])
     return markdown(header, rows)
 
 
