@@ -98,7 +98,7 @@ class GsplatDensification(Densification):
     """Lets a strategy of gsplat change the cloud of a trainer."""
 
     def __init__(self, trainer: Trainer, strategy: Any, strategy_state: dict[str, Any]) -> None:
-        self.strategy, self.strategy_state = strategy, strategy_state
+        self.strategy, self.strategy_state, self.count = strategy, strategy_state, len(trainer.state.cloud)
         trainer.step = self.recorded = RecordingStep(trainer.step)
         trainer.densification = self
 
@@ -110,9 +110,12 @@ class GsplatDensification(Densification):
         """Give the strategy the step that was made; see `Densification.after_step`."""
         with torch.no_grad():
             count = len(state.cloud)
+            if count != self.count:  # the guard has put back an earlier state: what the strategy counted is of no use
+                self.strategy_state |= {name: None for name in ("grad2d", "count") if name in self.strategy_state}
             parameters, optimizers = to_gsplat(state)
             self._call(parameters, optimizers, state.iteration, means_rate)
             take_back(state, parameters, optimizers, count)
+            self.count = len(state.cloud)
 
     def _call(self, parameters: dict[str, Any], optimizers: dict[str, Any], step: int, rate: float) -> None:
         if hasattr(self.strategy, "cap_max"):

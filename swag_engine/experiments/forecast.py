@@ -28,7 +28,7 @@ from ..settings.presets import PRESETS, Size
 from ..settings.recipes import recipe_of
 from ..settings.settings import TrainSettings
 from ..training.pacing.memory import needed
-from ..training.pacing.preset_size import fit_preset
+from ..training.pacing.preset_size import fit_preset, limit_gaussians
 from ..training.pacing.speed import Extent, Speed, measure_speed, predicted_seconds
 from ..training.trainer import train
 
@@ -101,7 +101,7 @@ def forecast_scene(
     past = [entry for entry in past_outcomes() if entry["machine"] == document["machine"]]
     presets = {}
     for name in PRESETS:
-        sized = fit_preset(scene, replace(settings, preset=name, time_budget=""), speed)
+        sized, _ = limit_gaussians(scene, fit_preset(scene, replace(settings, preset=name, time_budget=""), speed))
         presets[name] = _expected(document, extent, sized, past, scene_folder)
     progress("Probe runs", 1.0)
     return document | {"presets": presets}
@@ -141,7 +141,7 @@ def expected_outcome(scene_folder: Path, settings: TrainSettings) -> dict[str, A
         if settings.budget or not same or document["machine"] != machine(settings):
             return None
         past = [entry for entry in past_outcomes() if entry["machine"] == document["machine"]]
-        sized = fit_preset(scene, settings, Speed(**document["speed"]))
+        sized, _ = limit_gaussians(scene, fit_preset(scene, settings, Speed(**document["speed"])))
         return _expected(document, Extent.of(scene), sized, past, scene_folder)
     except (OSError, ValueError, LookupError, TypeError, InputError):  # there is no forecast, or its file is damaged
         return None

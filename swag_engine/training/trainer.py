@@ -62,7 +62,7 @@ from .pacing.budget import Budget, fit_budget
 from .pacing.clock import FLAT_DB, FLAT_FRACTION, Clock, is_flat, next_minute
 from .pacing.memory import TOO_LITTLE, Relief, fit_memory, free_memory, none_if_out_of_memory, reduced
 from .pacing.pacer import Pacer
-from .pacing.preset_size import fit_preset
+from .pacing.preset_size import fit_preset, limit_gaussians
 from .pacing.speed import Extent
 from .run_plan import plan_of_run
 from .schedule import SETTLED_BY, STANDARD, Schedule
@@ -159,9 +159,13 @@ def make_trainer(
     if not fitted:
         raise InputError(TOO_LITTLE)
     settings, budget = fitted
-    note = ""
+    notes = []
     if not resume:
-        settings, note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
+        if not part:  # the Gaussians of a part are its share of the whole
+            settings, pixels_note = limit_gaussians(scene, settings)
+            notes.append(pixels_note)
+        settings, memory_note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
+        notes.append(memory_note)
     run.write_config(scene.folder, settings, scene.up.tolist())
     settings, backend_note = with_backend_of_run(settings, resume)
     try:
@@ -173,7 +177,7 @@ def make_trainer(
         )
         if not trainer:
             raise InputError(TOO_LITTLE)
-        trainer.notes += filter(None, [note, backend_note])
+        trainer.notes += filter(None, [*notes, backend_note])
     except InputError:
         if not resume:
             run.discard()

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from swag_engine.formats.run_folder import RunFolder
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.resolved_width import resolved_width
 from swag_engine.settings.presets import CARD_PRESETS, PRESETS
@@ -16,9 +17,11 @@ from swag_engine.training.pacing.preset_size import (
     FEWEST,
     ON_PROCESSOR,
     fit_preset,
+    limit_gaussians,
     suitable_gaussians,
 )
 from swag_engine.training.pacing.speed import Extent, Speed, predicted_seconds
+from swag_engine.training.trainer import train
 from tests.scenes.tiny import make_tiny_scene
 
 SURVEY = Extent(training=90, held_out=10, points=9000, overlap=8, width=1280, height=960)
@@ -108,3 +111,17 @@ def test_what_the_user_chose_stays(scenes):
     assert partly.width == 31 and partly.max_gaussians == FEWEST
     assert partly.iterations == ON_PROCESSOR["standard"].least  # there are few photos
     assert fit_preset(scenes["sharp"], TrainSettings(preset="high", iterations=8000)).iterations == 8000
+
+
+def test_no_more_gaussians_are_trained_than_the_photos_have_pixels(scenes, tmp_path):
+    scene = scenes["sharp"]
+    extent = Extent.of(scene)
+    pixels = round(extent.pixels(160) * len(scene.views) / extent.overlap)
+    assert pixels > FEWEST
+    within = TrainSettings(iterations=5, width=160, max_gaussians=pixels, recipe="3dgs")
+    assert limit_gaussians(scene, within) == (within, "")
+    more = replace(within, max_gaussians=10 * pixels)
+    limited, note = limit_gaussians(scene, more)
+    assert limited == within and f"At most {pixels} Gaussians instead of {10 * pixels}" in note
+    metrics = train(scene.folder, tmp_path / "run", more)["metrics"]
+    assert note in metrics["notes"] and RunFolder(tmp_path / "run").read_config()[1].max_gaussians == pixels

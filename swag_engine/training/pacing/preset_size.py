@@ -30,6 +30,8 @@ ON_PROCESSOR = {"draft": Fit(1000, 32, 6.0), "standard": Fit(1500, 120, 4.0), "h
 """By preset: as long as there are few Gaussians, more of them gain more than more iterations do (docs/accuracy.md)."""
 ON_CARD = {"draft": Fit(1000, 80, 3.0), "standard": Fit(1500, 120, 3.0), "high": Fit(2000, 200, 3.0)}
 """The same on a graphics card: large scenes in the literature have 1 to 5 million Gaussians."""
+PIXELS_EACH = 1.0
+"""Pixels of the surface for one Gaussian, at least: photos do not determine more of them (docs/accuracy.md)."""
 FEWEST = 5_000
 """Gaussians that a run may always have."""
 MOST_GROWTH = 3
@@ -114,6 +116,26 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
             smaller = replace(_grown(smaller), iterations=min(smaller.iterations, enough))
             found = suited(settings, smaller, extent, widest)
     return replace(settings, **found.numbers())
+
+
+def limit_gaussians(scene: Scene, settings: TrainSettings) -> tuple[TrainSettings, str]:
+    """Lower a number of Gaussians that is larger than the photos have pixels of the surface.
+
+    Args:
+        scene: The scene.
+        settings: Settings of the run; a number of 0 stays.
+
+    Returns:
+        The settings, and a sentence for the user where the number was lowered, else an empty text.
+    """
+    most = suitable_gaussians(Extent.of(scene), settings.width, PIXELS_EACH)
+    if settings.max_gaussians <= most:
+        return settings, ""
+    note = (
+        f"At most {most} Gaussians instead of {settings.max_gaussians}: one for each pixel of the surface that the "
+        f"photos show at {settings.width} pixels width. More of them would overfit."
+    )
+    return replace(settings, max_gaussians=most), note
 
 
 def largest_size(settings: TrainSettings) -> Size:
