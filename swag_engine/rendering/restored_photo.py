@@ -25,11 +25,11 @@ from .restoration import WIDTH, RestorationLimit, estimated
 WINDOW = 160
 """Width of the image over the standard deviation of the window that the variance of details is measured in."""
 MOSTLY_WATER = 3.0
-"""Light that the water adds over that of surfaces from which a pixel tells how wrong the water is."""
+"""Ratio of the light that the water adds to that of surfaces, from which a pixel shows the error of the water."""
 FEWEST_PIXELS = 100
-"""Such pixels from which the error of the water is measured."""
+"""Pixels of that kind from which the error of the water is measured."""
 WATER_DEVIATIONS = 2.0
-"""Standard deviations that the water is taken to be wrong by: in places it is more so than at the median."""
+"""Standard deviations that are taken as the error of the water: in some places it is larger than the median."""
 FITTED_STRIDE = 3
 """Colors are fitted to one photo of so many: fitting to all changes delta E by less than .1 (docs/method.md)."""
 FEWEST_FITTED = 6
