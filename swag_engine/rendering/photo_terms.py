@@ -10,7 +10,10 @@ from ..gaussians.cloud import GaussianCloud
 from ..kernels.reference.harmonics import C0
 from ..scene.cameras import Camera
 from ..water.medium import Medium
-from .render import render
+from .render import background_color, render
+
+LEAST_ALPHA = 0.5
+"""Least denominator: below it a pixel does not count as a surface."""
 
 
 def works_on_light(effects: SceneEffects) -> bool:
@@ -24,7 +27,7 @@ def uniform_image(cloud: GaussianCloud, effects: SceneEffects, camera: Camera, v
     """Render a view as if all Gaussians had one color.
 
     All effects are a gain and an offset of each pixel's light: the image of 0 is the offset, and that of 1 shows the
-    gain.
+    gain. Where more than half of a pixel is covered, it counts as a surface: a photo shows no water behind one.
 
     Args:
         cloud: The Gaussians, for the range of each pixel.
@@ -37,5 +40,8 @@ def uniform_image(cloud: GaussianCloud, effects: SceneEffects, camera: Camera, v
     """
     sh0 = torch.full_like(cloud.sh0, (value - 0.5) / C0)
     painted = replace(cloud, sh0=sh0, shN=torch.zeros_like(cloud.shN))
-    color = render(painted, camera, 0, effects.medium, lamp=effects.lamp).color
+    picture = render(painted, camera, 0, effects.medium, lamp=effects.lamp, with_background=False)
+    alpha = picture.alpha[..., None]
+    open_too = picture.color + (1 - alpha) * background_color(cloud, camera, effects.medium)
+    color = torch.lerp(open_too, picture.color / alpha.clamp(min=LEAST_ALPHA), (2 * alpha - 1).clamp(min=0))
     return effects.apply_to_image(color, camera.name).cpu().numpy().astype(np.float64)

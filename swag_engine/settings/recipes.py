@@ -58,6 +58,9 @@ class Recipe:
     """Initial learning rate of the background light. It may be larger: sparse points show little of that light."""
     B_inf_degrees_from: float = 0.4
     """Fraction of the run after which the background light may change with direction."""
+    water_fit_at: float = 1.0
+    """Fraction of the run at which the water is fitted to the light of the Gaussians (training/water_fit.py); then it
+    stays as it is."""
 
     photometric: Photometric = Photometric()
     relative: bool = False
@@ -136,6 +139,7 @@ RECIPES: dict[str, Recipe] = {
         planned=True,
         water_rate=1e-3,
         B_inf_rate=1e-2,
+        water_fit_at=0.7,
         stage_two_from=0.9,
         dropout=DROPOUT,
         coverage=0.3,

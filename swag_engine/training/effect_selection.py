@@ -109,6 +109,13 @@ class EffectSelection:
         }
         return SceneEffects.initial(medium, recipe.effects, context).to(self.inputs.device)
 
+    def fits_water(self, state: RunState) -> bool:
+        """Return whether the water is to be fitted again before the next iteration."""
+        medium = state.effects.medium
+        due = state.clock.fraction >= state.recipe.water_fit_at and not (state.water_final or self.whole)
+        known = isinstance(medium, Medium) and medium.background_sh is not None and medium.light == "linear"
+        return due and known and state.effects.lamp is None  # a lamp and the water are one family
+
     def learning_rates(self, state: RunState) -> dict[str, float]:
         """Return Adam's step size at the start of the run by parameter name, for all effects that change."""
         if self.whole:
@@ -118,4 +125,5 @@ class EffectSelection:
             for name in state.effects.parameters()
             if name.startswith("medium.")
         }
-        return state.effects.learning_rates() | water
+        rates = state.effects.learning_rates() | water
+        return {name: rate for name, rate in rates.items() if not (state.water_final and name in water)}

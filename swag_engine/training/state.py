@@ -46,6 +46,7 @@ class RunState:
         psnr: Last validation PSNR, dB.
         ssim: Last validation SSIM.
         dropout: Fraction of the Gaussians that each iteration drops.
+        water_final: Whether the water stays as it is.
         on_device: Parameters, moments and statistics that steps have left on a device; None where they are up to date.
     """
 
@@ -66,6 +67,7 @@ class RunState:
     psnr: float | None = None
     ssim: float | None = None
     dropout: float = 0.0
+    water_final: bool = False
     on_device: OnDevice | None = None
 
     def synchronize(self, names: Collection[str] | None = None) -> None:
@@ -170,6 +172,7 @@ class RunState:
             "psnr": self.psnr,
             "ssim": self.ssim,
             "dropout": self.dropout,
+            "water_final": self.water_final,
             "guard": self.guarded.record.to_json(),
             "relief": asdict(self.relief),
         }
@@ -227,4 +230,5 @@ class RunState:
             psnr=stored["psnr"],
             ssim=stored["ssim"],
             dropout=stored["dropout"],
+            water_final=stored.get("water_final", False),
         )

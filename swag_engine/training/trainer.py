@@ -13,7 +13,7 @@ import torch
 
 from ..base.errors import InputError
 from ..base.files import locked_folder
-from ..base.timing import Ledger
+from ..base.timing import Ledger, part
 from ..evaluation.metrics import (
     ViewScore,
     in_8_bits,
@@ -70,6 +70,7 @@ from .state import CPU, RunState
 from .step import GEOMETRY, AutogradStep, Step, StepConfig
 from .target_cache import Targets
 from .trials import run_trials, trials_due
+from .water_fit import fit_again
 from .webgpu_step import WebGpuStep, leave_card, with_backend_of_run
 from .whole import Whole
 
@@ -369,10 +370,12 @@ class Trainer:
 
     def _iterate(self) -> float:
         state = self.state
+        if self.selection.fits_water(state):
+            self._fit_water()
         config = self.step_config()
         target = self.targets.next(state, config.fraction)
         with_water = config.with_water and state.effects.medium is not None
-        phase = f"[{self.targets.factor}] {with_water} {config.stage_two} {state.dropout > 0}"
+        phase = f"[{self.targets.factor}] {with_water} {config.stage_two} {state.dropout > 0} {state.water_final}"
         result = self.step(state, target, replace(config, phase="" if target.interpolated else phase))
         state.iteration += 1
         state.clock.advance(state.iteration)
@@ -391,6 +394,16 @@ class Trainer:
         if self.guard.roll_back_if_bad(state.guarded, state.optimizer, state.iteration, state.on_device):
             state.reset_statistics()
         return result.loss
+
+    def _fit_water(self) -> None:
+        """Fit the water once more and keep it; where memory does not suffice, as it is."""
+        state, settings = self.state, self.inputs.settings
+        state.synchronize()
+        state.water_final = True
+        model, images = SceneModel(state.cloud, state.effects), self.inputs.training
+        with part("water"):
+            none_if_out_of_memory(lambda: fit_again(model, images, settings.sh_degree, settings.backend))
+        state.guarded.keep(state.optimizer)
 
     def step_config(self) -> StepConfig:
         """Return what the schedule says about the next iteration."""

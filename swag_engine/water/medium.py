@@ -10,7 +10,7 @@ along a ray. The formula holds for light, so display values are converted to lin
 unless a medium says otherwise; blending works on display values as everywhere. docs/method.md, section 1.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import torch
@@ -99,7 +99,7 @@ class Medium:
     def to(self, device: torch.device) -> "Medium":
         """Return the medium with its tensors on a device."""
         moved = {name: tensor.to(device) for name, tensor in self.parameters().items()}
-        return Medium(**moved, unit_range=self.unit_range, light=self.light)
+        return replace(self, **moved)
 
     def settings(self) -> dict[str, Any]:
         """Return what a checkpoint needs beside the tensors."""

@@ -1,0 +1,296 @@
+"""The water of a run, fitted once more to the light of Gaussians in all training images.
+
+Training follows every pixel. At edges, and where Gaussians are in the wrong place, pixels show other surfaces from near
+than from far, which looks like water. This fit takes only Gaussians that are at the range that is rendered, and gives
+little weight to those whose light no water explains. docs/method.md, section 1, has the formulas.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..base.transfer import srgb_to_linear
+from ..evidence.noise import MAD_TO_SD
+from ..gaussians.cloud import GaussianCloud
+from ..gaussians.contributions import contribution_sums
+from ..kernels.reference.harmonics import C0
+from ..kernels.reference.transfer import to_display, to_light
+from ..rendering.model import SceneModel
+from ..rendering.render import render
+from ..scene.images import TrainingImage
+from ..water.medium import BRIGHTEST, Medium, through_water
+
+MOST_GAUSSIANS = 10_000
+"""Gaussians that are observed, at most about twice as many."""
+MOST_IMAGES = 60
+"""Images that are observed, at most about twice as many."""
+LEAST_WEIGHT = 0.3
+"""Sum of T alpha over the pixels of an image, from which it shows a Gaussian."""
+SURFACE_ALPHA = 0.98
+"""Alpha from which a pixel shows a surface."""
+OPEN_ALPHA = 0.02
+"""Alpha up to which it shows open water."""
+RANGE_APART = 0.03
+"""Relative difference of a Gaussian's range from the rendered one, at most."""
+RANGE_SPREAD = 0.05
+"""Relative standard deviation of the rendered range over a Gaussian's pixels, at most."""
+FEWEST_IMAGES = 3
+"""Images that show a Gaussian, at least."""
+FEWEST = 1000
+"""Observations, at least."""
+HEAVIEST = 20.0
+"""Weight of an observation, at most, pixels."""
+LIGHT_ERROR = 2e-3
+"""Standard deviation of light that has nothing to do with a surface's color."""
+COLOR_ERROR = 0.1
+"""Relative standard deviation of a surface's light between images."""
+CUT = 1.5
+"""Errors, in standard deviations, from which observations count little (Geman and McClure)."""
+PRIOR_ERROR = 0.3
+"""Relative standard deviation of what training has found: it counts where images do not show the water."""
+STEPS = 12
+"""Steps of Levenberg and Marquardt."""
+DAMPING = 1e-3
+"""Initial damping, relative to the diagonal."""
+LEAST = 1e-12
+"""Least denominator."""
+
+
+@dataclass
+class GaussianLight:
+    """Light of Gaussians in images: M observations, all float64 on the CPU.
+
+    Attributes:
+        gaussian: (M,) number of the Gaussian, int64.
+        range: (M,) its distance from the camera, scene units.
+        light: (M, 3) mean linear light of the pixels that show it, without image effects.
+        weight: (M,) sum of T alpha over these pixels, at most HEAVIEST.
+        background: (M, 3) background light in its direction.
+        open_pixels: Number of pixels that show open water.
+        open_ratio: (3,) their mean light over the background light.
+    """
+
+    gaussian: Tensor
+    range: Tensor
+    light: Tensor
+    weight: Tensor
+    background: Tensor
+    open_pixels: float
+    open_ratio: Tensor
+
+
+@torch.no_grad()
+def observe_gaussians(
+    model: SceneModel, images: Sequence[TrainingImage], sh_degree: int, backend: str = "auto"
+) -> GaussianLight:
+    """Observe the light of Gaussians in images, where they are the surface that is rendered.
+
+    Args:
+        model: The Gaussians and the effects; the water has a background light, and there is no lamp.
+        images: Training images.
+        sh_degree: Degree of the Gaussians' colors.
+        backend: What renders, as in `kernels_for`.
+
+    Returns:
+        The observations.
+    """
+    cloud, medium = model.cloud, model.effects.medium
+    assert isinstance(medium, Medium)
+    stride = max(1, len(cloud) // MOST_GAUSSIANS)
+    parts: list[tuple[Tensor, ...]] = []
+    open_pixels, open_sum = 0.0, torch.zeros(3, dtype=torch.float64)
+    for image in images:
+        camera = image.camera
+        picture = render(cloud, camera, sh_degree, medium, with_range=True, backend=backend)
+        assert picture.range is not None and picture.behind is not None
+        plain = to_light(picture.color.clamp(0, 1))
+        shown = to_light(model.effects.apply_to_image(picture.color, camera.name).clamp(0, 1))
+        photo = torch.from_numpy(srgb_to_linear(image.pixels / np.float32(255))).to(plain)
+        light = photo * plain.clamp(min=LEAST) / shown.clamp(min=LEAST)
+        valid = torch.from_numpy(image.valid).to(plain.device)
+        surface = (valid & (picture.alpha > SURFACE_ALPHA)).to(plain)[..., None]
+        seen = picture.range[..., None]
+        sums = contribution_sums(
+            cloud, camera, torch.cat([light, seen, seen.square(), plain[..., :1] * 0 + 1], -1) * surface, backend
+        )[::stride]
+        offsets = cloud.means[::stride] - torch.from_numpy(camera.centre).to(cloud.means)
+        ranges, weight = offsets.norm(dim=1), sums[:, 5]
+        mean = sums[:, :5] / weight.clamp(min=LEAST)[:, None]
+        spread = (mean[:, 4] - mean[:, 3].square()).clamp(min=0).sqrt()
+        chosen = (
+            (weight > LEAST_WEIGHT)
+            & ((mean[:, 3] - ranges).abs() < RANGE_APART * ranges)
+            & (spread < RANGE_SPREAD * mean[:, 3])
+        )
+        directions = offsets[chosen] / ranges[chosen, None]
+        found = ranges[chosen], mean[chosen, :3], weight[chosen], medium.background_light(directions)
+        parts.append((torch.nonzero(chosen)[:, 0].cpu(), *(values.double().cpu() for values in found)))
+        empty = valid & (picture.alpha < OPEN_ALPHA)
+        open_pixels += float(empty.sum())
+        open_sum += (light / to_light(picture.behind).clamp(min=LEAST))[empty].double().sum(0).cpu()
+    gaussian, ranges, light, weight, background = (torch.cat(column) for column in zip(*parts, strict=True))
+    enough = torch.bincount(gaussian, minlength=1)[gaussian] >= FEWEST_IMAGES
+    return GaussianLight(
+        gaussian[enough],
+        ranges[enough],
+        light[enough],
+        weight[enough].clamp(max=HEAVIEST),
+        background[enough],
+        open_pixels,
+        open_sum / max(open_pixels, 1.0),
+    )
+
+
+@torch.no_grad()
+def fit_water(observed: GaussianLight, medium: Medium) -> Medium:
+    """Fit attenuation, backscatter and background light to observations.
+
+    The light J of each Gaussian is eliminated (variable projection, Golub and Pereyra 1973); each channel is fitted for
+    itself.
+
+    Args:
+        observed: The observations.
+        medium: The water that training has found; it has a background light.
+
+    Returns:
+        The water; the change of its background light by direction stays.
+    """
+    start = medium.to(torch.device("cpu"))
+    assert start.background_sh is not None
+    separate = start.backscatter is not None
+    # beta_D, beta_B and a factor of the background light, each (3,) for the channels.
+    values = torch.stack([start.beta_D, start.beta_B, torch.ones(3)]).double()
+    prior = values.clone()
+    # Without a coefficient of its own, backscatter rises with beta_D: one direction less.
+    directions = torch.eye(3, dtype=torch.float64)
+    if not separate:
+        directions = torch.stack([directions[0] + directions[1], directions[2]])
+    gaussian = observed.gaussian.unique(return_inverse=True)[1]
+    count = int(gaussian.max()) + 1
+    r, background = observed.range[:, None], observed.background
+
+    def summed(each: Tensor) -> Tensor:
+        return each.new_zeros((count, *each.shape[1:])).index_add(0, gaussian, each)
+
+    def terms(at: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.exp(-at[0] * r), at[2] * background * -torch.expm1(-at[1] * r)
+
+    def surfaces(at: Tensor, weight: Tensor) -> Tensor:
+        transmission, added = terms(at)
+        information = summed(weight * transmission.square()).clamp(min=LEAST)
+        return (summed(weight * transmission * (observed.light - added)) / information).clamp(min=0)
+
+    def misfit(at: Tensor, J: Tensor) -> Tensor:
+        transmission, added = terms(at)
+        return observed.light - transmission * J[gaussian] - added
+
+    weight = observed.weight[:, None].expand(-1, 3)
+    J, damping = surfaces(values, weight), torch.full((3,), DAMPING, dtype=torch.float64)
+    for _ in range(STEPS):
+        error = misfit(values, J)
+        variance = LIGHT_ERROR**2 + (COLOR_ERROR * terms(values)[0] * J[gaussian]).square()
+        scale = MAD_TO_SD * (error.abs() / variance.sqrt()).median(0).values.clamp(min=LEAST)
+        variance = variance * scale.square()
+        weight = observed.weight[:, None] / variance / (1 + error.square() / variance / CUT**2).square()
+        open_weight = observed.open_pixels * background.square().mean(0) / (LIGHT_ERROR * scale).square()
+
+        def cost(at: Tensor, J: Tensor, weight: Tensor = weight, open_weight: Tensor = open_weight) -> Tensor:
+            of_prior = ((at - prior) / (PRIOR_ERROR * prior)).square().sum(0)
+            return (
+                (weight * misfit(at, J).square()).sum(0)
+                + open_weight * (at[2] - observed.open_ratio).square()
+                + of_prior
+            )
+
+        J = surfaces(values, weight)
+        error = misfit(values, J)
+        transmission, added = terms(values)
+        by_beta_B = values[2] * background * r * torch.exp(-values[1] * r)
+        slopes = torch.stack([-r * transmission * J[gaussian], by_beta_B, added / values[2]], -1) @ directions.T
+        information = summed(weight * transmission.square()).clamp(min=LEAST)
+        of_J = summed((weight * transmission)[..., None] * slopes) / information[..., None]
+        slopes = slopes - transmission[..., None] * of_J[gaussian]
+        normal = torch.einsum("mc,mci,mcj->cij", weight, slopes, slopes)
+        right = torch.einsum("mc,mci,mc->ci", weight, slopes, error)
+        precision = 1 / (PRIOR_ERROR * prior).square()
+        precision[2] += open_weight
+        pull = (prior - values) / (PRIOR_ERROR * prior).square()
+        pull[2] += open_weight * (observed.open_ratio - values[2])
+        normal = normal + torch.einsum("ia,ac,ja->cij", directions, precision, directions)
+        right = right + torch.einsum("ia,ac->ci", directions, pull)
+        damped = normal + damping[:, None, None] * torch.diag_embed(normal.diagonal(dim1=1, dim2=2))
+        step = (torch.linalg.solve(damped, right) @ directions).T
+        tried = torch.maximum(values + step, LEAST * prior)
+        J_tried = surfaces(tried, weight)
+        better = cost(tried, J_tried) < cost(values, J)
+        values, J = torch.where(better, tried, values), torch.where(better, J_tried, J)
+        damping = torch.where(better, damping / 5, damping * 10)
+    B = (start.background_sh[0] * C0).sigmoid() * values[2].float()
+    fitted = Medium.starting(start.unit_range, start.light, values[0].float(), values[1].float(), B)
+    assert fitted.background_sh is not None
+    fitted.background_sh[1:] = start.background_sh[1:]
+    if not separate:
+        fitted.backscatter = None
+    return fitted
+
+
+@torch.no_grad()
+def colors_through(
+    cloud: GaussianCloud, images: Sequence[TrainingImage], before: Medium, after: Medium, backend: str = "auto"
+) -> Tensor:
+    """Find the colors that look the same through another water, by least squares over images.
+
+    Args:
+        cloud: The N Gaussians.
+        images: Images whose cameras count.
+        before: The water that their colors were found with.
+        after: The other water.
+        backend: What computes, as in `kernels_for`.
+
+    Returns:
+        (N, 3) display values; those of Gaussians that no image shows stay.
+    """
+    colors = 0.5 + C0 * cloud.sh0[:, 0]
+    black, white = torch.zeros_like(colors), torch.ones_like(colors)
+    numerator, information = torch.zeros_like(colors), torch.zeros_like(colors)
+    for image in images:
+        camera = image.camera
+        weight = contribution_sums(cloud, camera, colors.new_ones(camera.height, camera.width, 1), backend)
+        offsets = cloud.means - torch.from_numpy(camera.centre).to(cloud.means)
+        seen = to_light(through_water(colors.clamp(min=0), offsets, before, backend=backend))
+        added, whole = (to_light(through_water(of, offsets, after, backend=backend)) for of in (black, white))
+        transmission = (whole - added).clamp(min=0)
+        numerator += weight * transmission * (seen - added)
+        information += weight * transmission.square()
+    found = to_display((numerator / information.clamp(min=LEAST)).clamp(min=0)).clamp(max=BRIGHTEST)
+    return torch.where(information > LEAST, found, colors)
+
+
+@torch.no_grad()
+def fit_again(model: SceneModel, images: Sequence[TrainingImage], sh_degree: int, backend: str = "auto") -> bool:
+    """Fit the water of a model again, and give its Gaussians the colors that look the same through it, in place.
+
+    Args:
+        model: The Gaussians and the effects; the water has a background light, and there is no lamp.
+        images: Training images.
+        sh_degree: Degree of the Gaussians' colors.
+        backend: What computes, as in `kernels_for`.
+
+    Returns:
+        Whether there were enough observations; otherwise nothing changes.
+    """
+    cloud, medium = model.cloud, model.effects.medium
+    assert isinstance(medium, Medium)
+    some = images[:: max(1, len(images) // MOST_IMAGES)]
+    observed = observe_gaussians(model, some, sh_degree, backend)
+    if len(observed.gaussian) < FEWEST:
+        return False
+    fitted = fit_water(observed, medium).to(cloud.means.device)
+    colors = colors_through(cloud, some, medium, fitted, backend)
+    for name, tensor in fitted.parameters().items():
+        getattr(medium, name).copy_(tensor)
+    cloud.sh0[:, 0] = (colors - 0.5) / C0
+    return True

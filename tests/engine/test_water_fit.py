@@ -1,0 +1,171 @@
+"""The water that is fitted in the middle of a run to the light of Gaussians in all images."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from swag_engine.effects.scene_effects import SceneEffects
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.kernels.reference.harmonics import C0
+from swag_engine.rendering.model import SceneModel
+from swag_engine.rendering.render import render
+from swag_engine.scene.cameras import Camera
+from swag_engine.scene.images import TrainingImage
+from swag_engine.training.water_fit import GaussianLight, colors_through, fit_again, fit_water, observe_gaussians
+from swag_engine.water.medium import Medium
+
+BETA_D, BETA_B, B = (torch.tensor(values) for values in ([0.35, 0.09, 0.06], [0.3, 0.11, 0.085], [0.08, 0.16, 0.3]))
+TRUE = Medium.starting(3.0, "linear", BETA_D, BETA_B, B)
+WRONG = Medium.starting(3.0, "linear", 0.8 * BETA_D, 1.15 * BETA_B, 0.9 * B)
+
+
+def observations(nearest: float = 2.0, outliers: float = 0.0, color_error: float = 0.01) -> GaussianLight:
+    """300 Gaussians in six images each, up to four times as far away as the nearest, through the true water."""
+    random = np.random.default_rng(0)
+    gaussian = np.repeat(np.arange(300), 6)
+    ranges = nearest * random.uniform(1, 4, len(gaussian)) if nearest else np.full(len(gaussian), 4.0)
+    J = random.uniform(0.02, 0.6, (300, 3))[gaussian] * np.exp(color_error * random.standard_normal((1800, 1)))
+    r = ranges[:, None]
+    light = J * np.exp(-BETA_D.numpy() * r) + B.numpy() * -np.expm1(-BETA_B.numpy() * r)
+    wrong = random.uniform(size=1800) < outliers
+    light[wrong] = random.uniform(0.0, 0.6, (wrong.sum(), 3))
+    background = np.broadcast_to(0.9 * B.numpy(), light.shape)  # what training has found
+    columns = (torch.from_numpy(np.array(each)) for each in (gaussian, ranges, light, np.ones(1800), background))
+    return GaussianLight(*columns, 0.0, torch.zeros(3, dtype=torch.float64))
+
+
+def errors(found: Medium, true: Medium = TRUE) -> np.ndarray:
+    """Relative errors (3, 3) of beta_D, beta_B and the background light."""
+    pairs = [(found.beta_D, true.beta_D), (found.beta_B, true.beta_B)]
+    pairs += [tuple((medium.background_sh[0] * C0).sigmoid() for medium in (found, true))]
+    return torch.stack([(one / other - 1).abs() for one, other in pairs]).numpy()
+
+
+def test_the_water_is_found_from_light_at_many_ranges():
+    assert errors(WRONG).min() > 0.09
+    assert errors(fit_water(observations(), WRONG)).max() < 0.04
+
+
+def test_light_of_other_surfaces_counts_little():
+    found = fit_water(observations(outliers=0.2), WRONG)
+    assert errors(found).mean() < 0.03 and errors(found).max() < 0.1
+
+
+def test_what_images_do_not_show_stays_as_it_was():
+    found = fit_water(observations(nearest=0.0), WRONG)
+    assert errors(found, WRONG).max() < 0.2
+    assert all(torch.isfinite(tensor).all() for tensor in found.parameters().values())
+
+
+def test_open_water_shows_the_background_light():
+    near = observations(nearest=0.3)
+    known = replace(near, open_pixels=5000.0, open_ratio=torch.full((3,), 1 / 0.9, dtype=torch.float64))
+    assert errors(fit_water(near, WRONG))[2].max() > 0.05
+    assert errors(fit_water(known, WRONG))[2].max() < 0.01
+
+
+def test_backscatter_without_a_coefficient_of_its_own_keeps_that_of_the_attenuation():
+    observed = observations()
+    r = observed.range[:, None]
+    J = (observed.light - B.double() * -torch.expm1(-BETA_B.double() * r)) / torch.exp(-BETA_D.double() * r)
+    observed.light = J * torch.exp(-BETA_D.double() * r) + B.double() * -torch.expm1(-BETA_D.double() * r)
+    found = fit_water(observed, replace(WRONG, backscatter=None))
+    assert found.backscatter is None
+    assert errors(found, replace(TRUE, backscatter=None)).max() < 0.05
+
+
+def test_change_of_the_background_light_with_direction_stays():
+    start = replace(WRONG, background_sh=WRONG.background_sh.clone())
+    start.background_sh[1:] = torch.linspace(-0.5, 0.5, 24).reshape(8, 3)
+    torch.testing.assert_close(fit_water(observations(), start).background_sh[1:], start.background_sh[1:])
+
+
+@pytest.fixture
+def model() -> SceneModel:
+    """A wall of patches whose colors fit the photos through the wrong water."""
+    random = np.random.default_rng(0)
+    x, y = (values.ravel() for values in np.meshgrid(np.linspace(-6, 6, 49), np.linspace(-5, 5, 41)))
+    display = np.repeat(np.repeat(random.uniform(0.2, 0.7, (11, 13, 3)), 4, 0), 4, 1)[:41, :49].reshape(-1, 3)
+    count = len(x)
+    cloud = GaussianCloud(
+        means=torch.from_numpy(np.stack([x, y, np.zeros(count)], 1)).float(),
+        quats=torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        log_scales=torch.tensor([0.25, 0.25, 0.01]).log().repeat(count, 1),
+        opacity_logits=torch.full((count,), 4.0),
+        sh0=((torch.from_numpy(display).float() - 0.5) / C0)[:, None],
+        shN=torch.zeros(count, 3, 3),
+        background=torch.zeros(3),
+    )
+    return SceneModel(cloud, SceneEffects({"medium": Medium(**TRUE.parameters(), unit_range=3.0)}))
+
+
+@pytest.fixture
+def images(model) -> list[TrainingImage]:
+    """Photos of the wall from three to nine metres, through the true water."""
+    found = []
+    for number, distance in enumerate((3.0, 4.0, 5.5, 7.0, 9.0)):
+        pose = np.eye(4)
+        pose[:3, 3] = 0.3 * number, -0.2 * number, distance
+        camera = Camera(f"{number}.png", 160, 120, 150.0, 150.0, 80.0, 60.0, pose)
+        color = render(model.cloud, camera, 0, TRUE).color
+        found.append(
+            TrainingImage(camera, (255 * color).round().clamp(0, 255).byte().numpy(), np.ones((120, 160), bool))
+        )
+    return found
+
+
+def through_wrong_water(model: SceneModel, images: list[TrainingImage]) -> SceneModel:
+    """The model with the wrong water, and the colors that fit the photos best through it."""
+    colors = colors_through(model.cloud, images, TRUE, WRONG)
+    wrong = Medium(**{name: tensor.clone() for name, tensor in WRONG.parameters().items()}, unit_range=3.0)
+    return SceneModel(replace(model.cloud, sh0=((colors - 0.5) / C0)[:, None]), SceneEffects({"medium": wrong}))
+
+
+def test_a_model_gets_the_water_of_its_photos_and_the_colors_that_fit_it(model, images):
+    wrong = through_wrong_water(model, images)
+    seen = [render(wrong.cloud, image.camera, 0, wrong.effects.medium).color for image in images]
+    true = 0.5 + C0 * model.cloud.sh0
+    before = (0.5 + C0 * wrong.cloud.sh0 - true).abs().mean()
+    assert fit_again(wrong, images, 0)
+    assert errors(wrong.effects.medium).max() < 0.06
+    assert (0.5 + C0 * wrong.cloud.sh0 - true).abs().mean() < 0.35 * before
+    for image, color in zip(images, seen, strict=True):
+        assert (render(wrong.cloud, image.camera, 0, wrong.effects.medium).color - color).abs().mean() < 0.02
+
+
+def test_exposure_of_a_photo_is_not_taken_for_water(model, images):
+    exposures = {image.camera.name: factor for image, factor in zip(images, (1, 0.8, 0.7, 0.6, 0.5), strict=True)}
+
+    def shown(color: torch.Tensor, name: str) -> torch.Tensor:
+        return color * exposures[name]
+
+    model.effects.apply_to_image = shown
+    darker = [
+        replace(image, pixels=(image.pixels * exposures[image.camera.name]).round().astype(np.uint8))
+        for image in images
+    ]
+    wrong = through_wrong_water(model, images)
+    wrong.effects.apply_to_image = shown
+    assert fit_again(wrong, darker, 0)
+    assert errors(wrong.effects.medium).max() < 0.1
+
+
+def test_gaussians_that_are_not_the_surface_and_masked_pixels_are_not_observed(model, images):
+    count = len(model.cloud)
+    behind = replace(model.cloud, means=model.cloud.means + torch.tensor([0.0, 0.0, 1.5]))
+    both = SceneModel(model.cloud.followed_by(behind), model.effects)
+    observed = observe_gaussians(both, images, 0)
+    assert len(observed.gaussian) > 1000 and observed.gaussian.max() < count
+    left = np.zeros((120, 160), bool)
+    left[:, :60] = True
+    masked = observe_gaussians(model, [replace(image, valid=left) for image in images], 0)
+    assert 0 < len(masked.gaussian) < 0.6 * len(observed.gaussian)
+
+
+def test_with_too_few_observations_nothing_changes(model, images):
+    wrong = through_wrong_water(model, images)
+    sh0, attenuation = wrong.cloud.sh0.clone(), wrong.effects.medium.attenuation.clone()
+    assert not fit_again(wrong, images[:2], 0)
+    assert torch.equal(wrong.cloud.sh0, sh0) and torch.equal(wrong.effects.medium.attenuation, attenuation)
