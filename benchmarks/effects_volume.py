@@ -113,7 +113,6 @@ def run_case(name: str, pattern: str, seed: int, clean: Path) -> dict:
         "truth": water,
     }
     row["states"] = {effect: effects[effect].state for effect in EFFECTS}
-    row["reasons"] = {effect: effects[effect].reason for effect in EFFECTS}
     if fit is not None and row["states"]["attenuation"] == "on":
         row["fit"] = {part: getattr(fit, part).tolist() for part in ("beta_D", "beta_B", "B")}
         with np.load(kept) as arrays:

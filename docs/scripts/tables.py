@@ -1367,7 +1367,6 @@ def maps_truth() -> str:
     rows = []
     for seed, figures in found.items():
         for water, survey in figures["surveys"].items():
-            wrong = sum(abs(error) > 0.05 for _, _, error in survey["patches"])
             areas = survey["areas"].values()
             largest = max((area["corrected_error"] for area in areas), key=abs)
             rows.append(
@@ -1375,7 +1374,7 @@ def maps_truth() -> str:
                     water, seed, f"{survey['test_psnr']:.1f} dB", f"{100 * survey['scale_error']:+.2f} %",
                     f"{survey['height_median_error']:.1f} px", f"{survey['height_p95_error']:.1f} px",
                     *(f"{100 * survey['areas'][name]['error']:+.1f} %" for name in names),
-                    of(wrong, len(survey["patches"])), f"{100 * largest:+.1f} %",
+                    of(survey["wrong_patches"], survey["patches"]), f"{100 * largest:+.1f} %",
                     of(sum(area["in_interval"] for area in areas), len(areas)),
                 ]
             )  # fmt: skip
@@ -1389,7 +1388,7 @@ def change_truth() -> str:
     rows = []
     for name in seeds[0]:
         pairs = [seed[name] for seed in seeds]
-        expected, invented = (sum(len(pair[key]) for pair in pairs) for key in ("expected", "invented"))
+        expected, invented = (sum(pair[key] for pair in pairs) for key in ("expected", "invented"))
         found = sum(pair["found"] for pair in pairs)
         compared, limit = ([pair[key] for pair in pairs] for key in ("compared", "height_limit"))
         rows.append(

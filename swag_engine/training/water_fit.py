@@ -20,6 +20,7 @@ from ..kernels.reference.harmonics import C0
 from ..kernels.reference.transfer import to_display, to_light
 from ..rendering.model import SceneModel
 from ..rendering.render import render
+from ..rendering.restoration import WIDTH
 from ..scene.images import TrainingImage
 from ..water.medium import BRIGHTEST, Medium, through_water
 
@@ -284,7 +285,7 @@ def fit_again(model: SceneModel, images: Sequence[TrainingImage], sh_degree: int
     """
     cloud, medium = model.cloud, model.effects.medium
     assert isinstance(medium, Medium)
-    some = images[:: max(1, len(images) // MOST_IMAGES)]
+    some = [image.resized(min(image.camera.width, WIDTH)) for image in images[:: max(1, len(images) // MOST_IMAGES)]]
     observed = observe_gaussians(model, some, sh_degree, backend)
     if len(observed.gaussian) < FEWEST:
         return False

@@ -10,7 +10,8 @@ along a ray. The formula holds for light, so display values are converted to lin
 unless a medium says otherwise; blending works on display values as everywhere. docs/method.md, section 1.
 """
 
-from dataclasses import dataclass, fields, replace
+from copy import copy
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import torch
@@ -98,8 +99,10 @@ class Medium:
 
     def to(self, device: torch.device) -> "Medium":
         """Return the medium with its tensors on a device."""
-        moved = {name: tensor.to(device) for name, tensor in self.parameters().items()}
-        return replace(self, **moved)
+        moved = copy(self)
+        for name, tensor in self.parameters().items():
+            setattr(moved, name, tensor.to(device))
+        return moved
 
     def settings(self) -> dict[str, Any]:
         """Return what a checkpoint needs beside the tensors."""

@@ -217,3 +217,27 @@ def test_far_places_do_not_take_the_color_of_water_that_differs_in_one_photo(wal
     assert np.abs(same[:, 240:]).mean() < 0.01
     inverted = 0.1 * np.array([0.02, 0.2, 0.3]) / np.exp(-15 * np.array([0.3, 0.09, 0.06]))
     assert (np.abs(other[:, 240:]).mean((0, 1)) < 0.25 * inverted).all()
+
+
+@pytest.mark.parametrize("alpha", [0.7, 0.95])
+def test_open_water_behind_a_surface_that_is_not_quite_opaque_is_not_taken_for_its_water(wall, alpha):
+    model, _, _ = wall
+    one = replace(
+        model.cloud.rows(slice(0, 1)),
+        means=torch.tensor([[0.0, 0.0, 3.0]]),
+        log_scales=torch.tensor([[50.0, 50.0, 0.01]]).log(),
+        opacity_logits=torch.logit(torch.tensor([alpha])),
+    )
+    middle = 150, 200
+    opaque = srgb_to_linear(uniform_image(model.cloud, model.effects, CAMERA, 0.0))[middle]
+    found = srgb_to_linear(uniform_image(one, model.effects, CAMERA, 0.0))[middle]
+    open_water = srgb_to_linear(render(one.rows(slice(0, 0)), CAMERA, 0, WATER).color.numpy())[middle]
+    weight = min(1.0, 2 * alpha - 1)
+    assert (np.abs(found - opaque) < (1 - weight) * np.abs(open_water - opaque) + 2e-3).all()
+    assert (opaque < 0.7 * open_water).all()
+
+
+def test_where_nothing_is_a_photo_shows_open_water(wall):
+    model, _, _ = wall
+    empty = uniform_image(model.cloud.rows(slice(0, 0)), model.effects, CAMERA, 1.0)
+    np.testing.assert_allclose(empty, render(model.cloud.rows(slice(0, 0)), CAMERA, 0, WATER).color.numpy(), atol=1e-5)

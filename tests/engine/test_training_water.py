@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from swag_engine.base.errors import InputError
+from swag_engine.effects.lamp import Lamp
 from swag_engine.evaluation.metrics import restored_error
 from swag_engine.experiments.develop_run import automatic_development
 from swag_engine.experiments.evaluate_run import evaluate_run, load_newest, load_run, render_run, true_image
@@ -28,6 +29,7 @@ from swag_engine.splats.develop_splats import bake_development
 from swag_engine.splats.development import NO_DEVELOPMENT, Development
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import make_trainer, train
+from swag_engine.water.medium import Medium
 from tests.engine.exr_files import read_exr
 
 REEF = Path(__file__).parents[1] / "scenes" / "reef_wreck"
@@ -156,6 +158,65 @@ def test_photos_without_modelled_water_are_not_developed(runs):
     cloud, effects, _ = load_newest(runs / "3dgs")
     found = automatic_development(runs / "3dgs", cloud, effects)
     assert Development.from_json(found) == NO_DEVELOPMENT and "No water" in found["note"]
+
+
+@pytest.fixture
+def settled(monkeypatch):
+    """Few iterations are enough for the last fit of the water."""
+    monkeypatch.setattr("swag_engine.training.effect_selection.SETTLED_AFTER", 0)
+
+
+def test_the_water_is_fitted_once_and_then_stays(runs, tmp_path, settled):
+    shutil.copy(runs / "swag" / "plan.json", tmp_path)
+    trainer = make_trainer(RunFolder(tmp_path), REEF, SETTINGS, False, lambda event: None, None, time.monotonic())
+    state, medium = trainer.state, trainer.state.effects.medium
+
+    def water() -> torch.Tensor:
+        return torch.cat([tensor.detach().reshape(-1) for tensor in medium.parameters().values()])
+
+    while state.clock.fraction < 0.7:
+        before = water()
+        trainer.iterate()
+        assert not torch.equal(water(), before) and not state.water_final
+    learned = water()
+    trainer.iterate()
+    fitted = water()
+    assert state.water_final and (fitted - learned).abs().max() > 10 * state.recipe.water_rate
+    while state.clock.fraction < 0.95:
+        trainer.iterate()
+    assert torch.equal(water(), fitted)
+    trainer.save()
+    trainer.resume()
+    assert trainer.state.water_final
+
+
+def test_runs_whose_gaussians_have_not_settled_keep_the_water_that_they_learn(runs):
+    assert not load_checkpoint(runs / "swag")[1]["water_final"]
+
+
+@pytest.mark.parametrize("change", ["lamp", "display values", "no backscatter", "no water", "part of a survey"])
+def test_the_water_is_not_fitted_where_images_do_not_tell_it_from_a_lamp_or_it_is_fixed(
+    runs, tmp_path, settled, monkeypatch, change
+):
+    shutil.copy(runs / "swag" / "plan.json", tmp_path)
+    trainer = make_trainer(RunFolder(tmp_path), REEF, SETTINGS, False, lambda event: None, None, time.monotonic())
+    state, selection = trainer.state, trainer.selection
+    assert not selection.fits_water(state)
+    state.clock.advance(100)
+    assert selection.fits_water(state)
+    medium = state.effects.medium
+    assert isinstance(medium, Medium)
+    if change == "lamp":
+        state.effects.models["lamp"] = Lamp.starting(2.0, 4.0)
+    elif change == "display values":
+        state.effects.models["medium"] = replace(medium, light="srgb")
+    elif change == "no backscatter":
+        state.effects.models["medium"] = replace(medium, background_sh=None)
+    elif change == "no water":
+        del state.effects.models["medium"]
+    else:
+        monkeypatch.setattr(selection, "whole", object())
+    assert not selection.fits_water(state)
 
 
 def test_a_resumed_run_keeps_its_water(runs, tmp_path):
