@@ -232,8 +232,7 @@ def test_open_water_behind_a_surface_that_is_not_quite_opaque_is_not_taken_for_i
     opaque = srgb_to_linear(uniform_image(model.cloud, model.effects, CAMERA, 0.0))[middle]
     found = srgb_to_linear(uniform_image(one, model.effects, CAMERA, 0.0))[middle]
     open_water = srgb_to_linear(render(one.rows(slice(0, 0)), CAMERA, 0, WATER).color.numpy())[middle]
-    weight = min(1.0, 2 * alpha - 1)
-    assert (np.abs(found - opaque) < (1 - weight) * np.abs(open_water - opaque) + 2e-3).all()
+    assert (np.abs(found - opaque) < 0.7 * (1 - alpha) * np.abs(open_water - opaque) + 5e-4).all()
     assert (opaque < 0.7 * open_water).all()
 
 

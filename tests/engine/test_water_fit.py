@@ -27,7 +27,7 @@ def observations(nearest: float = 2.0, outliers: float = 0.0, color_error: float
     """300 Gaussians in six images each, up to four times as far away as the nearest, through the true water."""
     random = np.random.default_rng(0)
     gaussian = np.repeat(np.arange(300), 6)
-    ranges = nearest * random.uniform(1, 4, len(gaussian)) if nearest else np.full(len(gaussian), 4.0)
+    ranges = random.uniform(*((nearest, 4 * nearest) if nearest else (3.96, 4.04)), len(gaussian))
     J = random.uniform(0.02, 0.6, (300, 3))[gaussian] * np.exp(color_error * random.standard_normal((1800, 1)))
     r = ranges[:, None]
     light = J * np.exp(-BETA_D.numpy() * r) + B.numpy() * -np.expm1(-BETA_B.numpy() * r)
@@ -63,7 +63,7 @@ def test_light_of_other_surfaces_counts_little():
 
 def test_what_images_do_not_show_stays_as_it_was():
     found = fit_water(observations(nearest=0.0), WRONG)
-    assert errors(found, WRONG).max() < 0.2
+    assert errors(found, WRONG).max() < 0.3
     assert all(torch.isfinite(tensor).all() for tensor in found.parameters().values())
 
 
@@ -157,8 +157,11 @@ def test_exposure_of_a_photo_is_not_taken_for_water(model, images, monkeypatch):
 
 def test_gaussians_that_are_not_the_surface_and_masked_pixels_are_not_observed(model, images):
     count = len(model.cloud)
-    behind = replace(model.cloud, means=model.cloud.means + torch.tensor([0.0, 0.0, 1.5]))
-    both = SceneModel(model.cloud.followed_by(behind), model.effects)
+    some = model.cloud.rows(slice(0, None, 40))
+    floating = replace(
+        some, means=some.means - torch.tensor([0.0, 0.0, 1.5]), opacity_logits=torch.full((len(some),), -1.0)
+    )
+    both = SceneModel(model.cloud.followed_by(floating), model.effects)
     observed = observe_gaussians(both, images, 0)
     assert len(observed.gaussian) > 1000 and observed.gaussian.max() < count
     left = np.zeros((120, 160), bool)
