@@ -115,7 +115,7 @@ def observe_gaussians(
         surface = (valid & (picture.alpha > SURFACE_ALPHA)).to(plain)[..., None]
         seen = picture.range[..., None]
         sums = contribution_sums(
-            cloud, camera, torch.cat([light, seen, seen.square(), plain[..., :1] * 0 + 1], -1) * surface, backend
+            cloud, camera, torch.cat([light, seen, seen.square(), torch.ones_like(seen)], -1) * surface, backend
         )[::stride]
         offsets = cloud.means[::stride] - torch.from_numpy(camera.centre).to(cloud.means)
         ranges, weight = offsets.norm(dim=1), sums[:, 5]
