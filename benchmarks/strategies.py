@@ -110,7 +110,7 @@ class GsplatDensification(Densification):
         """Give the strategy the step that was made; see `Densification.after_step`."""
         with torch.no_grad():
             count = len(state.cloud)
-            if count != self.count:  # the guard has put back an earlier state, which the strategy's counts do not fit
+            if count != self.count:  # after a rollback the strategy's own counts do not fit
                 self.strategy_state |= {name: None for name in ("grad2d", "count") if name in self.strategy_state}
             parameters, optimizers = to_gsplat(state)
             self._call(parameters, optimizers, state.iteration, means_rate)

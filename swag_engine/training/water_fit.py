@@ -188,6 +188,9 @@ def fit_water(observed: GaussianLight, medium: Medium) -> Medium:
         transmission, added = terms(at)
         return observed.light - transmission * J[gaussian] - added
 
+    def cost(at: Tensor, J: Tensor, weight: Tensor, precision: Tensor, known: Tensor) -> Tensor:
+        return (weight * misfit(at, J).square()).sum(0) + (precision * (at - known).square()).sum(0)
+
     weight = observed.weight[:, None].expand(-1, 3)
     J, damping = surfaces(values, weight), torch.full((3,), DAMPING, dtype=torch.float64)
     for _ in range(STEPS):
@@ -196,16 +199,11 @@ def fit_water(observed: GaussianLight, medium: Medium) -> Medium:
         scale = MAD_TO_SD * (error.abs() / variance.sqrt()).median(0).values.clamp(min=LEAST)
         variance = variance * scale.square()
         weight = observed.weight[:, None] / variance / (1 + error.square() / variance / CUT**2).square()
+        # What is known beside the light of Gaussians: the water of training, and the light of open water.
+        precision, known = 1 / (PRIOR_ERROR * prior).square(), prior.clone()
         open_weight = observed.open_pixels * background.square().mean(0) / (LIGHT_ERROR * scale).square()
-
-        def cost(at: Tensor, J: Tensor, weight: Tensor = weight, open_weight: Tensor = open_weight) -> Tensor:
-            of_prior = ((at - prior) / (PRIOR_ERROR * prior)).square().sum(0)
-            return (
-                (weight * misfit(at, J).square()).sum(0)
-                + open_weight * (at[2] - observed.open_ratio).square()
-                + of_prior
-            )
-
+        known[2] = (precision[2] * prior[2] + open_weight * observed.open_ratio) / (precision[2] + open_weight)
+        precision[2] += open_weight
         J = surfaces(values, weight)
         error = misfit(values, J)
         transmission, added = terms(values)
@@ -216,17 +214,13 @@ def fit_water(observed: GaussianLight, medium: Medium) -> Medium:
         slopes = slopes - transmission[..., None] * of_J[gaussian]
         normal = torch.einsum("mc,mci,mcj->cij", weight, slopes, slopes)
         right = torch.einsum("mc,mci,mc->ci", weight, slopes, error)
-        precision = 1 / (PRIOR_ERROR * prior).square()
-        precision[2] += open_weight
-        pull = (prior - values) / (PRIOR_ERROR * prior).square()
-        pull[2] += open_weight * (observed.open_ratio - values[2])
         normal = normal + torch.einsum("ia,ac,ja->cij", directions, precision, directions)
-        right = right + torch.einsum("ia,ac->ci", directions, pull)
+        right = right + torch.einsum("ia,ac->ci", directions, precision * (known - values))
         damped = normal + damping[:, None, None] * torch.diag_embed(normal.diagonal(dim1=1, dim2=2))
         step = (torch.linalg.solve(damped, right) @ directions).T
         tried = torch.maximum(values + step, LEAST * prior)
         J_tried = surfaces(tried, weight)
-        better = cost(tried, J_tried) < cost(values, J)
+        better = cost(tried, J_tried, weight, precision, known) < cost(values, J, weight, precision, known)
         values, J = torch.where(better, tried, values), torch.where(better, J_tried, J)
         damping = torch.where(better, damping / 5, damping * 10)
     B = (start.background_sh[0] * C0).sigmoid() * values[2].float()

@@ -10,7 +10,6 @@ import torch
 from swag_engine.base.transfer import linear_to_srgb, srgb_to_linear
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.evidence.noise import LEAST_OFFSET, LEAST_SLOPE, MAD_TO_SD, YCC_TO_RGB, Noise
-from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.reference.harmonics import C0
 from swag_engine.rendering.model import SceneModel
 from swag_engine.rendering.photo_terms import uniform_image
@@ -27,6 +26,7 @@ from swag_engine.rendering.restored_photo import (
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
 from swag_engine.water.medium import Medium
+from tests.engine.water_scenes import wall_cloud
 
 COVARIANCE = 0.02 * np.array([[1.0, 0.8, 0.6], [0.8, 1.0, 0.8], [0.6, 0.8, 1.0]])
 
@@ -114,23 +114,13 @@ WATER = Medium.starting(
 @pytest.fixture
 def wall() -> tuple[SceneModel, TrainingImage, RestorationLimit]:
     """A wall of patches three metres away, its photo through water, and colors that are wrong by the same for all."""
-    random = np.random.default_rng(0)
-    x, y = (values.ravel() for values in np.meshgrid(np.linspace(-4, 4, 33), np.linspace(-3, 3, 25)))
-    display = np.repeat(np.repeat(random.uniform(0.2, 0.6, (5, 7, 3)), 5, 0), 5, 1)[:25, :33].reshape(-1, 3)
-    count = len(x)
-    cloud = GaussianCloud(
-        means=torch.from_numpy(np.stack([x, y, np.full(count, 3.0)], 1)).float(),
-        quats=torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
-        log_scales=torch.tensor([0.25, 0.25, 0.01]).log().repeat(count, 1),
-        opacity_logits=torch.full((count,), 4.0),
-        sh0=((torch.from_numpy(display).float() - 0.5) / C0)[:, None],
-        shN=torch.zeros(count, 3, 3),
-        background=torch.zeros(3),
-    )
+    patches = np.random.default_rng(0).uniform(0.2, 0.6, (5, 7, 3))
+    display = np.repeat(np.repeat(patches, 5, 0), 5, 1)[:25, :33]
+    cloud = wall_cloud(display, 0.25, 3.0)
     model = SceneModel(cloud, SceneEffects({"medium": WATER}))
     pixels = (255 * render(cloud, CAMERA, 0, WATER).color).round().clamp(0, 255).byte().numpy()
-    wrong = torch.from_numpy(display).float() + torch.tensor([0.2, 0.1, -0.15])
-    limit = RestorationLimit(torch.ones(count, 3), wrong, torch.zeros(count, dtype=torch.bool))
+    wrong = torch.from_numpy(display.reshape(-1, 3)).float() + torch.tensor([0.2, 0.1, -0.15])
+    limit = RestorationLimit(torch.ones(len(cloud), 3), wrong, torch.zeros(len(cloud), dtype=torch.bool))
     return model, TrainingImage(CAMERA, pixels, np.ones(pixels.shape[:2], bool)), limit
 
 

@@ -195,9 +195,7 @@ def test_runs_whose_gaussians_have_not_settled_keep_the_water_that_they_learn(ru
 
 
 @pytest.mark.parametrize("change", ["lamp", "display values", "no backscatter", "no water", "part of a survey"])
-def test_the_water_is_not_fitted_where_images_do_not_tell_it_from_a_lamp_or_it_is_fixed(
-    runs, tmp_path, settled, monkeypatch, change
-):
+def test_other_water_is_not_fitted_again(runs, tmp_path, settled, monkeypatch, change):
     shutil.copy(runs / "swag" / "plan.json", tmp_path)
     trainer = make_trainer(RunFolder(tmp_path), REEF, SETTINGS, False, lambda event: None, None, time.monotonic())
     state, selection = trainer.state, trainer.selection

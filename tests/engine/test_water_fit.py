@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from swag_engine.effects.scene_effects import SceneEffects
-from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.reference.harmonics import C0
 from swag_engine.rendering.model import SceneModel
 from swag_engine.rendering.render import render
@@ -17,6 +16,7 @@ from swag_engine.scene.images import TrainingImage
 from swag_engine.training.water_fit import GaussianLight, colors_through, fit_again, fit_water, observe_gaussians
 from swag_engine.water.medium import Medium
 from swag_engine.water.network import WaterNetwork
+from tests.engine.water_scenes import wall_cloud
 
 BETA_D, BETA_B, B = (torch.tensor(values) for values in ([0.35, 0.09, 0.06], [0.3, 0.11, 0.085], [0.08, 0.16, 0.3]))
 TRUE = Medium.starting(3.0, "linear", BETA_D, BETA_B, B)
@@ -92,20 +92,9 @@ def test_change_of_the_background_light_with_direction_stays():
 
 @pytest.fixture
 def model() -> SceneModel:
-    """A wall of patches whose colors fit the photos through the wrong water."""
-    random = np.random.default_rng(0)
-    x, y = (values.ravel() for values in np.meshgrid(np.linspace(-6, 6, 49), np.linspace(-5, 5, 41)))
-    display = np.repeat(np.repeat(random.uniform(0.2, 0.7, (11, 13, 3)), 4, 0), 4, 1)[:41, :49].reshape(-1, 3)
-    count = len(x)
-    cloud = GaussianCloud(
-        means=torch.from_numpy(np.stack([x, y, np.zeros(count)], 1)).float(),
-        quats=torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
-        log_scales=torch.tensor([0.25, 0.25, 0.01]).log().repeat(count, 1),
-        opacity_logits=torch.full((count,), 4.0),
-        sh0=((torch.from_numpy(display).float() - 0.5) / C0)[:, None],
-        shN=torch.zeros(count, 3, 3),
-        background=torch.zeros(3),
-    )
+    """A wall of patches of different colors, in the true water."""
+    patches = np.random.default_rng(0).uniform(0.2, 0.7, (11, 13, 3))
+    cloud = wall_cloud(np.repeat(np.repeat(patches, 4, 0), 4, 1)[:41, :49], 0.25, 0.0)
     return SceneModel(cloud, SceneEffects({"medium": deepcopy(TRUE)}))
 
 

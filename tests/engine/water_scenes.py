@@ -1,7 +1,10 @@
 """Water and light for tests: a camera, a random medium, and gains with their gradients."""
 
+import numpy as np
 import torch
 
+from swag_engine.gaussians.cloud import GaussianCloud
+from swag_engine.kernels.reference.harmonics import C0
 from swag_engine.water.light import apply_gain
 from swag_engine.water.medium import Medium
 
@@ -31,3 +34,18 @@ def gain_and_gradients(shape, backend, dtype, device="cpu"):
     shown = apply_gain(leaves[0], leaves[1], backend)
     weights = torch.randn(shown.shape, generator=generator, dtype=torch.float64).to(shown)
     return [t.detach().double().cpu() for t in (shown, *torch.autograd.grad((shown * weights).sum(), leaves))]
+
+
+def wall_cloud(display, spacing, z):
+    """A flat, opaque wall at a depth z, centred at the axis, with a Gaussian for each of the colors (H, W, 3)."""
+    height, width = display.shape[:2]
+    y, x = ((np.mgrid[:height, :width] - np.array([height - 1, width - 1])[:, None, None] / 2) * spacing).reshape(2, -1)
+    return GaussianCloud(
+        means=torch.from_numpy(np.stack([x, y, np.full(len(x), z)], 1)).float(),
+        quats=torch.tensor([1.0, 0, 0, 0]).repeat(len(x), 1),
+        log_scales=torch.tensor([spacing, spacing, 0.01]).log().repeat(len(x), 1),
+        opacity_logits=torch.full((len(x),), 4.0),
+        sh0=((torch.from_numpy(display.reshape(-1, 3)).float() - 0.5) / C0)[:, None],
+        shN=torch.zeros(len(x), 3, 3),
+        background=torch.zeros(3),
+    )
