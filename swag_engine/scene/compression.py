@@ -1,8 +1,10 @@
 """What photos lose as JPEG files: the details of color at half the size, and some of all details."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 from PIL import Image, JpegImagePlugin
 
@@ -16,6 +18,9 @@ NEARLY_FULL = 0.75
 ROUNDING_SHARE = 0.2
 """Variance of the error of a coefficient over step^2 / 12, that of rounding what is larger than a step. Most are
 smaller and become 0. In detailed parts of four generated scenes it was .03 to 1.9 (files of quality 91)."""
+MOST_REDUCED = 2.0
+"""Pixels of a photo for one of an image, along each side, up to which `change_by_compression` looks at it: where an
+image is reduced more, each of its pixels is the mean of several values of color."""
 BLOCK = 8
 """Coefficients that JPEG has along each side of a block, as many as pixels of the channel."""
 
@@ -42,6 +47,32 @@ def compression_variance(path: Path, width: int) -> np.ndarray:
         for _, across, down, table in image.layer[:3]
     ]
     return np.array(variances + [0.0] * (3 - len(variances)))
+
+
+def change_by_compression(path: Path, display: np.ndarray) -> np.ndarray:
+    """Compress an image as a photo was compressed, and return what that changes.
+
+    Args:
+        path: The photo.
+        display: Display values (H, W, 3) in 0..1 of an image that shows the same, at the size of the photo or reduced.
+
+    Returns:
+        (H, W, 3) change of the display values; 0 for photos that are not JPEG or that are damaged, and where the image
+        is reduced more than MOST_REDUCED.
+    """
+    height, width = display.shape[:2]
+    photo = _jpeg(path)
+    if photo is None or photo.width > MOST_REDUCED * width:
+        return np.zeros_like(display)
+    size = (photo.width, round(height * photo.width / width))
+    before = (255 * cv2.resize(display, size)).round().clip(0, 255).astype(np.uint8)
+    file = io.BytesIO()
+    Image.fromarray(before).convert(photo.mode).save(
+        file, "JPEG", qtables=photo.quantization, subsampling=JpegImagePlugin.get_sampling(photo)
+    )
+    after = np.asarray(Image.open(file).convert("RGB"))
+    change = (after.astype(np.float32) - before) / np.float32(255)
+    return cv2.resize(change, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _jpeg(path: Path) -> JpegImagePlugin.JpegImageFile | None:

@@ -401,8 +401,9 @@ class Trainer:
         state.synchronize()
         state.water_final = True
         model, images = SceneModel(state.cloud, state.effects), self.inputs.training
+        photos = {view.name: view.path for view in self.inputs.scene.views}
         with part("water"):
-            none_if_out_of_memory(lambda: fit_again(model, images, settings.sh_degree, settings.backend))
+            none_if_out_of_memory(lambda: fit_again(model, images, photos, settings.sh_degree, settings.backend))
         state.guarded.keep(state.optimizer)
 
     def step_config(self) -> StepConfig:

@@ -5,8 +5,9 @@ than from far, which looks like water. This fit takes only Gaussians that are at
 little weight to those whose light no water explains. docs/method.md, section 1, has the formulas.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ from ..kernels.reference.transfer import to_display, to_light
 from ..rendering.model import SceneModel
 from ..rendering.render import render
 from ..rendering.restoration import WIDTH
+from ..scene.compression import change_by_compression
 from ..scene.images import TrainingImage
 from ..water.medium import BRIGHTEST, Medium, through_water
 
@@ -85,13 +87,20 @@ class GaussianLight:
 
 @torch.no_grad()
 def observe_gaussians(
-    model: SceneModel, images: Sequence[TrainingImage], sh_degree: int, backend: str = "auto"
+    model: SceneModel,
+    images: Sequence[TrainingImage],
+    photos: Mapping[str, Path],
+    sh_degree: int,
+    backend: str = "auto",
 ) -> GaussianLight:
     """Observe the light of Gaussians in images, where they are the surface that is rendered.
+
+    What compression has changed in a photo is taken as what it changes in a render of it.
 
     Args:
         model: The Gaussians and the effects; the water has a background light, and there is no lamp.
         images: Training images.
+        photos: Their files by the names of their cameras.
         sh_degree: Degree of the Gaussians' colors.
         backend: What renders, as in `kernels_for`.
 
@@ -108,9 +117,12 @@ def observe_gaussians(
         picture = render(cloud, camera, sh_degree, medium, with_range=True, backend=backend)
         assert picture.range is not None and picture.behind is not None
         plain = to_light(picture.color.clamp(0, 1))
-        shown = to_light(model.effects.apply_to_image(picture.color, camera.name).clamp(0, 1))
+        display = model.effects.apply_to_image(picture.color, camera.name).clamp(0, 1)
+        shown = to_light(display)
+        change = torch.from_numpy(change_by_compression(photos[camera.name], display.cpu().numpy())).to(plain)
+        compressed = to_light((display + change).clamp(min=0))
         photo = torch.from_numpy(srgb_to_linear(image.pixels / np.float32(255))).to(plain)
-        light = photo * plain.clamp(min=LEAST) / shown.clamp(min=LEAST)
+        light = (photo - compressed + shown) * plain.clamp(min=LEAST) / shown.clamp(min=LEAST)
         valid = torch.from_numpy(image.valid).to(plain.device)
         surface = (valid & (picture.alpha > SURFACE_ALPHA)).to(plain)[..., None]
         seen = picture.range[..., None]
@@ -265,12 +277,19 @@ def colors_through(
 
 
 @torch.no_grad()
-def fit_again(model: SceneModel, images: Sequence[TrainingImage], sh_degree: int, backend: str = "auto") -> bool:
+def fit_again(
+    model: SceneModel,
+    images: Sequence[TrainingImage],
+    photos: Mapping[str, Path],
+    sh_degree: int,
+    backend: str = "auto",
+) -> bool:
     """Fit the water of a model again, and give its Gaussians the colors that look the same through it, in place.
 
     Args:
         model: The Gaussians and the effects; the water has a background light, and there is no lamp.
         images: Training images.
+        photos: Their files by the names of their cameras.
         sh_degree: Degree of the Gaussians' colors.
         backend: What computes, as in `kernels_for`.
 
@@ -280,7 +299,7 @@ def fit_again(model: SceneModel, images: Sequence[TrainingImage], sh_degree: int
     cloud, medium = model.cloud, model.effects.medium
     assert isinstance(medium, Medium)
     some = [image.resized(min(image.camera.width, WIDTH)) for image in images[:: max(1, len(images) // MOST_IMAGES)]]
-    observed = observe_gaussians(model, some, sh_degree, backend)
+    observed = observe_gaussians(model, some, photos, sh_degree, backend)
     if len(observed.gaussian) < FEWEST:
         return False
     fitted = fit_water(observed, medium).to(cloud.means.device)

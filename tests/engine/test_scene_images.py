@@ -12,7 +12,7 @@ from PIL import Image
 
 from swag_engine.evidence.noise import YCC_TO_RGB
 from swag_engine.scene.colmap import load_scene
-from swag_engine.scene.compression import compression_variance, small_jpeg_note
+from swag_engine.scene.compression import change_by_compression, compression_variance, small_jpeg_note
 from swag_engine.scene.images import _drop_stale, load_images, read_image
 from swag_engine.scene.lenses import Lens
 from tests.scenes.dots import draw_dots, make_dot_scene
@@ -268,6 +268,29 @@ def test_what_compression_changes_is_estimated_from_the_file(
     change = np.square((stored - exact) @ np.linalg.inv(YCC_TO_RGB).T).mean((0, 1))
     estimate = compression_variance(tmp_path / "a.jpg", width)
     assert (estimate > 0.1 * change).all() and (estimate < 10 * change).all()
+
+
+@pytest.mark.parametrize("written", [{"subsampling": "4:2:0"}, {"subsampling": "4:4:4"}, {"mode": "L"}])
+def test_an_image_that_is_compressed_as_a_photo_was_changes_as_the_photo_did(
+    written: dict[str, str], tmp_path: Path
+) -> None:
+    photo, path = Image.fromarray(detailed_photo()), tmp_path / "a.jpg"
+    photo = photo.convert(written.pop("mode", "RGB"))
+    photo.save(path, quality=85, **written)
+    exact, stored = (np.asarray(image.convert("RGB")) / np.float32(255) for image in (photo, Image.open(path)))
+    assert np.abs(stored - exact).max() > 0.03
+    np.testing.assert_allclose(change_by_compression(path, exact), stored - exact, atol=1e-6)
+    half = cv2.resize(exact, (400, 300), interpolation=cv2.INTER_AREA)
+    assert change_by_compression(path, half).any()
+    assert not change_by_compression(path, half[::2, ::2]).any()
+
+
+def test_an_image_changes_by_no_compression_where_the_photo_was_not_compressed(tmp_path: Path) -> None:
+    photo = detailed_photo()
+    Image.fromarray(photo).save(tmp_path / "a.png")
+    (tmp_path / "damaged.jpg").write_bytes(b"\xff\xd8\xff\xe0 not a photo")
+    for name in ("a.png", "damaged.jpg", "missing.jpg"):
+        assert not change_by_compression(tmp_path / name, photo / np.float32(255)).any(), name
 
 
 def test_files_without_rounded_details_have_no_noise_of_compression(tmp_path: Path) -> None:

@@ -2,10 +2,12 @@
 
 from copy import deepcopy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.kernels.reference.harmonics import C0
@@ -21,6 +23,8 @@ from tests.engine.water_scenes import wall_cloud
 BETA_D, BETA_B, B = (torch.tensor(values) for values in ([0.35, 0.09, 0.06], [0.3, 0.11, 0.085], [0.08, 0.16, 0.3]))
 TRUE = Medium.starting(3.0, "linear", BETA_D, BETA_B, B)
 WRONG = Medium.starting(3.0, "linear", 0.8 * BETA_D, 1.15 * BETA_B, 0.9 * B)
+PHOTOS = {f"{number}.png": Path(f"{number}.png") for number in range(5)}
+"""Files of photos that are not compressed."""
 
 
 def observations(nearest: float = 2.0, outliers: float = 0.0, color_error: float = 0.01) -> GaussianLight:
@@ -90,17 +94,27 @@ def test_change_of_the_background_light_with_direction_stays():
     torch.testing.assert_close(fit_water(observations(), start).background_sh[1:], start.background_sh[1:])
 
 
-@pytest.fixture
-def model() -> SceneModel:
-    """A wall of patches of different colors, in the true water."""
-    patches = np.random.default_rng(0).uniform(0.2, 0.7, (11, 13, 3))
-    cloud = wall_cloud(np.repeat(np.repeat(patches, 4, 0), 4, 1)[:41, :49], 0.25, 0.0)
+def wall(patch: int) -> SceneModel:
+    """A wall of patches of different colors, each of so many Gaussians along a side, in the true water."""
+    patches = np.random.default_rng(0).uniform(0.2, 0.7, (-(-41 // patch), -(-49 // patch), 3))
+    cloud = wall_cloud(np.repeat(np.repeat(patches, patch, 0), patch, 1)[:41, :49], 0.25, 0.0)
     return SceneModel(cloud, SceneEffects({"medium": deepcopy(TRUE)}))
 
 
 @pytest.fixture
+def model() -> SceneModel:
+    """A wall of large patches."""
+    return wall(4)
+
+
+@pytest.fixture
 def images(model) -> list[TrainingImage]:
-    """Photos of the wall from three to nine metres, through the true water."""
+    """Photos of that wall."""
+    return photographed(model)
+
+
+def photographed(model: SceneModel) -> list[TrainingImage]:
+    """Photos of a wall from three to nine metres, through the true water."""
     found = []
     for number, distance in enumerate((3.0, 4.0, 5.5, 7.0, 9.0)):
         pose = np.eye(4)
@@ -125,7 +139,7 @@ def test_a_model_gets_the_water_of_its_photos_and_the_colors_that_fit_it(model, 
     seen = [render(wrong.cloud, image.camera, 0, wrong.effects.medium).color for image in images]
     true = 0.5 + C0 * model.cloud.sh0
     before = (0.5 + C0 * wrong.cloud.sh0 - true).abs().mean()
-    assert fit_again(wrong, images, 0)
+    assert fit_again(wrong, images, PHOTOS, 0)
     assert errors(wrong.effects.medium).max() < 0.06
     assert (0.5 + C0 * wrong.cloud.sh0 - true).abs().mean() < 0.35 * before
     for image, color in zip(images, seen, strict=True):
@@ -140,8 +154,22 @@ def test_exposure_of_a_photo_is_not_taken_for_water(model, images, monkeypatch):
         for image in images
     ]
     wrong = through_wrong_water(model, images)
-    assert fit_again(wrong, darker, 0)
+    assert fit_again(wrong, darker, PHOTOS, 0)
     assert errors(wrong.effects.medium).max() < 0.1
+
+
+def test_what_compression_has_changed_in_photos_is_found_by_compressing_renders(tmp_path: Path):
+    model = wall(1)
+    images = photographed(model)
+    true = observe_gaussians(model, images, PHOTOS, 0)
+    files = {name: tmp_path / f"{name}.jpg" for name in PHOTOS}
+    for image in images:
+        file = files[image.camera.name]
+        Image.fromarray(image.pixels).save(file, quality=85, subsampling="4:2:0")
+        image.pixels = np.asarray(Image.open(file))
+    without, following = (observe_gaussians(model, images, photos, 0) for photos in (PHOTOS, files))
+    error = [(observed.light - true.light).abs().mean() for observed in (without, following)]
+    assert error[1] < 0.1 * error[0]
 
 
 def test_gaussians_that_are_not_the_surface_and_masked_pixels_are_not_observed(model, images):
@@ -151,16 +179,16 @@ def test_gaussians_that_are_not_the_surface_and_masked_pixels_are_not_observed(m
         some, means=some.means - torch.tensor([0.0, 0.0, 1.5]), opacity_logits=torch.full((len(some),), -1.0)
     )
     both = SceneModel(model.cloud.followed_by(floating), model.effects)
-    observed = observe_gaussians(both, images, 0)
+    observed = observe_gaussians(both, images, PHOTOS, 0)
     assert len(observed.gaussian) > 1000 and observed.gaussian.max() < count
     left = np.zeros((120, 160), bool)
     left[:, :60] = True
-    masked = observe_gaussians(model, [replace(image, valid=left) for image in images], 0)
+    masked = observe_gaussians(model, [replace(image, valid=left) for image in images], PHOTOS, 0)
     assert 0 < len(masked.gaussian) < 0.6 * len(observed.gaussian)
 
 
 def test_with_too_few_observations_nothing_changes(model, images):
     wrong = through_wrong_water(model, images)
     sh0, attenuation = wrong.cloud.sh0.clone(), wrong.effects.medium.attenuation.clone()
-    assert not fit_again(wrong, images[:2], 0)
+    assert not fit_again(wrong, images[:2], PHOTOS, 0)
     assert torch.equal(wrong.cloud.sh0, sh0) and torch.equal(wrong.effects.medium.attenuation, attenuation)
