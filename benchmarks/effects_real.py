@@ -146,7 +146,8 @@ def scene_with_points(name: str, kind: str) -> dict:
             )
         ],
     )
-    return {"kind": kind, "plan": plan.to_json()}
+    effects = {name: {"state": effect.state, "evidence": effect.evidence} for name, effect in plan.effects.items()}
+    return {"kind": kind, "plan": plan.to_json() | {"effects": effects}}
 
 
 def frames_with_depth() -> dict:

@@ -225,6 +225,27 @@ class SceneColors:
 
 
 @torch.no_grad()
+def transmission_and_backscatter(
+    offsets: Tensor, medium: Medium, lamp: Lamp | None = None, backend: str = "auto"
+) -> tuple[Tensor, Tensor]:
+    """Find what is left of the light of Gaussians, and what is added to it.
+
+    Args:
+        offsets: (N, 3) from the camera to the Gaussians, scene units.
+        medium: The water, in linear light.
+        lamp: A lamp at the camera.
+        backend: What computes, as in `kernels_for`.
+
+    Returns:
+        The fraction (N, 3) of J that arrives, above 1 where a lamp is near, and the light (N, 3) of the water.
+    """
+    # Light through water is a linear function of J: what 0 and 1 become gives its two coefficients.
+    black, white = torch.zeros_like(offsets), torch.ones_like(offsets)
+    lighted = white if lamp is None else lit(white, offsets.norm(dim=1), lamp)
+    added, whole = (to_light(through_water(color, offsets, medium, backend=backend)) for color in (black, lighted))
+    return (whole - added).clamp(min=0), added
+
+
 def restoration_limit(
     cloud: GaussianCloud,
     cameras: Iterable[Camera],
@@ -251,17 +272,13 @@ def restoration_limit(
     """
     color = (0.5 + C0 * cloud.sh0[:, 0]).clamp(0, BRIGHTEST_COLOR)
     J = to_light(color)
-    black, white = torch.zeros_like(color), torch.ones_like(color)
     sums = LightSums(*(torch.zeros_like(color) for _ in fields(LightSums)))
     for camera in cameras:
         small = camera.resized(min(camera.width, WIDTH))
         pixels = camera.width * camera.height / (small.width * small.height)
         weight = contribution_sums(cloud, small, color.new_full((small.height, small.width, 1), pixels), backend)
         offsets = cloud.means - torch.from_numpy(camera.centre).to(color)
-        lighted = white if lamp is None else lit(white, offsets.norm(dim=1), lamp)
-        # Light through water is a linear function of J: what 0 and 1 become gives its two coefficients.
-        backscatter, whole = (to_light(through_water(of, offsets, medium, backend=backend)) for of in (black, lighted))
-        transmission = (whole - backscatter).clamp(min=0)
+        transmission, backscatter = transmission_and_backscatter(offsets, medium, lamp, backend)
         light = transmission * J + backscatter
         background = medium.background_light(offsets / offsets.norm(dim=1, keepdim=True).clamp(min=LEAST))
         sums.add(weight, light, transmission, backscatter, noise.variance(light), background)

@@ -114,12 +114,11 @@ class EffectSelection:
         return SceneEffects.initial(medium, recipe.effects, context).to(self.inputs.device)
 
     def fits_water(self, state: RunState) -> bool:
-        """Return whether the water is to be fitted again before the next iteration."""
+        """Return whether the water, and a lamp, are to be fitted again before the next iteration."""
         medium, recipe = state.effects.medium, state.recipe
         due = recipe.water_fit_at <= state.clock.fraction < recipe.stage_two_from and state.iteration >= SETTLED_AFTER
         fixed = state.water_final or self.whole
-        known = isinstance(medium, Medium) and medium.background_sh is not None and medium.light == "linear"
-        return due and not fixed and known and state.effects.lamp is None  # a lamp and the water are one family
+        return due and not fixed and isinstance(medium, Medium) and medium.light == "linear"
 
     def learning_rates(self, state: RunState) -> dict[str, float]:
         """Return Adam's step size at the start of the run by parameter name, for all effects that change."""
@@ -131,4 +130,5 @@ class EffectSelection:
             if name.startswith("medium.")
         }
         rates = state.effects.learning_rates() | water
-        return {name: rate for name, rate in rates.items() if not (state.water_final and name in water)}
+        fixed = ("medium.", "lamp.") if state.water_final else ()
+        return {name: rate for name, rate in rates.items() if not name.startswith(fixed)}

@@ -82,6 +82,8 @@ PREVIEWED = ("means", "quats", "log_scales", "opacity_logits", "sh0")
 LIMITING_COST, FITTING_COST = 3, 11
 """Time in which colors are limited by a photo and fitted to one, at most WIDTH pixels wide, over that of scoring one of
 that size."""
+MOST_LOST_BY_FIT = 2.0
+"""Mean loss of the validation images' PSNR, dB, up to which the last fit of the water is kept."""
 PROGRESS_SECONDS = 0.2
 """Seconds between two `progress` events."""
 
@@ -396,14 +398,27 @@ class Trainer:
         return result.loss
 
     def _fit_water(self) -> None:
-        """Fit the water once more and keep it; where memory does not suffice, as it is."""
-        state, settings = self.state, self.inputs.settings
+        """Fit water and lamp once more and keep them; as learned where memory does not suffice or validation fails.
+
+        Validation images get much worse where the fit takes something for water that is none, such as a lamp that the
+        run does not have.
+        """
+        state, inputs = self.state, self.inputs
         state.synchronize()
         state.water_final = True
-        model, images = SceneModel(state.cloud, state.effects), self.inputs.training
-        photos = {view.name: view.path for view in self.inputs.scene.views}
+        state.guarded.keep(state.optimizer)
+        model, photos = SceneModel(state.cloud, state.effects), {view.name: view.path for view in inputs.scene.views}
+        degree, backend = inputs.settings.sh_degree, inputs.settings.backend
+        before = mean_score(self._scores(inputs.validation, state.cloud))[0]
         with part("water"):
-            none_if_out_of_memory(lambda: fit_again(model, images, photos, settings.sh_degree, settings.backend))
+            none_if_out_of_memory(lambda: fit_again(model, inputs.training, photos, degree, backend))
+        loss = before - mean_score(self._scores(inputs.validation, state.cloud))[0]
+        if loss > MOST_LOST_BY_FIT:
+            state.optimizer.restart(state.guarded.last_good)
+            self.notes.append(
+                f"The last fit of the water was left out: validation images were {loss:.1f} dB worse with it. Perhaps "
+                "the scene has a lamp that the run does not have (--effects lamp=on)."
+            )
         state.guarded.keep(state.optimizer)
 
     def step_config(self) -> StepConfig:

@@ -1,4 +1,4 @@
-"""The water of a run, fitted once more to the light of Gaussians in all training images.
+"""The water and the lamp of a run, fitted once more to the light of Gaussians in all training images.
 
 Training follows every pixel. At edges, and where Gaussians are in the wrong place, pixels show other surfaces from near
 than from far, which looks like water. This fit takes only Gaussians that are at the range that is rendered, and gives
@@ -14,6 +14,8 @@ import torch
 from torch import Tensor
 
 from ..base.transfer import srgb_to_linear
+from ..effects.lamp import Lamp
+from ..effects.scene_effects import SceneEffects
 from ..evidence.noise import MAD_TO_SD
 from ..gaussians.cloud import GaussianCloud
 from ..gaussians.contributions import contribution_sums
@@ -21,10 +23,10 @@ from ..kernels.reference.harmonics import C0
 from ..kernels.reference.transfer import to_display, to_light
 from ..rendering.model import SceneModel
 from ..rendering.render import render
-from ..rendering.restoration import WIDTH
+from ..rendering.restoration import WIDTH, transmission_and_backscatter
 from ..scene.compression import change_by_compression
 from ..scene.images import TrainingImage
-from ..water.medium import BRIGHTEST, Medium, through_water
+from ..water.medium import BRIGHTEST, Medium
 
 MOST_GAUSSIANS = 10_000
 """Gaussians that are observed, at most about twice as many."""
@@ -53,8 +55,10 @@ COLOR_ERROR = 0.1
 CUT = 1.5
 """Errors, in standard deviations, from which observations count little (Geman and McClure)."""
 PRIOR_ERROR = 0.3
-"""Relative standard deviation of what training has found: it counts where images do not show the water."""
-STEPS = 12
+"""Relative standard deviation of the water that training has found: it counts where images do not show it."""
+PRIOR_TAU_ERROR = 1.0
+"""Standard deviation of the log of the lamp's tau that training has found."""
+STEPS = 15
 """Steps of Levenberg and Marquardt."""
 DAMPING = 1e-3
 """Initial damping, relative to the diagonal."""
@@ -98,7 +102,7 @@ def observe_gaussians(
     What compression has changed in a photo is taken as what it changes in a render of it.
 
     Args:
-        model: The Gaussians and the effects; the water has a background light, and there is no lamp.
+        model: The Gaussians and the effects, with water.
         images: Training images.
         photos: Their files by the names of their cameras.
         sh_degree: Degree of the Gaussians' colors.
@@ -114,8 +118,8 @@ def observe_gaussians(
     open_pixels, open_sum = 0.0, torch.zeros(3, dtype=torch.float64)
     for image in images:
         camera = image.camera
-        picture = render(cloud, camera, sh_degree, medium, with_range=True, backend=backend)
-        assert picture.range is not None and picture.behind is not None
+        picture = render(cloud, camera, sh_degree, medium, with_range=True, backend=backend, lamp=model.effects.lamp)
+        assert picture.range is not None
         plain = to_light(picture.color.clamp(0, 1))
         display = model.effects.apply_to_image(picture.color, camera.name).clamp(0, 1)
         shown = to_light(display)
@@ -141,9 +145,10 @@ def observe_gaussians(
         directions = offsets[chosen] / ranges[chosen, None]
         found = ranges[chosen], mean[chosen, :3], weight[chosen], medium.background_light(directions)
         parts.append((torch.nonzero(chosen)[:, 0].cpu(), *(values.double().cpu() for values in found)))
-        empty = valid & (picture.alpha < OPEN_ALPHA)
-        open_pixels += float(empty.sum())
-        open_sum += (light / to_light(picture.behind).clamp(min=LEAST))[empty].double().sum(0).cpu()
+        if picture.behind is not None:
+            empty = valid & (picture.alpha < OPEN_ALPHA)
+            open_pixels += float(empty.sum())
+            open_sum += (light / to_light(picture.behind).clamp(min=LEAST))[empty].double().sum(0).cpu()
     gaussian, ranges, light, weight, background = (torch.cat(column) for column in zip(*parts, strict=True))
     enough = torch.bincount(gaussian, minlength=1)[gaussian] >= FEWEST_IMAGES
     return GaussianLight(
@@ -158,38 +163,39 @@ def observe_gaussians(
 
 
 @torch.no_grad()
-def fit_water(observed: GaussianLight, medium: Medium) -> Medium:
-    """Fit attenuation, backscatter and background light to observations.
+def fit_water(observed: GaussianLight, medium: Medium, lamp: Lamp | None = None) -> tuple[Medium, Lamp | None]:
+    """Fit attenuation, backscatter, background light and the fall-off of a lamp to observations.
 
-    The light J of each Gaussian is eliminated (variable projection, Golub and Pereyra 1973); each channel is fitted for
-    itself.
+    The light J of each Gaussian is eliminated (variable projection, Golub and Pereyra 1973).
 
     Args:
         observed: The observations.
-        medium: The water that training has found; it has a background light.
+        medium: The water that training has found.
+        lamp: The lamp that training has found.
 
     Returns:
-        The water; the change of its background light by direction stays.
+        The water and the lamp; the change of the background light by direction stays.
     """
     start = medium.to(torch.device("cpu"))
-    assert start.background_sh is not None
-    separate = start.backscatter is not None
-    # beta_D, beta_B and a factor of the background light, each (3,) for the channels.
-    values = torch.stack([start.beta_D, start.beta_B, torch.ones(3)]).double()
-    prior = values.clone()
-    # Without a coefficient of its own, backscatter rises with beta_D: one direction less.
-    directions = torch.eye(3, dtype=torch.float64)
-    if not separate:
-        directions = torch.stack([directions[0] + directions[1], directions[2]])
+    light = Lamp.starting(start.unit_range, 1.0) if lamp is None else lamp
+    # beta_D, beta_B, a factor of the background light, and the log of tau, which is that of all channels.
+    log_tau = light.log_tau.detach().cpu().expand(3)
+    values = torch.stack([start.beta_D, start.beta_B, torch.ones(3), log_tau]).double()
+    directions = _directions(start, lamp)
     gaussian = observed.gaussian.unique(return_inverse=True)[1]
     count = int(gaussian.max()) + 1
     r, background = observed.range[:, None], observed.background
+    squared = (r / light.unit_range).square()
 
     def summed(each: Tensor) -> Tensor:
         return each.new_zeros((count, *each.shape[1:])).index_add(0, gaussian, each)
 
     def terms(at: Tensor) -> tuple[Tensor, Tensor]:
-        return torch.exp(-at[0] * r), at[2] * background * -torch.expm1(-at[1] * r)
+        transmission = torch.exp(-at[0] * r)
+        if lamp:
+            tau = at[3].exp()
+            transmission = transmission * (tau + 1) / (tau + squared)
+        return transmission, at[2] * background * -torch.expm1(-at[1] * r)
 
     def surfaces(at: Tensor, weight: Tensor) -> Tensor:
         transmission, added = terms(at)
@@ -201,18 +207,21 @@ def fit_water(observed: GaussianLight, medium: Medium) -> Medium:
         return observed.light - transmission * J[gaussian] - added
 
     def cost(at: Tensor, J: Tensor, weight: Tensor, precision: Tensor, known: Tensor) -> Tensor:
-        return (weight * misfit(at, J).square()).sum(0) + (precision * (at - known).square()).sum(0)
+        return (weight * misfit(at, J).square()).sum() + (precision * (at - known).square()).sum()
 
+    prior_error = PRIOR_ERROR * values
+    prior_error[3] = PRIOR_TAU_ERROR * 3**0.5  # it counts in each channel
+    prior = values.clone()
     weight = observed.weight[:, None].expand(-1, 3)
-    J, damping = surfaces(values, weight), torch.full((3,), DAMPING, dtype=torch.float64)
+    J, damping = surfaces(values, weight), DAMPING
     for _ in range(STEPS):
         error = misfit(values, J)
         variance = LIGHT_ERROR**2 + (COLOR_ERROR * terms(values)[0] * J[gaussian]).square()
         scale = MAD_TO_SD * (error.abs() / variance.sqrt()).median(0).values.clamp(min=LEAST)
         variance = variance * scale.square()
         weight = observed.weight[:, None] / variance / (1 + error.square() / variance / CUT**2).square()
-        # What is known beside the light of Gaussians: the water of training, and the light of open water.
-        precision, known = 1 / (PRIOR_ERROR * prior).square(), prior.clone()
+        # What is known beside the light of Gaussians: what training has found, and the light of open water.
+        precision, known = 1 / prior_error.square(), prior.clone()
         open_weight = observed.open_pixels * background.square().mean(0) / (LIGHT_ERROR * scale).square()
         known[2] = (precision[2] * prior[2] + open_weight * observed.open_ratio) / (precision[2] + open_weight)
         precision[2] += open_weight
@@ -220,57 +229,75 @@ def fit_water(observed: GaussianLight, medium: Medium) -> Medium:
         error = misfit(values, J)
         transmission, added = terms(values)
         by_beta_B = values[2] * background * r * torch.exp(-values[1] * r)
-        slopes = torch.stack([-r * transmission * J[gaussian], by_beta_B, added / values[2]], -1) @ directions.T
+        tau = values[3].exp()
+        by_log_tau = transmission * J[gaussian] * (tau / (tau + 1) - tau / (tau + squared))
+        slopes = torch.stack([-r * transmission * J[gaussian], by_beta_B, added / values[2], by_log_tau], -1)
         information = summed(weight * transmission.square()).clamp(min=LEAST)
         of_J = summed((weight * transmission)[..., None] * slopes) / information[..., None]
         slopes = slopes - transmission[..., None] * of_J[gaussian]
-        normal = torch.einsum("mc,mci,mcj->cij", weight, slopes, slopes)
-        right = torch.einsum("mc,mci,mc->ci", weight, slopes, error)
-        normal = normal + torch.einsum("ia,ac,ja->cij", directions, precision, directions)
-        right = right + torch.einsum("ia,ac->ci", directions, precision * (known - values))
-        damped = normal + damping[:, None, None] * torch.diag_embed(normal.diagonal(dim1=1, dim2=2))
-        step = (torch.linalg.solve(damped, right) @ directions).T
-        tried = torch.maximum(values + step, LEAST * prior)
+        normal = torch.einsum("mc,mcr,mcs->crs", weight, slopes, slopes) + torch.diag_embed(precision.T)
+        right = torch.einsum("mc,mcr,mc->rc", weight, slopes, error) + precision * (known - values)
+        normal = torch.einsum("prc,crs,qsc->pq", directions, normal, directions)
+        right = torch.einsum("prc,rc->p", directions, right)
+        step = torch.linalg.solve(normal + damping * normal.diagonal().diag(), right)
+        tried = values + torch.einsum("p,prc->rc", step, directions)
+        tried[:3] = torch.maximum(tried[:3], LEAST * prior[:3])
         J_tried = surfaces(tried, weight)
         better = cost(tried, J_tried, weight, precision, known) < cost(values, J, weight, precision, known)
-        values, J = torch.where(better, tried, values), torch.where(better, J_tried, J)
-        damping = torch.where(better, damping / 5, damping * 10)
-    B = (start.background_sh[0] * C0).sigmoid() * values[2].float()
-    fitted = Medium.starting(start.unit_range, start.light, values[0].float(), values[1].float(), B)
-    assert fitted.background_sh is not None
-    fitted.background_sh[1:] = start.background_sh[1:]
-    if not separate:
+        values, J, damping = (tried, J_tried, damping / 5) if better else (values, J, damping * 10)
+    fitted = Medium.starting(start.unit_range, start.light, values[0].float(), values[1].float())
+    fitted.background_sh = start.background_sh
+    if start.background_sh is not None:
+        B = (start.background_sh[0] * C0).sigmoid() * values[2].float()
+        fitted.background_sh = torch.cat([torch.logit(B, eps=1e-3)[None] / C0, start.background_sh[1:]])
+    if start.backscatter is None:
         fitted.backscatter = None
-    return fitted
+    return fitted, lamp and Lamp(values[3, 0].float(), lamp.unit_range)
+
+
+def _directions(medium: Medium, lamp: Lamp | None) -> Tensor:
+    """Return the directions (P, 4, 3) in which beta_D, beta_B, the background light's factor and log tau can change."""
+    each = torch.eye(12, dtype=torch.float64).reshape(4, 3, 4, 3)
+    if medium.background_sh is None:
+        some = [each[0]]
+    elif medium.backscatter is None:  # it rises with beta_D
+        some = [each[0] + each[1], each[2]]
+    else:
+        some = [*each[:3]]
+    return torch.cat(some + ([each[3].sum(0, keepdim=True)] if lamp else []))
 
 
 @torch.no_grad()
 def colors_through(
-    cloud: GaussianCloud, images: Sequence[TrainingImage], before: Medium, after: Medium, backend: str = "auto"
+    cloud: GaussianCloud,
+    images: Sequence[TrainingImage],
+    before: SceneEffects,
+    after: SceneEffects,
+    backend: str = "auto",
 ) -> Tensor:
-    """Find the colors that look the same through another water, by least squares over images.
+    """Find the colors that look the same through another water and under another lamp, by least squares over images.
 
     Args:
         cloud: The N Gaussians.
         images: Images whose cameras count.
-        before: The water that their colors were found with.
-        after: The other water.
+        before: The water and the lamp that their colors were found with.
+        after: The others.
         backend: What computes, as in `kernels_for`.
 
     Returns:
         (N, 3) display values; those of Gaussians that no image shows stay.
     """
+    assert isinstance(before.medium, Medium) and isinstance(after.medium, Medium)
     colors = 0.5 + C0 * cloud.sh0[:, 0]
-    black, white = torch.zeros_like(colors), torch.ones_like(colors)
+    J = to_light(colors.clamp(min=0))
     numerator, information = torch.zeros_like(colors), torch.zeros_like(colors)
     for image in images:
         camera = image.camera
         weight = contribution_sums(cloud, camera, colors.new_ones(camera.height, camera.width, 1), backend)
         offsets = cloud.means - torch.from_numpy(camera.centre).to(cloud.means)
-        seen = to_light(through_water(colors.clamp(min=0), offsets, before, backend=backend))
-        added, whole = (to_light(through_water(of, offsets, after, backend=backend)) for of in (black, white))
-        transmission = (whole - added).clamp(min=0)
-        numerator += weight * transmission * (seen - added)
+        passed, added = transmission_and_backscatter(offsets, before.medium, before.lamp, backend)
+        transmission, backscatter = transmission_and_backscatter(offsets, after.medium, after.lamp, backend)
+        numerator += weight * transmission * (passed * J + added - backscatter)
         information += weight * transmission.square()
     found = to_display((numerator / information.clamp(min=LEAST)).clamp(min=0)).clamp(max=BRIGHTEST)
     return torch.where(information > LEAST, found, colors)
@@ -284,10 +311,10 @@ def fit_again(
     sh_degree: int,
     backend: str = "auto",
 ) -> bool:
-    """Fit the water of a model again, and give its Gaussians the colors that look the same through it, in place.
+    """Fit water and lamp of a model again, and give its Gaussians the colors that look the same with them, in place.
 
     Args:
-        model: The Gaussians and the effects; the water has a background light, and there is no lamp.
+        model: The Gaussians and the effects, with water.
         images: Training images.
         photos: Their files by the names of their cameras.
         sh_degree: Degree of the Gaussians' colors.
@@ -296,15 +323,16 @@ def fit_again(
     Returns:
         Whether there were enough observations; otherwise nothing changes.
     """
-    cloud, medium = model.cloud, model.effects.medium
-    assert isinstance(medium, Medium)
+    cloud, effects = model.cloud, model.effects
+    assert isinstance(effects.medium, Medium)
     some = [image.resized(min(image.camera.width, WIDTH)) for image in images[:: max(1, len(images) // MOST_IMAGES)]]
     observed = observe_gaussians(model, some, photos, sh_degree, backend)
     if len(observed.gaussian) < FEWEST:
         return False
-    fitted = fit_water(observed, medium).to(cloud.means.device)
-    colors = colors_through(cloud, some, medium, fitted, backend)
+    medium, lamp = fit_water(observed, effects.medium, effects.lamp)
+    fitted = SceneEffects({"medium": medium} | ({"lamp": lamp} if lamp else {})).to(cloud.means.device)
+    colors = colors_through(cloud, some, effects, fitted, backend)
     for name, tensor in fitted.parameters().items():
-        getattr(medium, name).copy_(tensor)
+        effects.parameters()[name].copy_(tensor)
     cloud.sh0[:, 0] = (colors - 0.5) / C0
     return True

@@ -9,6 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
+from swag_engine.effects.lamp import Lamp
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.kernels.reference.harmonics import C0
 from swag_engine.rendering.model import SceneModel
@@ -27,13 +28,17 @@ PHOTOS = {f"{number}.png": Path(f"{number}.png") for number in range(5)}
 """Files of photos that are not compressed."""
 
 
-def observations(nearest: float = 2.0, outliers: float = 0.0, color_error: float = 0.01) -> GaussianLight:
+def observations(
+    nearest: float = 2.0, outliers: float = 0.0, color_error: float = 0.01, lamp: Lamp | None = None
+) -> GaussianLight:
     """300 Gaussians in six images each, up to four times as far away as the nearest, through the true water."""
     random = np.random.default_rng(0)
     gaussian = np.repeat(np.arange(300), 6)
     ranges = random.uniform(*((nearest, 4 * nearest) if nearest else (3.96, 4.04)), len(gaussian))
     J = random.uniform(0.02, 0.6, (300, 3))[gaussian] * np.exp(color_error * random.standard_normal((1800, 1)))
     r = ranges[:, None]
+    if lamp:
+        J = J * lamp.light(torch.from_numpy(r)).numpy()
     light = J * np.exp(-BETA_D.numpy() * r) + B.numpy() * -np.expm1(-BETA_B.numpy() * r)
     wrong = random.uniform(size=1800) < outliers
     light[wrong] = random.uniform(0.0, 0.6, (wrong.sum(), 3))
@@ -57,16 +62,16 @@ def errors(found: Medium | WaterNetwork | None, true: Medium = TRUE) -> np.ndarr
 
 def test_the_water_is_found_from_light_at_many_ranges():
     assert errors(WRONG).min() > 0.09
-    assert errors(fit_water(observations(), WRONG)).max() < 0.04
+    assert errors(fit_water(observations(), WRONG)[0]).max() < 0.04
 
 
 def test_light_of_other_surfaces_counts_little():
-    found = fit_water(observations(outliers=0.2), WRONG)
+    found = fit_water(observations(outliers=0.2), WRONG)[0]
     assert errors(found).mean() < 0.03 and errors(found).max() < 0.1
 
 
 def test_what_images_do_not_show_stays_as_it_was():
-    found = fit_water(observations(nearest=0.0), WRONG)
+    found = fit_water(observations(nearest=0.0), WRONG)[0]
     assert errors(found, WRONG).max() < 0.3
     assert all(torch.isfinite(tensor).all() for tensor in found.parameters().values())
 
@@ -74,8 +79,8 @@ def test_what_images_do_not_show_stays_as_it_was():
 def test_open_water_shows_the_background_light():
     near = observations(nearest=0.3)
     known = replace(near, open_pixels=5000.0, open_ratio=torch.full((3,), 1 / 0.9, dtype=torch.float64))
-    assert errors(fit_water(near, WRONG))[2].max() > 0.05
-    assert errors(fit_water(known, WRONG))[2].max() < 0.01
+    assert errors(fit_water(near, WRONG)[0])[2].max() > 0.05
+    assert errors(fit_water(known, WRONG)[0])[2].max() < 0.01
 
 
 def test_backscatter_without_a_coefficient_of_its_own_keeps_that_of_the_attenuation():
@@ -83,22 +88,44 @@ def test_backscatter_without_a_coefficient_of_its_own_keeps_that_of_the_attenuat
     r = observed.range[:, None]
     J = (observed.light - B.double() * -torch.expm1(-BETA_B.double() * r)) / torch.exp(-BETA_D.double() * r)
     observed.light = J * torch.exp(-BETA_D.double() * r) + B.double() * -torch.expm1(-BETA_D.double() * r)
-    found = fit_water(observed, replace(WRONG, backscatter=None))
+    found = fit_water(observed, replace(WRONG, backscatter=None))[0]
     assert found.backscatter is None
     assert errors(found, replace(TRUE, backscatter=None)).max() < 0.05
+
+
+def test_water_that_only_attenuates_stays_without_backscatter():
+    observed = observations()
+    r = observed.range[:, None]
+    observed.light = observed.light - B.double() * -torch.expm1(-BETA_B.double() * r)
+    observed.background = torch.zeros_like(observed.background)
+    found = fit_water(observed, replace(WRONG, backscatter=None, background_sh=None))[0]
+    assert found.backscatter is None and found.background_sh is None
+    assert (found.beta_D / BETA_D - 1).abs().max() < 0.03
+
+
+def test_the_fall_off_of_a_lamp_is_told_from_attenuation():
+    true = Lamp.starting(3.0, 1.5)
+    found, lamp = fit_water(observations(lamp=true), WRONG, Lamp.starting(3.0, 6.0))
+    assert lamp is not None and abs(lamp.tau / true.tau - 1) < 0.1
+    assert errors(found)[0].max() < 0.05
 
 
 def test_change_of_the_background_light_with_direction_stays():
     start = replace(WRONG, background_sh=WRONG.background_sh.clone())
     start.background_sh[1:] = torch.linspace(-0.5, 0.5, 24).reshape(8, 3)
-    torch.testing.assert_close(fit_water(observations(), start).background_sh[1:], start.background_sh[1:])
+    torch.testing.assert_close(fit_water(observations(), start)[0].background_sh[1:], start.background_sh[1:])
 
 
-def wall(patch: int) -> SceneModel:
+def wall(patch: int, lamp: Lamp | None = None) -> SceneModel:
     """A wall of patches of different colors, each of so many Gaussians along a side, in the true water."""
     patches = np.random.default_rng(0).uniform(0.2, 0.7, (-(-41 // patch), -(-49 // patch), 3))
     cloud = wall_cloud(np.repeat(np.repeat(patches, patch, 0), patch, 1)[:41, :49], 0.25, 0.0)
-    return SceneModel(cloud, SceneEffects({"medium": deepcopy(TRUE)}))
+    return SceneModel(cloud, effects_of(TRUE, lamp))
+
+
+def effects_of(medium: Medium, lamp: Lamp | None = None) -> SceneEffects:
+    """Water, and a lamp."""
+    return SceneEffects({"medium": deepcopy(medium)} | ({"lamp": deepcopy(lamp)} if lamp else {}))
 
 
 @pytest.fixture
@@ -120,30 +147,36 @@ def photographed(model: SceneModel) -> list[TrainingImage]:
         pose = np.eye(4)
         pose[:3, 3] = 0.3 * number, -0.2 * number, distance
         camera = Camera(f"{number}.png", 160, 120, 150.0, 150.0, 80.0, 60.0, pose)
-        color = render(model.cloud, camera, 0, TRUE).color
+        color = render(model.cloud, camera, 0, TRUE, lamp=model.effects.lamp).color
         found.append(
             TrainingImage(camera, (255 * color).round().clamp(0, 255).byte().numpy(), np.ones((120, 160), bool))
         )
     return found
 
 
-def through_wrong_water(model: SceneModel, images: list[TrainingImage]) -> SceneModel:
-    """The model with the wrong water, and the colors that fit the photos best through it."""
-    colors = colors_through(model.cloud, images, TRUE, WRONG)
-    sh0 = ((colors - 0.5) / C0)[:, None]
-    return SceneModel(replace(model.cloud, sh0=sh0), SceneEffects({"medium": deepcopy(WRONG)}))
+def through_wrong_water(model: SceneModel, images: list[TrainingImage], lamp: Lamp | None = None) -> SceneModel:
+    """The model with the wrong water and a lamp, and the colors that fit the photos best with them."""
+    wrong = effects_of(WRONG, lamp)
+    colors = colors_through(model.cloud, images, model.effects, wrong)
+    return SceneModel(replace(model.cloud, sh0=((colors - 0.5) / C0)[:, None]), wrong)
 
 
-def test_a_model_gets_the_water_of_its_photos_and_the_colors_that_fit_it(model, images):
-    wrong = through_wrong_water(model, images)
-    seen = [render(wrong.cloud, image.camera, 0, wrong.effects.medium).color for image in images]
+@pytest.mark.parametrize("lamps", [(None, None), (Lamp.starting(3.0, 15.0), Lamp.starting(3.0, 45.0))])
+def test_a_model_gets_the_water_of_its_photos_and_the_colors_that_fit_it(lamps: tuple[Lamp | None, Lamp | None]):
+    model = wall(4, lamps[0])
+    images = photographed(model)
+    wrong = through_wrong_water(model, images, lamps[1])
+    cloud, effects = wrong.cloud, wrong.effects
+    seen = [render(cloud, image.camera, 0, effects.medium, lamp=effects.lamp).color for image in images]
     true = 0.5 + C0 * model.cloud.sh0
-    before = (0.5 + C0 * wrong.cloud.sh0 - true).abs().mean()
+    before = (0.5 + C0 * cloud.sh0 - true).abs().mean()
     assert fit_again(wrong, images, PHOTOS, 0)
-    assert errors(wrong.effects.medium).max() < 0.06
-    assert (0.5 + C0 * wrong.cloud.sh0 - true).abs().mean() < 0.35 * before
+    assert errors(effects.medium).max() < 0.06
+    if lamps[0]:
+        assert effects.lamp and abs(effects.lamp.tau / lamps[0].tau - 1) < 0.05
+    assert (0.5 + C0 * cloud.sh0 - true).abs().mean() < 0.35 * before
     for image, color in zip(images, seen, strict=True):
-        assert (render(wrong.cloud, image.camera, 0, wrong.effects.medium).color - color).abs().mean() < 0.02
+        assert (render(cloud, image.camera, 0, effects.medium, lamp=effects.lamp).color - color).abs().mean() < 0.02
 
 
 def test_exposure_of_a_photo_is_not_taken_for_water(model, images, monkeypatch):
