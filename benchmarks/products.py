@@ -117,7 +117,7 @@ def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> 
     True areas are those of the cells of the seabed, which are smaller than the pixels of the map. Each patch has its
     label, its true number of pixels, and the relative error of its area.
     """
-    dem = make_dem(run, out / "dem.tif", PIXEL, BOX)
+    make_dem(run, out / "dem.tif", PIXEL, BOX)
     areas = make_areas(run, out / "areas", PIXEL, BOX)
     grid = MapGrid(**areas["grid"])
     heights, labels = truth(bed, grid)
@@ -135,11 +135,8 @@ def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> 
     surface = np.nan_to_num(np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2), nan=1.0)
     figures: dict[str, Any] = {
         "scale_error": scale["metres_per_unit"] / METRES_PER_UNIT - 1,
-        "stated_scale_error": scale["error"],
-        "covered": dem["covered"],
         "height_median_error": float(np.median(np.abs(errors))) / PIXEL,
         "height_p95_error": float(np.quantile(np.abs(errors), 0.95)) / PIXEL,
-        "height_bias": float(np.median(errors)) / PIXEL,
         "agreement": float((found == labels).mean()),
         "areas": {},
         "patches": 0,
@@ -150,7 +147,6 @@ def survey_figures(run: Path, scale: dict[str, Any], bed: Seabed, out: Path) -> 
         true = int(mine.sum()) * CELL**2
         row = rows[name]
         figures["areas"][name] = {
-            "true": true,
             "error": row["planar_area"] / true - 1,
             "surface_error": row["surface_area"] / (float(surface[mine].sum()) * CELL**2) - 1,
             "corrected_error": row["planar_corrected"] / true - 1,

@@ -258,13 +258,9 @@ def fit_water(observed: GaussianLight, medium: Medium, lamp: Lamp | None = None)
 def _directions(medium: Medium, lamp: Lamp | None) -> Tensor:
     """Return the directions (P, 4, 3) in which beta_D, beta_B, the background light's factor and log tau can change."""
     each = torch.eye(12, dtype=torch.float64).reshape(4, 3, 4, 3)
-    if medium.background_sh is None:
-        some = [each[0]]
-    elif medium.backscatter is None:  # it rises with beta_D
-        some = [each[0] + each[1], each[2]]
-    else:
-        some = [*each[:3]]
-    return torch.cat(some + ([each[3].sum(0, keepdim=True)] if lamp else []))
+    # Without a coefficient of its own backscatter rises with beta_D.
+    water = [*each[:3]] if medium.backscatter is not None else [each[0] + each[1], each[2]]
+    return torch.cat(water + ([each[3].sum(0, keepdim=True)] if lamp else []))
 
 
 @torch.no_grad()

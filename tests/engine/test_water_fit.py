@@ -141,13 +141,13 @@ def images(model) -> list[TrainingImage]:
 
 
 def photographed(model: SceneModel) -> list[TrainingImage]:
-    """Photos of a wall from three to nine metres, through the true water."""
+    """Photos of a wall from three to nine metres, through the water of its model."""
     found = []
     for number, distance in enumerate((3.0, 4.0, 5.5, 7.0, 9.0)):
         pose = np.eye(4)
         pose[:3, 3] = 0.3 * number, -0.2 * number, distance
         camera = Camera(f"{number}.png", 160, 120, 150.0, 150.0, 80.0, 60.0, pose)
-        color = render(model.cloud, camera, 0, TRUE, lamp=model.effects.lamp).color
+        color = render(model.cloud, camera, 0, model.effects.medium, lamp=model.effects.lamp).color
         found.append(
             TrainingImage(camera, (255 * color).round().clamp(0, 255).byte().numpy(), np.ones((120, 160), bool))
         )
@@ -177,6 +177,15 @@ def test_a_model_gets_the_water_of_its_photos_and_the_colors_that_fit_it(lamps: 
     assert (0.5 + C0 * cloud.sh0 - true).abs().mean() < 0.35 * before
     for image, color in zip(images, seen, strict=True):
         assert (render(cloud, image.camera, 0, effects.medium, lamp=effects.lamp).color - color).abs().mean() < 0.02
+
+
+def test_a_model_in_water_that_only_attenuates_gets_its_attenuation():
+    true, wrong = (replace(medium, backscatter=None, background_sh=None) for medium in (TRUE, WRONG))
+    model = SceneModel(wall(4).cloud, effects_of(true))
+    images = photographed(model)
+    assert fit_again(SceneModel(model.cloud, found := effects_of(wrong)), images, PHOTOS, 0)
+    assert isinstance(found.medium, Medium) and found.medium.background_sh is None
+    assert (found.medium.beta_D / BETA_D - 1).abs().max() < 0.03
 
 
 def test_exposure_of_a_photo_is_not_taken_for_water(model, images, monkeypatch):
