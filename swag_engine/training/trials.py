@@ -15,8 +15,9 @@ from ..evaluation.metrics import ViewScore
 from ..planning.plan import Plan, PlannedEffect
 from .state import RunState
 
-PRECONDITIONS = ("range_ratio", "radius_correlation")
-"""Figures that say whether an effect can be determined, not how strong it is."""
+PRECONDITIONS = ("range_ratio", "radius_correlation", "inverse_square", "color_of_loss")
+"""Figures that say whether an effect can be determined and which one it is, not how strong it is. (Loss by the inverse
+square is a fraction: it is never far above its threshold.)"""
 LENGTH = 0.05
 """Length of a fork, as a fraction of all iterations."""
 LEAST_GAIN = 0.3

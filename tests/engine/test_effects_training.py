@@ -221,6 +221,13 @@ def test_margin_is_the_least_ratio_of_a_figure_to_its_threshold():
     assert trials.margin({"range_ratio": 1.2, "range_ratio_least": 1.15, "none": None, "none_least": 1}) == np.inf
 
 
+def test_a_lamp_whose_light_falls_off_far_beyond_the_threshold_is_not_tried():
+    strong = {"bic_gain": 900.0, "bic_gain_least": 30.0, "falloff": 0.8, "falloff_least": 0.15}
+    kind = {"inverse_square": 1.0, "inverse_square_least": 0.78, "color_of_loss": 0.19, "color_of_loss_most": 0.2}
+    assert trials.margin(strong | kind) > trials.NEAR
+    assert trials.margin(strong | kind | {"bic_gain": 35.0}) < trials.NEAR
+
+
 def test_moving_objects_are_found_and_nothing_else_is_masked(tiny_scene, tmp_path):
     plain = replace(SETTINGS, iterations=300, max_gaussians=1500)
     for name, effects in (("planned", ""), ("off", "moving_objects=off")):
