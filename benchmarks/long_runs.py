@@ -99,7 +99,6 @@ def one(scene: Path, recipe: str, iterations: int) -> dict[str, Any]:
         "MB when the number of Gaussians was settled": settled[0][2],
         "MB at the end": memory[-1][2],
         "restored colors, change in stage two (display values)": drift,
-        "iteration, Gaussians, MB": memory,
     }
 
 
