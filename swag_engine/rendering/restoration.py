@@ -224,7 +224,6 @@ class SceneColors:
         return cls(*(torch.tensor(document[entry.name], dtype=torch.float64) for entry in fields(cls)))
 
 
-@torch.no_grad()
 def transmission_and_backscatter(
     offsets: Tensor, medium: Medium, lamp: Lamp | None = None, backend: str = "auto"
 ) -> tuple[Tensor, Tensor]:
@@ -246,6 +245,7 @@ def transmission_and_backscatter(
     return (whole - added).clamp(min=0), added
 
 
+@torch.no_grad()
 def restoration_limit(
     cloud: GaussianCloud,
     cameras: Iterable[Camera],
