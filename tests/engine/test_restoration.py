@@ -190,6 +190,13 @@ def test_through_less_water_the_errors_of_colors_count_less(water):
     np.testing.assert_allclose(seen.sh0[:, 0], m + (J - m) / (1 + ratio), atol=1e-4)
 
 
+def test_a_limit_has_no_graph_of_what_training_learns():
+    cloud = row_of_gaussians()
+    cloud.sh0.requires_grad_()
+    limit = restoration_limit(cloud, [CAMERA], BLUE, NOISE)[0]
+    assert not limit.color.requires_grad and not limit.confidence.requires_grad
+
+
 def test_through_all_of_the_water_colors_are_as_trained():
     cloud = row_of_gaussians(np.random.default_rng(0).random((len(RANGES), 3)))
     limit = restoration_limit(cloud, [CAMERA], BLUE, NOISE)[0]
