@@ -277,7 +277,7 @@ def test_a_log_has_the_first_line_of_each_stage_and_then_one_each_ten_seconds(mo
 
 
 @pytest.mark.parametrize("module", ["swag_engine.app.cli", "swag_engine.app.worker"])
-def test_threads_are_told_to_share_the_cores_before_numpy_and_torch_come(module):
+def test_threads_and_memory_are_set_before_numpy_and_torch_come(module):
     script = """
 import importlib, os, sys
 
@@ -285,12 +285,13 @@ class Watch:
     def find_spec(self, name, path=None, target=None):
         if name in ("numpy", "torch"):
             assert os.environ["OPENBLAS_NUM_THREADS"] == "1" and os.environ["OMP_WAIT_POLICY"] == "PASSIVE", name
+            assert os.environ["THP_MEM_ALLOC_ENABLE"] == "1", name
             print(name)
 
 sys.meta_path.insert(0, Watch())
 importlib.import_module(sys.argv[1])
 """
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("OPENBLAS_", "OMP_"))}
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("OPENBLAS_", "OMP_", "THP_"))}
     done = subprocess.run(
         [sys.executable, "-c", script, module], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120
     )
