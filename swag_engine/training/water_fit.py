@@ -55,7 +55,10 @@ COLOR_ERROR = 0.1
 CUT = 1.5
 """Errors, in standard deviations, from which observations count little (Geman and McClure)."""
 PRIOR_ERROR = 0.3
-"""Relative standard deviation of the water that training has found: it counts where images do not show it."""
+"""Relative standard deviation of the coefficients that training has found: they count where images do not show them."""
+PRIOR_BACKGROUND_ERROR = 0.05
+"""Relative standard deviation of the background light that it has found, which is seldom 2 % wrong. Where no open water
+is seen, a brighter one with less backscatter looks nearly the same, and would stand for light scattered several times."""
 PRIOR_TAU_ERROR = 1.0
 """Standard deviation of the log of the lamp's tau that training has found."""
 STEPS = 15
@@ -210,6 +213,7 @@ def fit_water(observed: GaussianLight, medium: Medium, lamp: Lamp | None = None)
         return (weight * misfit(at, J).square()).sum() + (precision * (at - known).square()).sum()
 
     prior_error = PRIOR_ERROR * values
+    prior_error[2] = PRIOR_BACKGROUND_ERROR
     prior_error[3] = PRIOR_TAU_ERROR * 3**0.5  # it counts in each channel
     prior = values.clone()
     weight = observed.weight[:, None].expand(-1, 3)

@@ -83,6 +83,14 @@ def test_open_water_shows_the_background_light():
     assert errors(fit_water(known, WRONG)[0])[2].max() < 0.01
 
 
+def test_light_that_is_scattered_again_is_not_taken_for_a_brighter_background():
+    """No open water is seen, and light is added that no background light explains."""
+    observed = observations(nearest=0.5)
+    observed.light = observed.light + 0.01 * observed.range[:, None]
+    found = fit_water(observed, WRONG)[0]
+    assert errors(found, WRONG)[2].mean() < 0.4  # .8 where the background light is known as badly as the coefficients
+
+
 def test_backscatter_without_a_coefficient_of_its_own_keeps_that_of_the_attenuation():
     observed = observations()
     r = observed.range[:, None]
