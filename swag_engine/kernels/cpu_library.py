@@ -73,7 +73,9 @@ class CpuLibrary:
         function = getattr(self._library, kernel)
         values = [_converted(argument) for argument in arguments]
         parts = len(per_part)
-        first, row_bytes = per_part.data_ptr(), per_part[0].nbytes  # indexing each row would cost more than small kernels
+        # Places of the rows by arithmetic: indexing the tensor takes longer than some kernels.
+        assert per_part.is_contiguous()
+        first, row_bytes = per_part.data_ptr(), per_part.nbytes // parts
         rows = [ctypes.c_void_p(first + part * row_bytes) for part in range(parts)]
         _run_tasks(lambda part: function(*_range(count, part, parts), *values, rows[part]), parts)
 

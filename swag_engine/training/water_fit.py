@@ -55,10 +55,11 @@ COLOR_ERROR = 0.1
 CUT = 1.5
 """Errors, in standard deviations, from which observations count little (Geman and McClure)."""
 PRIOR_ERROR = 0.3
-"""Relative standard deviation of the coefficients that training has found: they count where images do not show them."""
+"""Relative standard deviation of the coefficients that training has found: they count where images show little."""
 PRIOR_BACKGROUND_ERROR = 0.05
-"""Relative standard deviation of the background light that it has found, which is seldom 2 % wrong. Where no open water
-is seen, a brighter one with less backscatter looks nearly the same, and would stand for light scattered several times."""
+"""Relative standard deviation of the background light that it has found, which is 2 % wrong on the mean. Where no open
+water is seen, a brighter one with less backscatter looks nearly the same, and would stand for light that is scattered
+several times."""
 PRIOR_TAU_ERROR = 1.0
 """Standard deviation of the log of the lamp's tau that training has found."""
 STEPS = 15

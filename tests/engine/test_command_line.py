@@ -291,7 +291,8 @@ class Watch:
 sys.meta_path.insert(0, Watch())
 importlib.import_module(sys.argv[1])
 """
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("OPENBLAS_", "OMP_", "THP_"))}
+    own = ("OPENBLAS_", "OMP_", "THP_")
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(own)}
     done = subprocess.run(
         [sys.executable, "-c", script, module], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120
     )
