@@ -1,6 +1,6 @@
 """Compare the presets with those of an earlier checkout: processor time and quality of the same scenes and seeds.
 
-Run: `python benchmarks/presets.py EARLIER_CHECKOUT [--presets draft] [--seeds 0 1 2]`
+Run: `python benchmarks/presets.py EARLIER_CHECKOUT [--presets draft] [--seeds 0 1 2] [--generated FOLDER]`
 Results: benchmarks/results/presets.json
 
 Both checkouts take turns, each run in a process of its own with one thread. Runs that the results have already are not
@@ -36,6 +36,19 @@ print(json.dumps({"seconds": time.process_time(), "psnr": metrics["test_psnr"], 
 """Trains a scene in whichever checkout is first on Python's path."""
 
 
+def generated_scenes(folder: Path) -> dict[str, Path]:
+    """Return a survey in lanes and an orbit with fine texture by name; made in a folder unless they are there."""
+    from tests.scenes.make_scene import Settings, make_scene
+    from tests.scenes.seabed import OCEAN, Seabed, write_survey
+
+    seabed, reef = folder / "seabed", folder / "reef_of_56_photos"
+    if not seabed.exists():
+        write_survey(seabed, Seabed(), water=OCEAN)
+    if not reef.exists():  # ten minutes on two cores
+        make_scene(Settings(reef, views=56, seed=31))
+    return {"seabed": seabed, "reef of 56 photos": reef}
+
+
 def run_once(checkout: Path, scene: Path, preset: str, seed: int) -> dict[str, float]:
     """Train once.
 
@@ -62,15 +75,17 @@ def main() -> None:
     parser.add_argument("earlier", type=Path)
     parser.add_argument("--presets", nargs="+", default=["draft"])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--generated", type=Path, help="folder of two generated scenes, which are left out without it")
     asked = parser.parse_args()
     commit = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=asked.earlier, check=True, capture_output=True, text=True
     ).stdout.strip()
     stored = RESULTS / "presets.json"
+    scenes = SCENES | (generated_scenes(asked.generated) if asked.generated else {})
     rows: list[dict[str, Any]] = json.loads(stored.read_text("utf-8"))["rows"] if stored.exists() else []
     for seed in asked.seeds:
         for preset in asked.presets:
-            for name, scene in SCENES.items():
+            for name, scene in scenes.items():
                 key = {"preset": preset, "scene": name, "seed": seed}
                 if any(key.items() <= row.items() for row in rows):
                     continue
