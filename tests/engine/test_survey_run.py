@@ -144,6 +144,30 @@ def test_a_job_can_be_cancelled_where_ray_was_started_in_the_background():
     assert done.stdout == "interrupted\n", done.stderr
 
 
+INTERRUPTED_AS_IT_STARTS = """
+import _thread
+from swag_engine.survey.executors import child
+
+class Watched(child.Child):
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        started.append(self)
+        _thread.interrupt_main()
+
+started, child.Child = [], Watched
+try:
+    child.run(["-c", "import time; time.sleep(60)"], 1, "")
+except KeyboardInterrupt:
+    print("runs on" if started[0].running() else "ended")
+"""
+
+
+def test_a_job_that_is_cancelled_as_it_starts_does_not_run_on():
+    command = [sys.executable, "-c", INTERRUPTED_AS_IT_STARTS]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=50)
+    assert done.stdout == "ended\n", done.stderr
+
+
 DRIVER = """
 import sys, json; from pathlib import Path
 from swag_engine.survey import job as jobs

@@ -86,7 +86,7 @@ class Child:
 
 
 def run(words: Sequence[str], threads: int, root: str) -> Exit:
-    """Run a job's process until it ends; an exception, such as the interrupt with which Ray cancels, ends it too.
+    """Run a job's process until it ends; an interrupt, with which Ray cancels, ends it too.
 
     Call it in the main thread.
 
@@ -94,19 +94,25 @@ def run(words: Sequence[str], threads: int, root: str) -> Exit:
         words: As `Child` takes them.
         threads: As `Child` takes them.
         root: As `Child` takes it.
+
+    Raises:
+        KeyboardInterrupt: There was an interrupt; the process has ended.
     """
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        # As in all processes that a shell starts in the background, with Ray's among them: Ray could not cancel.
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    child = Child(words, threads, root)
+    # An interrupt while the process starts would leave it with nobody to end it, and Ray may interrupt more than once,
+    # which must not shorten the time that it has to end: interrupts are only noted.
+    interrupts: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: interrupts.append(number))
     try:
-        while child.running():
-            time.sleep(POLL_SECONDS)
+        child = Child(words, threads, root)
+        try:
+            while child.running() and not interrupts:
+                time.sleep(POLL_SECONDS)
+        finally:
+            end([child] if child.running() else [])
+        if interrupts:
+            raise KeyboardInterrupt
         return child.exit()
     finally:
-        # Ray may interrupt more than once, which must not shorten the time that the process has to end.
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-        end([child])
         signal.signal(signal.SIGINT, before)
 
 
