@@ -9,7 +9,7 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 # The matrices of numpy and scipy are small here: on shared cores, threads wait ten times as long as they work.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Tensors in huge pages: an iteration makes and frees hundreds of megabytes, which Linux else clears in pages of 4 kB.
+# Huge pages: an iteration makes and frees hundreds of megabytes, and Linux takes long to clear them in pages of 4 kB.
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 
 

@@ -98,8 +98,9 @@ def run(words: Sequence[str], threads: int, root: str) -> Exit:
     Raises:
         KeyboardInterrupt: There was an interrupt; the process has ended.
     """
-    # An interrupt while the process starts would leave it with nobody to end it, and Ray may interrupt more than once,
-    # which must not shorten the time that it has to end: interrupts are only noted.
+    # Interrupts are only noted: one that comes while the process starts would leave it with nobody to end it, and Ray
+    # may interrupt more than once, which must not shorten the time that it has to end. Processes that a shell starts in
+    # the background ignore interrupts, Ray's among them; with a handler they notice them.
     interrupts: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, frame: interrupts.append(number))
     try:
@@ -108,7 +109,7 @@ def run(words: Sequence[str], threads: int, root: str) -> Exit:
             while child.running() and not interrupts:
                 time.sleep(POLL_SECONDS)
         finally:
-            end([child] if child.running() else [])
+            end([child])
         if interrupts:
             raise KeyboardInterrupt
         return child.exit()
