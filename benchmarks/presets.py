@@ -1,10 +1,13 @@
 """Compare the presets with those of an earlier checkout: processor time and quality of the same scenes and seeds.
 
-Run: `python benchmarks/presets.py EARLIER_CHECKOUT [--presets draft] [--seeds 0 1 2] [--generated FOLDER]`
+Run: `python benchmarks/presets.py EARLIER_CHECKOUT [--presets draft] [--seeds 0 1 2] [--generated FOLDER]
+[--fractions .6 .8]`
 Results: benchmarks/results/presets.json
 
 Both checkouts take turns, each run in a process of its own with one thread. Runs that the results have already are not
-repeated. The kernels of the earlier checkout must be built (`python -m swag_engine.kernels.build` there).
+repeated. `--fractions` also runs the present version with these fractions of its iterations: they show in which time it
+has the quality of the earlier one. The kernels of the earlier checkout must be built (`python -m
+swag_engine.kernels.build` there).
 """
 
 import json
@@ -29,9 +32,11 @@ import swag_engine.base.threads
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
 
-scene, out, preset, seed = sys.argv[1:]
-metrics = train(Path(scene), Path(out), TrainSettings(preset=preset, seed=int(seed)))["metrics"]
-print(json.dumps({"seconds": time.process_time(), "psnr": metrics["test_psnr"], "gaussians": metrics["gaussians"]}))
+scene, out, preset, seed, iterations = sys.argv[1:]
+settings = TrainSettings(preset=preset, seed=int(seed), iterations=int(iterations))
+metrics = train(Path(scene), Path(out), settings)["metrics"]
+figures = {"psnr": metrics["test_psnr"], "gaussians": metrics["gaussians"], "iterations": metrics["iterations"]}
+print(json.dumps({"seconds": time.process_time()} | figures))
 """
 """Trains a scene in whichever checkout is first on Python's path."""
 
@@ -49,7 +54,7 @@ def generated_scenes(folder: Path) -> dict[str, Path]:
     return {"seabed": seabed, "reef of 56 photos": reef}
 
 
-def run_once(checkout: Path, scene: Path, preset: str, seed: int) -> dict[str, float]:
+def run_once(checkout: Path, scene: Path, preset: str, seed: int, iterations: int = 0) -> dict[str, float]:
     """Train once.
 
     Args:
@@ -57,16 +62,18 @@ def run_once(checkout: Path, scene: Path, preset: str, seed: int) -> dict[str, f
         scene: Folder of the scene.
         preset: Name of the preset.
         seed: Seed of the run.
+        iterations: Number of iterations; 0 for the preset's.
 
     Returns:
-        Processor time of the process in seconds, test PSNR in dB, and number of Gaussians.
+        Processor time of the process in seconds, test PSNR in dB, and the numbers of Gaussians and iterations.
     """
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-c", TRAIN, str(scene), str(Path(folder) / "run"), preset, str(seed)]
+        arguments = (scene, Path(folder) / "run", preset, seed, iterations)
+        command = [sys.executable, "-c", TRAIN, *map(str, arguments)]
         environment = os.environ | {"PYTHONPATH": str(checkout), "OMP_NUM_THREADS": "1"}
         answer = subprocess.run(command, cwd=checkout, env=environment, check=True, capture_output=True, text=True)
     found = json.loads(answer.stdout.splitlines()[-1])
-    return {"seconds": round(found["seconds"], 1), "psnr": round(found["psnr"], 3), "gaussians": found["gaussians"]}
+    return found | {"seconds": round(found["seconds"], 1), "psnr": round(found["psnr"], 3)}
 
 
 def main() -> None:
@@ -76,6 +83,7 @@ def main() -> None:
     parser.add_argument("--presets", nargs="+", default=["draft"])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--generated", type=Path, help="folder of two generated scenes, which are left out without it")
+    parser.add_argument("--fractions", type=float, nargs="*", default=[])
     asked = parser.parse_args()
     commit = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=asked.earlier, check=True, capture_output=True, text=True
@@ -90,7 +98,9 @@ def main() -> None:
                 if any(key.items() <= row.items() for row in rows):
                     continue
                 earlier, now = (run_once(root, scene, preset, seed) for root in (asked.earlier.resolve(), ROOT))
-                rows.append(key | {"earlier": earlier, "now": now})
+                lengths = [round(fraction * now["iterations"]) for fraction in asked.fractions]
+                others = [run_once(ROOT, scene, preset, seed, iterations) for iterations in lengths]
+                rows.append(key | {"earlier": earlier, "now": now} | ({"other lengths": others} if others else {}))
                 print(rows[-1], flush=True)
                 write_results("presets", {"machine": machine(), "earlier": commit, "rows": rows})
 

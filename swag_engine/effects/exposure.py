@@ -82,6 +82,7 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
     if terms is None:
         return too_few_observations(evidence)
     camera = terms.camera
+    over = " over backscatter that varies from photo to photo" if camera.over_backscatter else ""
     decision = Decision(
         "on" if camera.gains else "off",
         {
@@ -91,7 +92,7 @@ def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision
             "bic_gain_least": LEAST_GAIN_BIC,
         },
         f"Exposure varies by {camera.gain_sd:.1%} between photos (threshold {LEAST_GAIN_SD:.1%}), BIC gain "
-        f"{camera.gain_bic:,.0f} (threshold {LEAST_GAIN_BIC:.0f}).",
+        f"{camera.gain_bic:,.0f}{over} (threshold {LEAST_GAIN_BIC:.0f}).",
     )
     if camera.gains and terms.lamp.found and camera.gain_bic <= LEAST_GAIN_BIC_BY_LAMP:
         return decision.undetermined(

@@ -54,6 +54,8 @@ class Family:
         lamp: Light falls off from the camera.
         lens: Light varies over each image.
         gains: Light varies from image to image.
+        backscatter_gains: Backscatter alone does so, instead: water scatters more of the sun's light when it is seen
+            against the sun.
     """
 
     attenuation: bool = False
@@ -62,6 +64,12 @@ class Family:
     lamp: bool = False
     lens: bool = False
     gains: bool = False
+    backscatter_gains: bool = False
+
+    @property
+    def varies(self) -> bool:
+        """Whether something varies from image to image."""
+        return self.gains or self.backscatter_gains
 
 
 @dataclass(frozen=True)
@@ -74,7 +82,7 @@ class Fit:
         beta_B: (3,) per unit of the ranges.
         B: (3,) linear light.
         tau: In squared units; infinite without a lamp.
-        log_gains: (V,) of the images, mean 0.
+        log_gains: (V,) of the images or of their backscatter, mean 0.
         gain_covariance: (V, V) of the log gains.
         lens: (5,) coefficients of lens_terms.
         squares: (3,) mean squared weighted residual.
@@ -100,7 +108,7 @@ class Fit:
             3 * (family.attenuation + family.backscatter + family.separate)
             + family.lamp
             + len(self.lens) * family.lens
-            + family.gains * (len(self.log_gains) - 1)
+            + family.varies * (len(self.log_gains) - 1)
         )
 
     def bic(self, count: float, independent: float = 3.0) -> float:
@@ -206,7 +214,7 @@ class WeightedObservations:
                 np.full(3, family.backscatter),
                 [family.lamp],
                 np.full(5, family.lens),
-                np.full(self.views, family.gains),
+                np.full(self.views, family.varies),
             ]
         )
 
@@ -236,48 +244,54 @@ class WeightedObservations:
         return step
 
     def _factors(self, family: Family, values: np.ndarray, c: int) -> tuple[np.ndarray, ...]:
-        """Of channel c: gain, transmission with the lamp, backscatter without B, all (M,)."""
-        gain = np.exp(self.terms @ values[LENS] + values[GAINS:][self.image])
+        """Of channel c: gain, transmission with the lamp, gain of backscatter, backscatter without B, all (M,)."""
+        lens, varying = self.terms @ values[LENS], values[GAINS:][self.image]
+        backscatter_gain = np.exp(lens + varying)
+        gain = np.exp(lens) if family.backscatter_gains else backscatter_gain
         direct = np.exp(-np.exp(values[c]) * self.r) if family.attenuation else np.ones_like(self.r)
         if family.lamp:
             tau = np.exp(values[9])
             direct = direct * (tau + 1) / (tau + self.r**2)
         scattered = -np.expm1(-np.exp(values[3 + c]) * self.r) if family.backscatter else np.zeros_like(self.r)
-        return gain, direct, scattered
+        return gain, direct, backscatter_gain, scattered
 
     def _solved(self, family: Family, values: np.ndarray, c: int) -> tuple[np.ndarray, ...]:
-        """Of channel c: factors, each point's J, the residual, and the weighted square of J's factor per point.
+        """Solve for each point's J in channel c.
+
+        Returns J's factor, the gain of backscatter, backscatter without B, J, the residual, and per point the weighted
+        square of J's factor.
 
         No J is negative. In dense water, where backscatter is nearly all of the light, this keeps the background light
         from being overestimated.
         """
-        gain, direct, scattered = self._factors(family, values, c)
+        gain, direct, backscatter_gain, scattered = self._factors(family, values, c)
         a, weight = gain * direct, self.weights[:, c]
         square = np.bincount(self.track, weight * a * a)
-        rest = self.light[:, c] - gain * values[6 + c] * scattered
+        rest = self.light[:, c] - backscatter_gain * values[6 + c] * scattered
         J = (np.bincount(self.track, weight * a * rest) / square).clip(min=0)
-        return gain, direct, scattered, J, rest - a * J[self.track], square
+        return gain * direct, backscatter_gain, scattered, J, rest - a * J[self.track], square
 
     def _linearised(self, family: Family, values: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Cost (half the sum of squares), its gradient and the Gauss-Newton curvature, over all parameters."""
         size = len(values)
         cost, gradient, curvature = 0.0, np.zeros(size), np.zeros((size, size))
         for c in range(3):
-            gain, direct, scattered, J_of_point, residual, square = self._solved(family, values, c)
-            a, weight, B, J = gain * direct, self.weights[:, c], values[6 + c], J_of_point[self.track]
-            seen = a * J + gain * B * scattered
+            a, backscatter_gain, scattered, J_of_point, residual, square = self._solved(family, values, c)
+            weight, B, J = self.weights[:, c], values[6 + c], J_of_point[self.track]
+            added = backscatter_gain * B * scattered
+            seen = a * J + added
             columns, places = [], []
             if family.attenuation:
                 change = -a * J * np.exp(values[c]) * self.r
                 if family.backscatter and not family.separate:
-                    change = change + gain * B * np.exp(values[c]) * self.r * (1 - scattered)
+                    change = change + backscatter_gain * B * np.exp(values[c]) * self.r * (1 - scattered)
                 columns.append(change)
                 places.append(c)
             if family.separate:
-                columns.append(gain * B * np.exp(values[3 + c]) * self.r * (1 - scattered))
+                columns.append(backscatter_gain * B * np.exp(values[3 + c]) * self.r * (1 - scattered))
                 places.append(3 + c)
             if family.backscatter:
-                columns.append(gain * scattered)
+                columns.append(backscatter_gain * scattered)
                 places.append(6 + c)
             if family.lamp:
                 tau = np.exp(values[9])
@@ -293,14 +307,15 @@ class WeightedObservations:
             cost += 0.5 * float(weight @ residual**2)
             gradient[places] += changes @ (-weight * residual)
             curvature[np.ix_(places, places)] += (weight * changes) @ changes.T - along.T @ (free[:, None] * along)
-            if family.gains:  # their columns have a number for each observation of the image alone
-                own = csr_matrix((weighted * seen, (self.track, self.image)), (len(square), self.views))
-                together = self.by_image @ (weight * seen * changes).T - own.T @ (free[:, None] * along)
-                gradient[GAINS:] -= self.by_image @ (weight * seen * residual)
+            if family.varies:  # their columns have a number for each observation of the image alone
+                varying = added if family.backscatter_gains else seen
+                own = csr_matrix((weighted * varying, (self.track, self.image)), (len(square), self.views))
+                together = self.by_image @ (weight * varying * changes).T - own.T @ (free[:, None] * along)
+                gradient[GAINS:] -= self.by_image @ (weight * varying * residual)
                 curvature[np.ix_(range(GAINS, size), places)] += together
                 curvature[np.ix_(places, range(GAINS, size))] += together.T
                 curvature[GAINS:, GAINS:] -= (own.T @ own.multiply(free[:, None])).toarray()
-                curvature[np.arange(GAINS, size), np.arange(GAINS, size)] += self.by_image @ (weight * seen**2)
+                curvature[np.arange(GAINS, size), np.arange(GAINS, size)] += self.by_image @ (weight * varying**2)
         prior = self.noise / PRIOR_SD**2
         cost += 0.5 * prior * float(np.sum(values[10:] ** 2))
         gradient[10:] += prior * values[10:]
@@ -333,7 +348,7 @@ class WeightedObservations:
                 for beta in np.log(GRID) if family.attenuation else (COEFFICIENTS[0],):
                     values[c] = values[3 + c] = beta
                     values[6 + c] = 0
-                    _, direct, scattered, _, residual, square = self._solved(family, values, c)
+                    direct, _, scattered, _, residual, square = self._solved(family, values, c)
                     B, weight = 0.0, self.weights[:, c]
                     if family.backscatter:
                         own = (
@@ -359,7 +374,7 @@ class WeightedObservations:
         values[6:9] = start.B if family.backscatter else 0
         values[9] = np.log(start.tau / self.unit**2) if np.isfinite(start.tau) else 0.0
         values[LENS] = start.lens
-        if family.gains and len(start.log_gains) == self.views:
+        if family.varies and len(start.log_gains) == self.views:
             values[GAINS:] = start.log_gains
         return self._bounded(family, values)
 

@@ -25,7 +25,8 @@ LEAST_BIC_GAIN = 10.0
 LEAST_GAIN_SD = 0.045
 """Standard deviation of the log gains of the images: waves and phone processing look like gains of 3 %."""
 LEAST_GAIN_BIC = 100.0
-"""BIC gain of the gains: waves and phone processing gain some tens by them."""
+"""BIC gain of the gains: waves and phone processing gain some tens by them, and gains of backscatter are as good there
+where water scatters the sun's light."""
 LEAST_LENS = 0.05
 """Log ratio of the brightest and the darkest place of an image from which the lens or a beam is modelled."""
 
@@ -77,6 +78,8 @@ class CameraTerms:
         gains: Whether the images differ in exposure.
         gain_sd: Standard deviation of their log gains, without that of their errors.
         gain_bic: BIC gain by gains.
+        over_backscatter: Whether that is counted over gains of backscatter alone, as the sun's direction changes it,
+            because these explain more than no gains do. They are only tried where gains would count.
         lens: Whether light differs over each image.
         lens_bic: BIC gain by that.
         lens_fit: Fit of all terms with the lens.
@@ -85,6 +88,7 @@ class CameraTerms:
     gains: bool
     gain_sd: float
     gain_bic: float
+    over_backscatter: bool
     lens: bool
     lens_bic: float
     lens_fit: Fit
@@ -302,10 +306,14 @@ class _Comparison:
         }
         gained = min((fit for (_, gains), fit in apart.items() if gains), key=bic)
         plain = min((fit for (_, gains), fit in apart.items() if not gains), key=bic)
-        gain_sd, gain_bic = _gain_sd(gained), bic(plain) - bic(gained)
+        gain_sd, gain_bic, over_backscatter = _gain_sd(gained), bic(plain) - bic(gained), False
+        if gain_bic > LEAST_GAIN_BIC and gain_sd > LEAST_GAIN_SD:
+            sunlit = self.weighted.fit(replace(gained.family, gains=False, backscatter_gains=True))
+            over_backscatter = bic(sunlit) < bic(plain)
+            gain_bic = min(gain_bic, bic(sunlit) - bic(gained))
         gains = gain_bic > LEAST_GAIN_BIC and gain_sd > LEAST_GAIN_SD
         lens_bic = bic(apart[False, gains]) - bic(apart[True, gains])
-        terms = CameraTerms(gains, gain_sd, gain_bic, True, lens_bic, apart[True, gains])
+        terms = CameraTerms(gains, gain_sd, gain_bic, over_backscatter, True, lens_bic, apart[True, gains])
         return replace(terms, lens=lens_bic > LEAST_BIC_GAIN and terms.unevenness > LEAST_LENS)
 
     def water_families(self, camera: CameraTerms) -> dict[Family, Fit]:

@@ -34,6 +34,7 @@ def observations_of(
     B=(0, 0, 0),
     tau=None,
     gain_sd=0.0,
+    sun=0.0,
     lens=0.0,
     spread=3.0,
     noise=0.06,
@@ -43,7 +44,9 @@ def observations_of(
     seed=0,
 ):
     """`count` points, each seen in five of VIEWS photographs at ranges between 2 and 2 `spread`, with errors as large
-    as photographs have (mostly alike in all channels), and beside each a pixel of `shade` times its light."""
+    as photographs have (mostly alike in all channels), and beside each a pixel of `shade` times its light.
+
+    The log light that water adds varies by `sun` with the direction of the photograph, all light with `gain_sd`."""
     r = np.random.default_rng(seed)
     track = np.repeat(np.arange(count), 5)
     image = np.concatenate([r.choice(VIEWS, 5, replace=False) for _ in range(count)])
@@ -58,6 +61,7 @@ def observations_of(
     if tau is not None:
         direct = direct * ((tau + 9) / (tau + ranges**2))[:, None]
     veiling = np.array(B) * (1 - np.exp(-np.array(beta_B) * ranges[:, None]))
+    veiling *= np.exp(sun * np.cos(2 * np.pi * image / VIEWS))[:, None]
     error = (
         1 + noise * r.standard_normal((len(track), 1)) + 0.3 * noise * r.standard_normal((len(track), 3)) * (not grey)
     )
@@ -267,6 +271,17 @@ def test_under_a_lamp_the_sum_of_both_losses_is_known_and_attenuation_has_a_wide
     assert "loss_with_lamp" not in Found(observations_of(**BLUE)).effects["attenuation"].evidence
 
 
+def test_backscatter_that_is_brighter_towards_the_sun_is_no_exposure():
+    murky = {"beta_D": (0.35, 0.21, 0.2), "beta_B": (0.35, 0.21, 0.2), "B": (0.1, 0.37, 0.55)}
+    sunlit = Found(observations_of(**murky, sun=0.2))
+    exposure = sunlit.effects["exposure"]
+    assert exposure.state == "off" and exposure.evidence["gain_sd"] > 0.06 and exposure.evidence["bic_gain"] < 0
+    assert "backscatter that varies" in exposure.reason
+    assert sunlit.fit.beta_D == pytest.approx(murky["beta_D"], rel=0.15)
+    exposed = Found(observations_of(**murky, gain_sd=0.08)).effects["exposure"]
+    assert exposed.state == "on" and exposed.evidence["bic_gain"] > 500
+
+
 def test_exposure_under_a_lamp_needs_more_evidence():
     observations = observations_of(tau=1.0, gain_sd=0.06, noise=0.12, count=300)
     decision = Found(observations).effects["exposure"]
@@ -283,10 +298,11 @@ def test_attenuation_below_the_resolution_is_undetermined():
 
 @pytest.mark.parametrize("separate", [True, False])
 @pytest.mark.parametrize("B", [(0.05, 0.1, 0.2), (0.6, 0.6, 0.6)])
-def test_derivatives_by_finite_differences(separate, B):
+@pytest.mark.parametrize("varying", ["gains", "backscatter_gains"])
+def test_derivatives_by_finite_differences(separate, B, varying):
     """Also where the veiling light is brighter than the image: the color of a point is then 0, not negative."""
     ready = WeightedObservations(observations_of(**BLUE, tau=2.0, gain_sd=0.1, lens=0.2, count=60))
-    family = Family(True, True, separate, lamp=True, lens=True, gains=True)
+    family = Family(True, True, separate, lamp=True, lens=True, **{varying: True})
     values = ready._start(family)
     values[6:9], values[LENS], values[GAINS:] = B, 0.1, 0.05 * np.arange(VIEWS)
     colors = np.stack([ready._solved(family, values, c)[3] for c in range(3)])
