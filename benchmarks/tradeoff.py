@@ -7,8 +7,8 @@ FOLDER receives the runs; started again with the same FOLDER the benchmark conti
 networks of LPIPS. A scene that is not on this machine is skipped.
 """
 
+import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -18,7 +18,7 @@ import cv2
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.common import DEMO, PICTURES, RESULTS, SHARED, WEBP_QUALITY
+from benchmarks.common import DEMO, PICTURES, SHARED, WEBP_QUALITY, write_results
 
 SCENES = {"demo": DEMO, "japanese_gardens": SHARED / "japanese_gardens"}
 GRID = ["--presets", "draft", "standard", "high", "--widths", "240", "480"]
@@ -48,7 +48,13 @@ def main(folder: Path, *weights: str) -> None:
         subprocess.run(command, cwd=ROOT, check=True)
         picture = cv2.imread(str(out / "tradeoff.png"))
         cv2.imwrite(str(PICTURES / f"tradeoff_{name}.webp"), picture, [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
-        shutil.copy(out / "tradeoff.json", RESULTS / f"tradeoff_{name}.json")
+        store(name, json.loads((out / "tradeoff.json").read_text("utf-8")))
+
+
+def store(name: str, document: dict) -> None:
+    """Write the results of a scene without the settings of its runs, which their names tell apart."""
+    rows = [{key: row[key] for key in row if key not in ("settings", "folder")} for row in document["rows"]]
+    write_results(f"tradeoff_{name}", document | {"rows": rows})
 
 
 if __name__ == "__main__":
