@@ -1,10 +1,13 @@
 """Paths and helpers that the benchmark scripts share."""
 
+import io
 import json
 import os
 import platform
 from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -42,3 +45,11 @@ def write_results(name: str, document: dict[str, Any]) -> None:
 def save_figure(name: str, figure: Any, dpi: int) -> None:
     """Write a matplotlib figure to docs/images/NAME.webp."""
     figure.savefig(PICTURES / f"{name}.webp", dpi=dpi, pil_kwargs={"quality": WEBP_QUALITY})
+
+
+def save_chart(name: str, figure: Any, dpi: int) -> None:
+    """Write a matplotlib figure of few colors to docs/images/NAME.webp without loss."""
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=dpi)
+    chart = Image.open(drawn).convert("RGB").quantize(32, dither=Image.Dither.NONE).convert("RGB")
+    chart.save(PICTURES / f"{name}.webp", lossless=True, quality=100, method=6)

@@ -27,7 +27,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.common import RESULTS, save_figure, write_results
+from benchmarks.common import RESULTS, save_chart, write_results
 
 EFFECTS = ("attenuation", "backscatter", "lamp", "exposure", "vignetting", "caustics")
 STATES = ("on", "off", "unknown")
@@ -379,9 +379,9 @@ def draw(results: dict[str, dict]) -> None:
                 axis.text(x, y, table[y, x], ha="center", va="center", fontsize=12)
             axis.set_xticks(range(3), ("on", "off", "undeter-\nmined"))
             axis.set_yticks(range(3), ("visible", "slight", "absent"))
-            axis.set_title(f"{name} ({title}): {counts['right']:.0%} right", fontsize=9)
+            axis.set_title(f"{name} ({title})\n{counts['right']:.0%} right", fontsize=9)
     figure.tight_layout()
-    save_figure("effects_matrix", figure, dpi=90)
+    save_chart("effects_matrix", figure, dpi=72)
 
 
 def main() -> None:

@@ -33,7 +33,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 
-from benchmarks.common import processor, save_figure, write_results
+from benchmarks.common import processor, save_chart, write_results
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.backends import KERNELS
@@ -344,7 +344,7 @@ def plot(results: dict) -> None:
         axis.grid(alpha=0.3)
     axes[0].legend()
     figure.suptitle(str(results["machine"]))
-    save_figure("raster", figure, dpi=110)
+    save_chart("raster", figure, dpi=110)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from benchmarks.common import RESULTS, machine, save_figure, write_results
+from benchmarks.common import RESULTS, machine, save_chart, write_results
 from benchmarks.survey_faults import faults
 from benchmarks.survey_quality import compare_survey, draw_seam
 from swag_engine.formats.run_folder import read_json, write_json
@@ -350,7 +350,7 @@ def draw_scale(rows: Sequence[dict[str, Any]], line: dict[str, float]) -> None:
     most = max(job["peak_memory"] for row in rows for job in row["jobs"]) / 1e9
     memory_axes.set(xlabel="photos", ylabel="largest memory of a job, GB", xlim=(0, None), ylim=(0, 1.15 * most))
     memory_axes.legend(frameon=False, loc="lower right")
-    save_figure("survey_scale", figure, 110)
+    save_chart("survey_scale", figure, 110)
     plt.close(figure)
 
 

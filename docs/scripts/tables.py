@@ -6,6 +6,7 @@ A page holds a table between the lines `<!-- table: NAME -->` and `<!-- end -->`
 --check nothing is written: stale pages are named, and the exit code is 1.
 """
 
+import itertools
 import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -1005,6 +1006,18 @@ def moving_objects() -> str:
     )
 
 
+def time_to_earlier(row: Mapping[str, Any]) -> str:
+    """Interpolate after which fraction of the earlier version's time the present one has its test PSNR."""
+    runs = sorted([(run["seconds"], run["psnr"]) for run in (row["now"], *row["other lengths"])])
+    seconds, wanted = row["earlier"]["seconds"], row["earlier"]["psnr"]
+    if runs[0][1] >= wanted:
+        return f"below {percent(runs[0][0] / seconds)}"
+    for (shorter, low), (longer, high) in itertools.pairwise(runs):
+        if low < wanted <= high:
+            return percent((shorter + (longer - shorter) * (wanted - low) / (high - low)) / seconds)
+    return "not reached"
+
+
 @table
 def presets() -> str:
     """Presets against those of an earlier version: processor time, quality and Gaussians."""
@@ -1016,12 +1029,22 @@ def presets() -> str:
         return sum(row[version][figure] for row in rows) / len(rows)
 
     return markdown(
-        ["preset", "scene (seeds)", "processor time", "test PSNR before", "now", "Gaussians before", "now"],
+        [
+            "preset",
+            "scene (seeds)",
+            "processor time",
+            "time to the PSNR before",
+            "test PSNR before",
+            "now",
+            "Gaussians before",
+            "now",
+        ],  # fmt: skip
         [
             [
                 preset,
                 f"{scene} ({len(rows)})",
                 percent(median(row["now"]["seconds"] / row["earlier"]["seconds"] for row in rows)),
+                next((time_to_earlier(row) for row in rows if "other lengths" in row), "-"),
                 *(f"{mean(rows, version, 'psnr'):.2f} dB" for version in ("earlier", "now")),
                 *(f"{mean(rows, version, 'gaussians'):.0f}" for version in ("earlier", "now")),
             ]
