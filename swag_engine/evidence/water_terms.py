@@ -79,7 +79,8 @@ class CameraTerms:
         gain_sd: Standard deviation of their log gains, without that of their errors.
         gain_bic: BIC gain by gains.
         over_backscatter: Whether that is counted over gains of backscatter alone, as the sun's direction changes it,
-            because these explain more than no gains do. They are only tried where gains would count.
+            because these explain more than no gains do and the darkest light rises with range. They are only tried
+            where gains would count.
         lens: Whether light differs over each image.
         lens_bic: BIC gain by that.
         lens_fit: Fit of all terms with the lens.
@@ -309,8 +310,9 @@ class _Comparison:
         gain_sd, gain_bic, over_backscatter = _gain_sd(gained), bic(plain) - bic(gained), False
         if gain_bic > LEAST_GAIN_BIC and gain_sd > LEAST_GAIN_SD:
             sunlit = self.weighted.fit(replace(gained.family, gains=False, backscatter_gains=True))
-            over_backscatter = bic(sunlit) < bic(plain)
-            gain_bic = min(gain_bic, bic(sunlit) - bic(gained))
+            over_backscatter = bic(sunlit) < bic(plain) and self.dark_rise(sunlit).rises
+            if over_backscatter:
+                gain_bic = bic(sunlit) - bic(gained)
         gains = gain_bic > LEAST_GAIN_BIC and gain_sd > LEAST_GAIN_SD
         lens_bic = bic(apart[False, gains]) - bic(apart[True, gains])
         terms = CameraTerms(gains, gain_sd, gain_bic, over_backscatter, True, lens_bic, apart[True, gains])

@@ -282,6 +282,13 @@ def test_backscatter_that_is_brighter_towards_the_sun_is_no_exposure():
     assert exposed.state == "on" and exposed.evidence["bic_gain"] > 500
 
 
+def test_light_that_is_added_alike_at_all_ranges_is_no_backscatter_beside_an_exposure():
+    """As glare in a lens, where all ranges are alike."""
+    glare = {"beta_B": (5, 5, 5), "B": (0.2, 0.2, 0.2), "sun": 0.3, "spread": 1.05}
+    exposure = Found(observations_of(**glare, gain_sd=0.05)).effects["exposure"]
+    assert exposure.state == "on" and "backscatter" not in exposure.reason
+
+
 def test_exposure_under_a_lamp_needs_more_evidence():
     observations = observations_of(tau=1.0, gain_sd=0.06, noise=0.12, count=300)
     decision = Found(observations).effects["exposure"]
