@@ -20,7 +20,7 @@ from ..scene.images import TrainingImage, load_images, mask_path
 from ..settings.effect_names import EFFECTS, parse_effects
 from .costs import measured_costs
 
-PLAN_VERSION = 1
+PLAN_VERSION = 2
 """Raised when decisions change so that stored plans of unchanged scenes are out of date."""
 STATES: dict[State, str] = {"on": "on", "off": "off", "unknown": "undetermined"}
 """Words for the states."""
