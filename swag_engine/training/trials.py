@@ -18,6 +18,9 @@ from .state import RunState
 PRECONDITIONS = ("range_ratio", "radius_correlation", "inverse_square", "color_of_loss")
 """Figures that say whether an effect can be determined and which one it is, not how strong it is. (Loss by the inverse
 square is a fraction: it is never far above its threshold.)"""
+MEASURED = ("gain_sd",)
+"""Figures that cast no doubt on an effect that is on: validation images, which have no exposure of their own, would show
+it less than the plan does. Without its exposure a run fills open water with haze."""
 LENGTH = 0.05
 """Length of a fork, as a fraction of all iterations."""
 LEAST_GAIN = 0.3
@@ -40,14 +43,15 @@ def undetermined_effects(plan: Plan | None) -> list[str]:
 def _undetermined(name: str, effect: PlannedEffect) -> bool:
     if effect.state == "unknown":
         return not REGISTRY[name].determined_by_ranges
-    return 1 / NEAR < margin(effect.evidence) < NEAR
+    return 1 / NEAR < margin(effect.evidence, MEASURED if effect.state == "on" else ()) < NEAR
 
 
-def margin(evidence: Mapping[str, Any]) -> float:
+def margin(evidence: Mapping[str, Any], certain: Sequence[str] = ()) -> float:
     """Return the least ratio of a figure to its threshold.
 
     Args:
         evidence: Figures with thresholds named NAME_least or NAME_most.
+        certain: Figures that do not count.
 
     Returns:
         Above 1 where all thresholds are passed; infinite without any.
@@ -55,7 +59,7 @@ def margin(evidence: Mapping[str, Any]) -> float:
     ratios = [np.inf]
     for key, threshold in evidence.items():
         name, _, kind = key.rpartition("_")
-        if kind not in ("least", "most") or name in PRECONDITIONS or evidence.get(name) is None or not threshold:
+        if kind not in ("least", "most") or name in (*PRECONDITIONS, *certain) or evidence.get(name) is None or not threshold:
             continue
         figure = float(np.max(evidence[name]))
         ratios.append(figure / threshold if kind == "least" else threshold / max(figure, 1e-12))

@@ -15,13 +15,14 @@ from swag_engine.effects.caustics import Illumination
 from swag_engine.effects.exposure import Exposure
 from swag_engine.effects.lamp import lit
 from swag_engine.effects.moving_objects import moving_mask
+from swag_engine.effects.registry import REGISTRY
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.effects.vignetting import Vignetting
 from swag_engine.evaluation.metrics import render_image
 from swag_engine.experiments.evaluate_run import load_newest, render_run
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.reference.transfer import to_display, to_light
-from swag_engine.planning.plan import plan_scene
+from swag_engine.planning.plan import Plan, PlannedEffect, plan_scene
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.split import split_views
 from swag_engine.settings.effect_names import EFFECTS
@@ -226,6 +227,18 @@ def test_a_lamp_whose_light_falls_off_far_beyond_the_threshold_is_not_tried():
     kind = {"inverse_square": 1.0, "inverse_square_least": 0.78, "color_of_loss": 0.19, "color_of_loss_most": 0.2}
     assert trials.margin(strong | kind) > trials.NEAR
     assert trials.margin(strong | kind | {"bic_gain": 35.0}) < trials.NEAR
+
+
+@pytest.mark.parametrize(
+    "state, gain_sd, bic_gain, tried",
+    [("on", 0.06, 1300.0, False), ("on", 0.06, 120.0, True), ("off", 0.04, 1300.0, True)],
+)
+def test_an_exposure_that_the_plan_is_sure_of_is_not_tried(state, gain_sd, bic_gain, tried):
+    """However little it varies: validation images, which have no exposure of their own, hardly show its gain."""
+    evidence = {"gain_sd": gain_sd, "gain_sd_least": 0.045, "bic_gain": bic_gain, "bic_gain_least": 100.0}
+    effects = dict.fromkeys(REGISTRY, PlannedEffect("off", {}, "", 0.0))
+    plan = Plan(effects | {"exposure": PlannedEffect(state, evidence, "", 0.0)}, None, "")
+    assert ("exposure" in trials.undetermined_effects(plan)) == tried
 
 
 def test_moving_objects_are_found_and_nothing_else_is_masked(tiny_scene, tmp_path):
