@@ -19,8 +19,8 @@ PRECONDITIONS = ("range_ratio", "radius_correlation", "inverse_square", "color_o
 """Figures that say whether an effect can be determined and which one it is, not how strong it is. (Loss by the inverse
 square is a fraction: it is never far above its threshold.)"""
 MEASURED = ("gain_sd",)
-"""Figures that cast no doubt on an effect that is on: validation images, which have no exposure of their own, would show
-it less than the plan does. Without its exposure a run fills open water with haze."""
+"""Figures that cast no doubt on an effect that is on: validation images have no exposure of their own and hardly show
+its gain. A run without it fills open water with haze."""
 LENGTH = 0.05
 """Length of a fork, as a fraction of all iterations."""
 LEAST_GAIN = 0.3
@@ -56,10 +56,10 @@ def margin(evidence: Mapping[str, Any], certain: Sequence[str] = ()) -> float:
     Returns:
         Above 1 where all thresholds are passed; infinite without any.
     """
-    ratios = [np.inf]
+    ratios, left_out = [np.inf], (*PRECONDITIONS, *certain)
     for key, threshold in evidence.items():
         name, _, kind = key.rpartition("_")
-        if kind not in ("least", "most") or name in (*PRECONDITIONS, *certain) or evidence.get(name) is None or not threshold:
+        if kind not in ("least", "most") or name in left_out or evidence.get(name) is None or not threshold:
             continue
         figure = float(np.max(evidence[name]))
         ratios.append(figure / threshold if kind == "least" else threshold / max(figure, 1e-12))
