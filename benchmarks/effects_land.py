@@ -49,10 +49,8 @@ def main(samples: Path) -> None:
             place = scene_of(samples, name, Path(folder))
             scene, plan = load_scene(place), plan_scene(place)
             effects = {effect: plan.effects[effect] for effect in SHOWN}
-            document[name] = {"images": len(scene.views), "points": len(scene.points.positions)} | {
-                "states": {effect: found.state for effect, found in effects.items()},
-                "reasons": {effect: found.reason for effect, found in effects.items()},
-            }
+            states = {effect: found.state for effect, found in effects.items()}
+            document[name] = {"images": len(scene.views), "points": len(scene.points.positions), "states": states}
             print(f"\n{name}: {len(scene.views)} images, {len(scene.points.positions)} points", flush=True)
             for effect, found in effects.items():
                 print(f"  {effect:<12} {found.state:<8} {found.reason}")

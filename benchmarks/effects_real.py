@@ -146,7 +146,7 @@ def scene_with_points(name: str, kind: str) -> dict:
             )
         ],
     )
-    effects = {name: {"state": effect.state, "evidence": effect.evidence} for name, effect in plan.effects.items()}
+    effects = {name: {"state": effect.state} for name, effect in plan.effects.items()}
     return {"kind": kind, "plan": plan.to_json() | {"effects": effects}}
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,11 @@ class RunInputs:
     def known(self) -> list[TrainingImage]:
         """All images that a run may look at: training and validation."""
         return [*self.training, *self.validation]
+
+    @cached_property
+    def values(self) -> float:
+        """Number of values, three for each pixel, of a training image; the mean of all."""
+        return float(np.mean([image.pixels.size for image in self.training]))
 
     def median_color(self) -> np.ndarray:
         """Return the median display color (3,) of the training images, in 0..1."""

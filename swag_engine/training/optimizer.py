@@ -16,7 +16,9 @@ MOMENTS = ("exp_avg", "exp_avg_sq")
 BETAS = (0.9, 0.999)
 """Decay of the two moments in each step."""
 EPS = 1e-15
-"""Added to the root of the second moment."""
+"""Added to the root of the second moment, at least."""
+DAMPED = tuple(name for name in PER_GAUSSIAN if name != "means")
+"""Parameters that move less where images hardly show a Gaussian. Gradients by the means depend on the scene's unit."""
 
 
 class Optimizer:
@@ -57,13 +59,14 @@ class Optimizer:
         """Return all parameters by name; those of effects begin with the effect's name: "medium.background_sh"."""
         return self.cloud.parameters() | self.effects.parameters()
 
-    def step(self, rates: Mapping[str, float]) -> None:
+    def step(self, rates: Mapping[str, float], epsilon: float = EPS) -> None:
         """Update the parameters that have a rate and a gradient once, and clear all gradients.
 
         All Gaussians move, not only those in view: that scores .3 dB better on the demo scene.
 
         Args:
             rates: Step size by parameter name.
+            epsilon: Added to the root of the second moment of DAMPED; EPS is to that of all others.
         """
         self.steps += 1
         for name, parameter in self.parameters().items():
@@ -73,7 +76,9 @@ class Optimizer:
                 if self.fixed and name in PER_GAUSSIAN:
                     free = len(values) - self.fixed
                     values, gradient, mean, square = values[:free], gradient[:free], mean[:free], square[:free]
-                adam_step(values, gradient, mean, square, rates[name], self.steps, self.backend)
+                adam_step(
+                    values, gradient, mean, square, rates[name], self.steps, self.backend, epsilon_of(name, epsilon)
+                )
         self.clear_gradients()
 
     def clear_gradients(self) -> None:
@@ -129,6 +134,11 @@ class Optimizer:
             self.moments[name] = mean, square
 
 
+def epsilon_of(name: str, epsilon: float) -> float:
+    """Return what is added to the root of the second moment of a parameter, where `epsilon` is to that of DAMPED."""
+    return epsilon if name in DAMPED else EPS
+
+
 def adam_step(
     parameter: Tensor,
     gradient: Tensor,
@@ -137,6 +147,7 @@ def adam_step(
     rate: float,
     step: int,
     backend: str = "auto",
+    epsilon: float = EPS,
 ) -> None:
     """Update one parameter and its moments in place by one step of Adam.
 
@@ -148,6 +159,7 @@ def adam_step(
         rate: Step size.
         step: Number of the step, from 1.
         backend: What computes.
+        epsilon: Added to the root of the second moment.
     """
     kernels = kernels_for(backend, parameter)
-    kernels.adam_step(parameter, gradient, exp_avg, exp_avg_sq, rate, *BETAS, EPS, step)
+    kernels.adam_step(parameter, gradient, exp_avg, exp_avg_sq, rate, *BETAS, epsilon, step)

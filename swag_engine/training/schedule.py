@@ -51,6 +51,9 @@ class Schedule:
     """Seconds of a time budget that are kept for writing results and their report."""
     learning_rates: LearningRates = LearningRates()
     """Step sizes of the Gaussians' parameters."""
+    hardly_shown: float = 1.7e-3
+    """Gradient of the sum of an image's errors, display values, below which a Gaussian's steps get smaller. Otherwise
+    Adam makes steps of the same size where images hardly show anything, and long runs end with glaring colors there."""
 
 
 STANDARD = Schedule()

@@ -35,6 +35,7 @@ class StepConfig:
         with_water: Whether the water is modelled already.
         stage_two: Whether geometry and water are frozen.
         learning_rates: Adam's step size by parameter name.
+        epsilon: What Adam adds to the root of the second moment, as in `Optimizer.step`.
         phase: What the loss is made of, as in `GuardedState.record_step`.
     """
 
@@ -44,6 +45,7 @@ class StepConfig:
     with_water: bool
     stage_two: bool
     learning_rates: dict[str, float]
+    epsilon: float
     phase: str = ""
 
 
@@ -171,5 +173,5 @@ def update_parameters(
         if means2d_gradient is not None and state.recipe.undimmed_densification and medium is not None:
             means2d_gradient = means2d_gradient / visibility(medium, offsets).detach()[:, None]
         with part("optimiser"):
-            state.optimizer.step(config.learning_rates)
+            state.optimizer.step(config.learning_rates, config.epsilon)
     return StepResult(value, problem, means2d_gradient, radii)

@@ -58,6 +58,7 @@ from .inputs import Event, load_inputs
 from .motion import MotionMasks, find_motion
 from .native_step import NativeStep
 from .network_priors import depth_of_images, interpolated_frames
+from .optimizer import EPS
 from .pacing.budget import Budget, fit_budget
 from .pacing.clock import FLAT_DB, FLAT_FRACTION, Clock, is_flat, next_minute
 from .pacing.memory import TOO_LITTLE, Relief, fit_memory, free_memory, none_if_out_of_memory, reduced
@@ -431,6 +432,7 @@ class Trainer:
             with_water=self.whole is not None or fraction >= recipe.water_from,
             stage_two=fraction >= recipe.stage_two_from,
             learning_rates=self._learning_rates(fraction),
+            epsilon=max(EPS, self.inputs.schedule.hardly_shown / self.inputs.values),
         )
 
     def _sh_degree(self, fraction: float) -> int:

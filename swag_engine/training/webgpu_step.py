@@ -44,7 +44,7 @@ from .effect_selection import EffectSelection
 from .inputs import RunInputs
 from .losses import SURFACE_LIMITS
 from .native_step import IMAGE_EFFECTS, compare, runs_natively
-from .optimizer import BETAS, EPS, MOMENTS
+from .optimizer import BETAS, EPS, MOMENTS, epsilon_of
 from .state import RunState
 from .step import GEOMETRY, Step, StepConfig, StepResult
 from .targets import Target
@@ -325,7 +325,7 @@ class WebGpuStep:
         optimizer, exposure = state.optimizer, state.effects.models.get("exposure")
         optimizer.steps += 1
         adam = {
-            name: adam_fields(rate, *BETAS, EPS, optimizer.steps)
+            name: adam_fields(rate, *BETAS, epsilon_of(name, config.epsilon), optimizer.steps)
             for name, rate in config.learning_rates.items()
             if not (config.stage_two and name in GEOMETRY)
         }

@@ -15,7 +15,7 @@ from swag_engine.kernels.backends import KERNELS
 from swag_engine.kernels.reference.projection import project
 from swag_engine.rasterize.api import contributions
 from swag_engine.training.losses import photometric
-from swag_engine.training.optimizer import adam_step
+from swag_engine.training.optimizer import EPS, adam_step
 from swag_engine.water.medium import open_water, through_water
 from tests.engine.raster_scenes import (
     GRADIENTS,
@@ -234,18 +234,19 @@ class KernelSuite:
         for value, expected in zip(result, truth, strict=True):
             assert relative_error(value, expected) < 1e-5
 
-    def adam(self, parameter, gradients, backend):
+    def adam(self, parameter, gradients, backend, epsilon):
         """Make a step of .1 with each gradient in place; return the parameter and its moments."""
         moments = torch.zeros_like(parameter), torch.zeros_like(parameter)
         for number, gradient in enumerate(gradients):
-            adam_step(parameter, gradient, *moments, 0.1, number + 1, backend)
+            adam_step(parameter, gradient, *moments, 0.1, number + 1, backend, epsilon)
         return parameter, *moments
 
-    def test_adam_is_that_of_the_reference(self):
+    @pytest.mark.parametrize("epsilon", [EPS, 0.5])
+    def test_adam_is_that_of_the_reference(self, epsilon):
         values = torch.randn(6, 40, 5, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
 
         def trajectory(backend, dtype, device):
-            return self.adam(values[0].to(device, dtype, copy=True), values[1:].to(device, dtype), backend)
+            return self.adam(values[0].to(device, dtype, copy=True), values[1:].to(device, dtype), backend, epsilon)
 
         truth, result = self.both(trajectory)
         for value, expected in zip(result, truth, strict=True):

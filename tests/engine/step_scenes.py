@@ -75,7 +75,7 @@ def gradients(step, state, target, config):
     """Return the result of a step without its update, and the gradients by parameter name."""
     found = {}
 
-    def keep(rates):
+    def keep(rates, epsilon):
         found.update({name: p.grad.clone() for name, p in state.optimizer.parameters().items() if p.grad is not None})
         state.optimizer.clear_gradients()
 

@@ -8,6 +8,7 @@ import torch
 
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.checkpoint import load_checkpoint
+from swag_engine.training.optimizer import EPS
 from swag_engine.training.step import AutogradStep
 from swag_engine.training.trainer import train
 from tests.engine.cuda_fibres import cuda_backend
@@ -95,7 +96,8 @@ def test_200_steps_follow_those_of_autograd(make):
     states = trainer.state, trainer._copied(trainer.state)
     losses = []
     for step, state in zip((native(trainer), autograd(trainer)), states, strict=True):
-        config, targets = inputs_of_step(trainer)[1], trainer.targets.at(state, 0.6)
+        # Undamped: steps by what an image hardly shows are the first to follow a difference of sums.
+        config, targets = replace(inputs_of_step(trainer)[1], epsilon=EPS), trainer.targets.at(state, 0.6)
         losses.append([step(state, targets[i % len(targets)], config).loss for i in range(200)])
     got, expected = map(torch.tensor, losses)
     assert expected[-8:].mean() < 0.6 * expected[:8].mean()

@@ -3,7 +3,9 @@
 import pytest
 import torch
 
-from swag_engine.training.optimizer import adam_step
+from swag_engine.effects.scene_effects import SceneEffects
+from swag_engine.training.optimizer import Optimizer, adam_step
+from tests.scenes.clouds import make_cloud
 
 
 def trajectory(dtype, backend, steps=5):
@@ -31,3 +33,18 @@ def test_a_step_of_an_empty_parameter_leaves_all_tensors_empty(backend):
     tensors = torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0, 3)
     adam_step(*tensors, 0.1, 1, backend)
     assert all(torch.equal(tensor, torch.zeros(0, 3)) for tensor in tensors)
+
+
+def test_what_images_hardly_show_moves_less_and_everything_else_as_before():
+    """Steps by gradients of a thousandth of epsilon, and of a thousand times it."""
+    gradient = {"sh0": 1e-8, "means": 1e-11, "opacity_logits": 1e-5}
+    cloud = make_cloud(4, dtype=torch.float32)
+    before = {name: getattr(cloud, name).detach().clone() for name in gradient}
+    optimizer = Optimizer(cloud, SceneEffects())
+    for name, value in gradient.items():
+        getattr(cloud, name).grad = torch.full_like(before[name], value)
+    optimizer.step(dict.fromkeys(gradient, 0.1), epsilon=1e-5)
+    moved = {name: (before[name] - getattr(cloud, name)).detach().abs().max().item() for name in gradient}
+    assert moved["sh0"] < 1e-3 * 0.1
+    assert moved["means"] == pytest.approx(0.1, rel=1e-3)
+    assert moved["opacity_logits"] == pytest.approx(0.05, rel=1e-3)

@@ -24,7 +24,7 @@ from swag_engine.kernels.webgpu_device import (
 from swag_engine.kernels.webgpu_training import adam_fields
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.losses import photometric
-from swag_engine.training.optimizer import BETAS, EPS
+from swag_engine.training.optimizer import BETAS
 from swag_engine.training.trainer import train
 from swag_engine.training.webgpu_step import with_backend_of_run
 from tests.engine.kernel_suite import KernelSuite
@@ -62,16 +62,16 @@ class TestWgpu(KernelSuite):
 
     backend = "wgpu"
 
-    def adam(self, parameter, gradients, backend):
+    def adam(self, parameter, gradients, backend, epsilon):
         """By the kernel of a step on the device."""
         if backend != self.backend:
-            return super().adam(parameter, gradients, backend)
+            return super().adam(parameter, gradients, backend, epsilon)
         kernels = KERNELS["wgpu"]
         assert isinstance(kernels, WebGpuKernels)
         gpu, count = kernels.gpu, parameter.numel()
         buffers = [gpu.upload(values) for values in (parameter, 0 * parameter, 0 * parameter)]
         for number, gradient in enumerate(gradients):
-            call = {"count": count, **adam_fields(0.1, *BETAS, EPS, number + 1)}
+            call = {"count": count, **adam_fields(0.1, *BETAS, epsilon, number + 1)}
             bound = dict(zip(("parameter", "mean", "square"), buffers, strict=True))
             gpu.run("adam_step", -(-count // 256), call, **bound, gradient=gpu.upload(gradient), skipped=gpu.empty(1))
         return [gpu.read(buffer, tuple(parameter.shape)) for buffer in buffers]
