@@ -18,8 +18,8 @@ BETAS = (0.9, 0.999)
 EPS = 1e-15
 """Added to the root of the second moment, at least."""
 DAMPED = tuple(name for name in PER_GAUSSIAN if name not in ("means", "features"))
-"""Parameters that move less where images hardly show a Gaussian. Gradients by the means depend on the scene's unit, those
-by features are not of an image's colors."""
+"""Parameters that move less where images hardly show a Gaussian. Gradients by the means depend on the scene's unit, and
+those by features are not of an image's colors."""
 
 
 class Optimizer:
