@@ -82,7 +82,7 @@ def published_rates(scale: float, median_range: float) -> LearningRates:
 
 
 def published_schedule(rates: LearningRates) -> Schedule:
-    """Whole images from the start, and a degree of spherical harmonics more every thirtieth of the run."""
+    """Whole images from the start, a degree of spherical harmonics more every thirtieth of the run, Adam undamped."""
     degrees = (1 / 30, 2 / 30, 3 / 30)
     return replace(STANDARD, coarse=(), sh_degrees=degrees, learning_rates=rates, hardly_shown=0.0)
 

@@ -96,7 +96,7 @@ def test_200_steps_follow_those_of_autograd(make):
     states = trainer.state, trainer._copied(trainer.state)
     losses = []
     for step, state in zip((native(trainer), autograd(trainer)), states, strict=True):
-        # Undamped: steps by what an image hardly shows are the first to follow a difference of sums.
+        # Undamped: with damping, which both share, differences grow to .0052 of the least loss in 100 steps here.
         config, targets = replace(inputs_of_step(trainer)[1], epsilon=EPS), trainer.targets.at(state, 0.6)
         losses.append([step(state, targets[i % len(targets)], config).loss for i in range(200)])
     got, expected = map(torch.tensor, losses)
