@@ -881,6 +881,20 @@ def effects_volume_colors() -> str:
     return markdown(["water", "cameras", "seed", *titles.values()], rows)
 
 
+@table
+def spectral_water() -> str:
+    """Color difference in water whose attenuation depends on the wavelength."""
+    titles = {name: f"{name} exponential{'s' * (name == 'two')}" for name in ("one", "two")}
+    return markdown(
+        ["water", "red near", "red far", "as taken", *titles.values()],
+        [
+            [name, *(f"{row[key]:.3f}" for key in ("red near", "red far")), f"{row['as taken']:.1f}"]
+            + [f"{row[title]:.2f}" for title in titles.values()]
+            for name, row in results("spectral_water")["scenes"].items()
+        ],
+    )
+
+
 def decisions(states: Mapping[str, Mapping[str, str]], effects: Sequence[str]) -> str:
     """Return a table of decisions by scene."""
     return markdown(
