@@ -51,7 +51,11 @@ def reflectances(random: np.random.Generator) -> np.ndarray:
 
 
 def two_exponentials(p: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """Return the log gain at ranges r (N,): its coefficient falls from p[1] to the fraction p[2] of it."""
+    """Return the log gain at ranges r (N,), metres.
+
+    p is its value at range 0, its slope there (1/m), the fraction of that slope far away (logit), and how fast the
+    slope falls (log, 1/m).
+    """
     far, rate = 1 / (1 + np.exp(-p[2])), np.exp(p[3])
     return p[0] + p[1] * (far * r - (1 - far) * np.expm1(-rate * r) / rate)
 

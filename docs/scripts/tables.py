@@ -884,12 +884,11 @@ def effects_volume_colors() -> str:
 @table
 def spectral_water() -> str:
     """Color difference in water whose attenuation depends on the wavelength."""
-    titles = {name: f"{name} exponential{'s' * (name == 'two')}" for name in ("one", "two")}
+    digits = {"red near": 3, "red far": 3, "as taken": 1, "one exponential": 2, "two exponentials": 2}
     return markdown(
-        ["water", "red near", "red far", "as taken", *titles.values()],
+        ["water", *digits],
         [
-            [name, *(f"{row[key]:.3f}" for key in ("red near", "red far")), f"{row['as taken']:.1f}"]
-            + [f"{row[title]:.2f}" for title in titles.values()]
+            [name, *(f"{row[key]:.{count}f}" for key, count in digits.items())]
             for name, row in results("spectral_water")["scenes"].items()
         ],
     )
