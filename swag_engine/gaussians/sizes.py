@@ -6,8 +6,9 @@ view.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -29,6 +30,8 @@ MARGIN = 0.15
 """Fraction of an image's size beyond its edges in which a Gaussian still counts as seen (Mip-Splatting)."""
 NEAREST = 0.01
 """Least depth that counts as in front of a camera, and least distance from cameras, median ranges."""
+CAMERAS_AT_ONCE = 8
+"""Cameras whose distances from all Gaussians are in memory at a time."""
 
 
 @torch.no_grad()
@@ -44,17 +47,15 @@ def sampling(means: Tensor, cameras: Sequence[Camera], median_range: float) -> t
         (N,) the highest number of pixels per scene unit over the images that see the Gaussian, occluded or not; and
         (N,) the mean distance between the Gaussians of that image, scene units. Both are 0 where no image sees it.
     """
+    near = NEAREST * median_range
     rates, spacings = means.new_zeros(len(means)), means.new_zeros(len(means))
     for camera in cameras:
-        pose = torch.from_numpy(camera.world_to_camera).to(means)
-        x, y, z = torch.addmm(pose[:3, 3], means, pose[:3, :3].T).unbind(-1)
-        depth = torch.ones_like(z) if camera.kind == "orthographic" else z
+        planes = torch.from_numpy(view_planes(camera, near)).to(means)
+        heights = torch.addmm(planes[:, 3:], planes[:, :3], means.T)
         focal = max(camera.fx, camera.fy)
-        u, v = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
-        seen = z > NEAREST * median_range
-        for position, size in ((u, camera.width), (v, camera.height)):
-            seen &= (position > -MARGIN * size) & (position < (1 + MARGIN) * size)
-        rate = torch.where(seen, focal / depth, 0.0)
+        rate = focal / (torch.ones_like(heights[0]) if camera.kind == "orthographic" else heights[0] + near)
+        seen = heights.amin(dim=0) > 0
+        rate = torch.where(seen, rate, 0.0)
         finer = rate > rates
         area = (1 + 2 * MARGIN) ** 2 * camera.width * camera.height
         pixels = (area / seen.sum().clamp(min=1)).sqrt()
@@ -63,21 +64,40 @@ def sampling(means: Tensor, cameras: Sequence[Camera], median_range: float) -> t
     return rates, spacings
 
 
+def view_planes(camera: Camera, near: float) -> np.ndarray:
+    """Return the planes (5, 4) that bound what an image and MARGIN around it see, nearest first, then the four sides.
+
+    A point p is seen where `planes @ (p, 1)` is positive; the first of the five is its depth less `near`, scene units.
+    """
+    x, y, z = camera.world_to_camera[:3]
+    one = np.array([0.0, 0.0, 0.0, 1.0])
+    depth = one if camera.kind == "orthographic" else z
+    planes = [z - near * one]
+    for axis, focal, centre, size in (
+        (x, camera.fx, camera.cx, camera.width),
+        (y, camera.fy, camera.cy, camera.height),
+    ):
+        position = focal * axis + centre * depth
+        planes += [position + MARGIN * size * depth, (1 + MARGIN) * size * depth - position]
+    return np.stack(planes)
+
+
 @torch.no_grad()
 def nearest_offsets(means: Tensor, cameras: Sequence[Camera]) -> Tensor:
     """Compute the offset (N, 3) of each centre (N, 3) from the nearest of one or more cameras, scene units."""
+    centres = torch.from_numpy(np.stack([camera.centre for camera in cameras])).to(means)
     nearest, least = torch.zeros_like(means), means.new_full((len(means),), math.inf)
-    for camera in cameras:
-        offsets = means - torch.from_numpy(camera.centre).to(means)
-        distances = offsets.norm(dim=1)
-        nearest = torch.where((distances < least)[:, None], offsets, nearest)
+    for some in centres.split(CAMERAS_AT_ONCE):
+        # Products of coordinates would not do: they leave errors as large as small distances.
+        distances, index = torch.cdist(means, some, compute_mode="donot_use_mm_for_euclid_dist").min(dim=1)
+        nearest = torch.where((distances < least)[:, None], means - some[index], nearest)
         least = torch.minimum(least, distances)
     return nearest
 
 
 @torch.no_grad()
 def size_limits(
-    means: Tensor, cameras: Sequence[Camera], median_range: float, visibility: Callable[[Tensor], Tensor]
+    means: Tensor, cameras: Sequence[Camera], median_range: float, distances: Tensor, visibility: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Compute the least and the largest standard deviation (N,) that Gaussians may have, scene units.
 
@@ -85,22 +105,22 @@ def size_limits(
         means: (N, 3) centres, scene units.
         cameras: Cameras of the training images.
         median_range: Median range of the scene, scene units.
-        visibility: Computes the fraction (N,) of the light that reaches a camera from offsets (N, 3) from it.
+        distances: (N,) distance from the nearest camera, scene units.
+        visibility: (N,) fraction of the light that reaches that camera.
 
     Returns:
         The least, 0 where no image sees the centre, and the largest.
     """
     rates, spacings = sampling(means, cameras, median_range)
     least = torch.where(rates > 0, math.sqrt(LEAST_VARIANCE) / rates, 0.0)
-    offsets = nearest_offsets(means, cameras)
-    fraction = LARGEST_HIDDEN * (LARGEST / LARGEST_HIDDEN) ** visibility(offsets).square()
-    largest = fraction * offsets.norm(dim=1).clamp(min=NEAREST * median_range)
+    fraction = LARGEST_HIDDEN * (LARGEST / LARGEST_HIDDEN) ** visibility.square()
+    largest = fraction * distances.clamp(min=NEAREST * median_range)
     return least, torch.maximum(largest, COVERING * spacings)
 
 
 @torch.no_grad()
 def enforce_sizes(
-    cloud: GaussianCloud, cameras: Sequence[Camera], median_range: float, visibility: Callable[[Tensor], Tensor]
+    cloud: GaussianCloud, cameras: Sequence[Camera], median_range: float, distances: Tensor, visibility: Tensor
 ) -> None:
     """Enlarge axes that are thinner than `size_limits` allows, and reduce those that are larger.
 
@@ -108,7 +128,9 @@ def enforce_sizes(
         cloud: The Gaussians; their `log_scales` are changed in place.
         cameras: Cameras of the training images.
         median_range: Median range of the scene, scene units.
-        visibility: Computes the fraction (N,) of the light that reaches a camera from offsets (N, 3) from it.
+        distances: (N,) distance from the nearest camera, scene units.
+        visibility: (N,) fraction of the light that reaches that camera.
     """
-    least, largest = (limit.log()[:, None] for limit in size_limits(cloud.means, cameras, median_range, visibility))
+    limits = size_limits(cloud.means, cameras, median_range, distances, visibility)
+    least, largest = (limit.log()[:, None] for limit in limits)
     cloud.log_scales.copy_(torch.maximum(torch.minimum(cloud.log_scales, largest), least))

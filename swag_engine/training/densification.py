@@ -1,14 +1,12 @@
 """When Gaussians are added, dropped and relocated during a run."""
 
-from functools import partial
-
 import torch
 from torch import Tensor
 
 from ..base.timing import part
 from ..gaussians.densify import DensificationStrategy, McmcStrategy, SplitStrategy, random_of
 from ..gaussians.relocate import relocate
-from ..gaussians.sizes import enforce_sizes
+from ..gaussians.sizes import enforce_sizes, nearest_offsets
 from ..rendering.importance import scores, visibility
 from ..settings.recipes import Recipe
 from ..water.medium import Medium
@@ -73,15 +71,26 @@ class Densification:
             strategy_of(state.recipe).perturb(state.free_cloud, means_rate, self.inputs.median_range, random)
             self._densify(state, random)
             self._relocate(state, sh_degree, water_degree)
-            self._enforce_sizes(state)
+            self._enforce_limits(state)
 
-    def _enforce_sizes(self, state: RunState) -> None:
-        """Keep Gaussians from being too thin or too large: as often as others are added, and when geometry is final."""
+    @torch.no_grad()
+    def _enforce_limits(self, state: RunState) -> None:
+        """Remove Gaussians right in front of a camera, and keep the others from being too thin or too large.
+
+        As often as others are added, and when geometry is final.
+        """
         final = state.clock.fraction >= state.recipe.stage_two_from
-        if final or state.iteration % self.inputs.schedule.densify_every == 0:
-            cameras = [image.camera for image in self.inputs.training]
-            seen = partial(self._visibility, state.effects.medium)
-            enforce_sizes(state.free_cloud, cameras, self.inputs.median_range, seen)
+        if not final and state.iteration % self.inputs.schedule.densify_every:
+            return
+        cameras = [image.camera for image in self.inputs.training]
+        cloud = state.free_cloud
+        offsets = nearest_offsets(cloud.means, cameras)
+        distances = offsets.norm(dim=1)
+        seen = self._visibility(state.effects.medium, offsets)
+        enforce_sizes(cloud, cameras, self.inputs.median_range, distances, seen)
+        kept = (distances >= self.inputs.least_range).nonzero().squeeze(-1)
+        if 0 < len(kept) < len(cloud):
+            state.replace_free(cloud.rows(kept), kept)
 
     def _visibility(self, medium: Medium | WaterNetwork | None, offsets: Tensor) -> Tensor:
         """Return the fraction (N,) of light that reaches a camera; none is assumed where its loss is not known."""

@@ -8,11 +8,16 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..gaussians.sizes import nearest_offsets
 from ..kernels.backends import device_for
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage, load_images
 from ..settings.settings import TrainSettings
 from .schedule import Schedule
+
+NEAR_POINTS, NEAREST_SURFACE = 0.01, 0.4
+"""Fraction of the sparse points that may be nearer to a camera than every surface, since a few are wrong; and how much
+nearer than all the others a surface may be that has no points."""
 
 Event = dict[str, Any]
 """A message to whoever started the run: `progress`, `plan`, `preview`, `checkpoint` or `result`."""
@@ -51,6 +56,15 @@ class RunInputs:
     def values(self) -> float:
         """Number of values, three for each pixel, of a training image; the mean of all."""
         return float(np.mean([image.pixels.size for image in self.training]))
+
+    @cached_property
+    def least_range(self) -> float:
+        """Range within which no training camera has a surface, scene units; 0 where the scene has no points."""
+        points = torch.from_numpy(self.scene.points.positions)
+        if not len(points):
+            return 0.0
+        distances = nearest_offsets(points, [image.camera for image in self.training]).norm(dim=1)
+        return NEAREST_SURFACE * float(np.quantile(distances.numpy(), NEAR_POINTS))
 
     def median_color(self) -> np.ndarray:
         """Return the median display color (3,) of the training images, in 0..1."""

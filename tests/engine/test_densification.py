@@ -1,4 +1,7 @@
-"""Densification: splitting by the gradient on screen, and relocation, noise and regularisation of 3DGS-MCMC."""
+"""Densification: splitting by the gradient on screen, relocation, noise and regularisation of 3DGS-MCMC, and removal
+in front of cameras."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,9 +18,16 @@ from swag_engine.gaussians.densify import (
     share_opacity,
     split_along_longest_axis,
 )
+from swag_engine.gaussians.sizes import nearest_offsets
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
+from swag_engine.scene.colmap import load_scene
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.inputs import load_inputs
+from swag_engine.training.schedule import STANDARD
+from swag_engine.training.trainer import Trainer
 from tests.scenes.clouds import make_cloud
+from tests.scenes.runs import train_with
 
 
 def test_a_split_keeps_mass_mean_and_variance():
@@ -226,3 +236,52 @@ def test_the_loss_makes_gaussians_fainter_and_smaller():
         tensor.requires_grad_()
     McmcStrategy().regularisation(cloud, 2.0).backward()
     assert (cloud.opacity_logits.grad > 0).all() and (cloud.log_scales.grad > 0).all()
+
+
+def near_a_camera(trainer: Trainer, count: int) -> Trainer:
+    """Put the first Gaussians of a trainer a tenth of the least range in front of a camera, and return it."""
+    inputs = trainer.inputs
+    pose = torch.from_numpy(inputs.training[0].camera.world_to_camera).float()
+    place = -pose[:3, :3].T @ pose[:3, 3] + 0.1 * inputs.least_range * pose[2, :3]
+    trainer.state.cloud.means.data[:count] = place
+    return trainer
+
+
+def test_gaussians_right_in_front_of_a_camera_are_removed(tiny_scene, tmp_path):
+    runs: list[Trainer] = []
+    settings = TrainSettings(iterations=60, width=64, max_gaussians=400)
+    train_with(tiny_scene, tmp_path / "run", settings, lambda trainer: runs.append(near_a_camera(trainer, 20)))
+    inputs, cloud = runs[0].inputs, runs[0].state.cloud
+    points = torch.from_numpy(inputs.scene.points.positions)
+    cameras = [image.camera for image in inputs.training]
+    ranges = nearest_offsets(points, cameras).norm(dim=1)
+    assert 0.3 * ranges.min() < inputs.least_range < 0.5 * ranges.min()
+    assert nearest_offsets(cloud.means, cameras).norm(dim=1).min() >= inputs.least_range
+    assert len(cloud) > 250
+
+
+def test_a_wrong_point_near_a_camera_does_not_change_how_near_surfaces_may_be(tiny_scene):
+    scene, settings = load_scene(tiny_scene), TrainSettings(width=64)
+    right = load_inputs(scene, settings, STANDARD, lambda event: None)
+    positions = scene.points.positions.copy()
+    positions[0] = right.training[0].camera.centre
+    wrong = replace(right, scene=replace(scene, points=replace(scene.points, positions=positions)))
+    assert wrong.least_range == pytest.approx(right.least_range, rel=0.02)
+    none = replace(scene.points, positions=positions[:0])
+    assert replace(right, scene=replace(scene, points=none)).least_range == 0
+
+
+def test_moments_follow_and_a_cloud_that_is_all_near_stays(tiny_scene, tmp_path):
+    trainers: list[Trainer] = []
+    settings = TrainSettings(iterations=40, width=64, max_gaussians=400)
+    train_with(tiny_scene, tmp_path / "run", settings, trainers.append)
+    trainer = trainers[0]
+    state = trainer.state
+    state.iteration = 2 * trainer.inputs.schedule.densify_every
+    state.clock.fraction = 0.5
+    before = len(state.cloud)
+    moments = state.optimizer.moments["means"][0].clone()
+    near_a_camera(trainer, 20).densification._enforce_limits(state)
+    assert len(state.cloud) == before - 20 and state.optimizer.moments["means"][0].equal(moments[20:])
+    near_a_camera(trainer, before).densification._enforce_limits(state)
+    assert len(state.cloud) == before - 20

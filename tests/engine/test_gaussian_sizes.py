@@ -10,11 +10,13 @@ import torch
 from swag_engine.gaussians import sizes
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.sizes import (
+    CAMERAS_AT_ONCE,
     COVERING,
     LARGEST,
     LARGEST_HIDDEN,
     LEAST_VARIANCE,
     enforce_sizes,
+    nearest_offsets,
     sampling,
     size_limits,
 )
@@ -28,9 +30,10 @@ FOCAL = 64.0
 """Focal length of the cameras, pixels, and width of their images."""
 
 
-def in_air(offsets):
-    """All light reaches the camera."""
-    return torch.ones(len(offsets))
+def enforce_in_air(cloud, cameras):
+    """Enforce sizes where all light reaches the cameras and the median range is 8."""
+    distances = nearest_offsets(cloud.means, cameras).norm(dim=1)
+    enforce_sizes(cloud, cameras, 8.0, distances, torch.ones(len(cloud)))
 
 
 def camera_at(z, kind="perspective"):
@@ -65,7 +68,7 @@ def test_the_nearest_image_that_sees_a_gaussian_samples_it_most_finely():
 def test_only_axes_that_no_image_could_show_are_enlarged():
     cloud = cloud_at([[0.0, 0, 8], [100, 0, 8]], 1e-4)
     cloud.log_scales[:, 1] = math.log(0.2)
-    enforce_sizes(cloud, [camera_at(0)], 8.0, in_air)
+    enforce_in_air(cloud, [camera_at(0)])
     least = math.sqrt(LEAST_VARIANCE) * 8 / FOCAL
     torch.testing.assert_close(cloud.scales, torch.tensor([[least, 0.2, least], [1e-4, 0.2, 1e-4]]))
 
@@ -73,29 +76,34 @@ def test_only_axes_that_no_image_could_show_are_enlarged():
 def test_axes_that_are_large_beside_the_distance_from_the_nearest_camera_are_reduced():
     cloud = cloud_at([[0.0, 0, 8], [0, 30, 0], [0, 0, 0], *[[0, 0, 7]] * 20_000], 50.0)
     cloud.log_scales[0, 1] = math.log(0.1)
-    enforce_sizes(cloud, [camera_at(0), camera_at(4)], 8.0, in_air)
+    enforce_in_air(cloud, [camera_at(0), camera_at(4)])
     torch.testing.assert_close(cloud.scales[0], torch.tensor([LARGEST * 4, 0.1, LARGEST * 4]))
     torch.testing.assert_close(cloud.scales[1], torch.full((3,), LARGEST * 30))  # in no view
     assert 0 < cloud.scales[2, 0] < LARGEST, "the place of a camera"
 
 
+def test_offsets_are_from_the_nearest_of_many_cameras():
+    cameras = [camera_at(z) for z in range(3 * CAMERAS_AT_ONCE)]
+    heights = torch.tensor([0.25, 1.25, CAMERAS_AT_ONCE + 3.25, 3 * CAMERAS_AT_ONCE - 0.75, -2.0])
+    means = torch.stack([torch.full((5,), 1e3), torch.zeros(5), heights], 1)
+    expected = torch.tensor([0.25, 0.25, 0.25, 0.25, -2])
+    torch.testing.assert_close(nearest_offsets(means, cameras)[:, 2], expected, rtol=0, atol=0)
+
+
 def test_few_gaussians_may_be_as_large_as_covering_an_image_takes():
     cloud = cloud_at([[0.0, 0, 8], [1, 0, 8], [0, 1, 8], [0, 0, 16]], 50.0)
-    enforce_sizes(cloud, [camera_at(0)], 8.0, in_air)  # a pixel is 8 / FOCAL wide at distance 8
+    enforce_in_air(cloud, [camera_at(0)])  # a pixel is 8 / FOCAL wide at distance 8
     torch.testing.assert_close(cloud.scales[0], torch.full((3,), COVERING * 1.3 * 64 / 2 * 8 / FOCAL))
 
 
 def test_gaussians_that_the_water_hides_may_be_larger():
     means = torch.tensor([[0.0, 0, 1], [0, 0, 5], [0, 0, 29]])
-    seen = []
-
-    def visibility(offsets):
-        seen.append(offsets)
-        return torch.exp(-0.5 * offsets.norm(dim=1))
-
-    _, largest = size_limits(means.repeat(9000, 1), [camera_at(0), camera_at(9)], 8.0, visibility)
-    fractions = largest[:3] / torch.tensor([1.0, 4, 20])
-    torch.testing.assert_close(seen[0][:3, 2], torch.tensor([1.0, -4, 20]))
+    distances = torch.tensor([1.0, 4, 20])
+    visible = torch.exp(-0.5 * distances)
+    _, largest = size_limits(
+        means.repeat(9000, 1), [camera_at(0), camera_at(9)], 8.0, distances.repeat(9000), visible.repeat(9000)
+    )
+    fractions = largest[:3] / distances
     assert LARGEST < fractions[0] < fractions[1] < fractions[2] <= LARGEST_HIDDEN
     assert fractions[2] > 0.99 * LARGEST_HIDDEN
 
@@ -115,7 +123,7 @@ def test_a_surface_that_is_closed_in_training_is_closed_from_nearer_and_farther(
     steps = (np.arange(-28, 28) + 0.5) * 8 / FOCAL  # one Gaussian per pixel, at distance 8
     grid = np.stack([*np.meshgrid(steps, steps), np.full((56, 56), 8.0)], -1).reshape(-1, 3)
     thin, kept = cloud_at(grid, 1e-4), cloud_at(grid, 1e-4)
-    enforce_sizes(kept, [camera_at(0)], 8.0, in_air)
+    enforce_in_air(kept, [camera_at(0)])
     assert least_alpha(thin, 1) > 0.95 and least_alpha(thin, 2) < 0.5
     assert all(least_alpha(kept, zoom) > 0.75 for zoom in (0.5, 1, 2))
 
@@ -139,12 +147,11 @@ def test_no_gaussian_of_a_result_is_thinner_or_larger(tiny_scene, tmp_path, monk
     train_with(tiny_scene, tmp_path / "run", settings, keep)
     state, inputs = checked[0].state, checked[0].inputs
 
-    def seen(offsets):
-        if water == "on":
-            return visibility(state.effects.medium, offsets)
-        return torch.full((len(offsets),), float(water == "found"))
-
     cameras = [image.camera for image in inputs.training]
-    least, largest = size_limits(state.cloud.means, cameras, inputs.median_range, seen)
+    offsets = nearest_offsets(state.cloud.means, cameras)
+    seen = torch.full((len(offsets),), float(water == "found"))
+    if water == "on":
+        seen = visibility(state.effects.medium, offsets)
+    least, largest = size_limits(state.cloud.means, cameras, inputs.median_range, offsets.norm(dim=1), seen)
     assert (state.cloud.scales.amin(1) > 0.999 * least).all() and (least > 0).any()
     assert 0.99 < (state.cloud.scales.amax(1) / largest).max() < 1.01
