@@ -97,21 +97,20 @@ def nearest_offsets(means: Tensor, cameras: Sequence[Camera]) -> Tensor:
 
 @torch.no_grad()
 def size_limits(
-    means: Tensor, cameras: Sequence[Camera], median_range: float, distances: Tensor, visibility: Tensor
+    rates: Tensor, spacings: Tensor, distances: Tensor, visibility: Tensor, median_range: float
 ) -> tuple[Tensor, Tensor]:
     """Compute the least and the largest standard deviation (N,) that Gaussians may have, scene units.
 
     Args:
-        means: (N, 3) centres, scene units.
-        cameras: Cameras of the training images.
-        median_range: Median range of the scene, scene units.
+        rates: (N,) pixels per scene unit, from `sampling`.
+        spacings: (N,) mean distance between Gaussians, from `sampling`.
         distances: (N,) distance from the nearest camera, scene units.
         visibility: (N,) fraction of the light that reaches that camera.
+        median_range: Median range of the scene, scene units.
 
     Returns:
         The least, 0 where no image sees the centre, and the largest.
     """
-    rates, spacings = sampling(means, cameras, median_range)
     least = torch.where(rates > 0, math.sqrt(LEAST_VARIANCE) / rates, 0.0)
     fraction = LARGEST_HIDDEN * (LARGEST / LARGEST_HIDDEN) ** visibility.square()
     largest = fraction * distances.clamp(min=NEAREST * median_range)
@@ -119,18 +118,13 @@ def size_limits(
 
 
 @torch.no_grad()
-def enforce_sizes(
-    cloud: GaussianCloud, cameras: Sequence[Camera], median_range: float, distances: Tensor, visibility: Tensor
-) -> None:
+def enforce_sizes(cloud: GaussianCloud, least: Tensor, largest: Tensor) -> None:
     """Enlarge axes that are thinner than `size_limits` allows, and reduce those that are larger.
 
     Args:
         cloud: The Gaussians; their `log_scales` are changed in place.
-        cameras: Cameras of the training images.
-        median_range: Median range of the scene, scene units.
-        distances: (N,) distance from the nearest camera, scene units.
-        visibility: (N,) fraction of the light that reaches that camera.
+        least: (N,) least standard deviation, scene units.
+        largest: (N,) largest standard deviation, scene units.
     """
-    limits = size_limits(cloud.means, cameras, median_range, distances, visibility)
-    least, largest = (limit.log()[:, None] for limit in limits)
-    cloud.log_scales.copy_(torch.maximum(torch.minimum(cloud.log_scales, largest), least))
+    limited = torch.minimum(cloud.log_scales, largest.log()[:, None])
+    cloud.log_scales.copy_(torch.maximum(limited, least.log()[:, None]))

@@ -6,7 +6,7 @@ from torch import Tensor
 from ..base.timing import part
 from ..gaussians.densify import DensificationStrategy, McmcStrategy, SplitStrategy, random_of
 from ..gaussians.relocate import relocate
-from ..gaussians.sizes import enforce_sizes, nearest_offsets
+from ..gaussians.sizes import enforce_sizes, nearest_offsets, sampling, size_limits
 from ..rendering.importance import scores, visibility
 from ..settings.recipes import Recipe
 from ..water.medium import Medium
@@ -75,7 +75,7 @@ class Densification:
 
     @torch.no_grad()
     def _enforce_limits(self, state: RunState) -> None:
-        """Remove Gaussians right in front of a camera, and keep the others from being too thin or too large.
+        """Keep Gaussians from being too thin or too large, and remove those before all surfaces that no image sees.
 
         As often as others are added, and when geometry is final.
         """
@@ -83,12 +83,12 @@ class Densification:
         if not final and state.iteration % self.inputs.schedule.densify_every:
             return
         cameras = [image.camera for image in self.inputs.training]
-        cloud = state.free_cloud
+        cloud, median_range = state.free_cloud, self.inputs.median_range
+        rates, spacings = sampling(cloud.means, cameras, median_range)
         offsets = nearest_offsets(cloud.means, cameras)
-        distances = offsets.norm(dim=1)
-        seen = self._visibility(state.effects.medium, offsets)
-        enforce_sizes(cloud, cameras, self.inputs.median_range, distances, seen)
-        kept = (distances >= self.inputs.least_range).nonzero().squeeze(-1)
+        distances, seen = offsets.norm(dim=1), self._visibility(state.effects.medium, offsets)
+        enforce_sizes(cloud, *size_limits(rates, spacings, distances, seen, median_range))
+        kept = ((rates > 0) | (distances >= self.inputs.least_range)).nonzero().squeeze(-1)
         if 0 < len(kept) < len(cloud):
             state.replace_free(cloud.rows(kept), kept)
 

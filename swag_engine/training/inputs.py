@@ -15,9 +15,9 @@ from ..scene.images import TrainingImage, load_images
 from ..settings.settings import TrainSettings
 from .schedule import Schedule
 
-NEAR_POINTS, NEAREST_SURFACE = 0.01, 0.4
-"""Fraction of the sparse points that may be nearer to a camera than every surface, since a few are wrong; and how much
-nearer than all the others a surface may be that has no points."""
+NEAR_POINTS, NEAREST_SURFACE = 0.01, 0.9
+"""Fraction of the sparse points that may lie before the nearest surface, since a few are wrong; and the range of that
+surface as a fraction of the least range of all other points."""
 
 Event = dict[str, Any]
 """A message to whoever started the run: `progress`, `plan`, `preview`, `checkpoint` or `result`."""
@@ -59,7 +59,7 @@ class RunInputs:
 
     @cached_property
     def least_range(self) -> float:
-        """Range within which no training camera has a surface, scene units; 0 where the scene has no points."""
+        """Range from any training camera within which there is hardly a surface, scene units; 0 without points."""
         points = torch.from_numpy(self.scene.points.positions)
         if not len(points):
             return 0.0

@@ -238,26 +238,56 @@ def test_the_loss_makes_gaussians_fainter_and_smaller():
     assert (cloud.opacity_logits.grad > 0).all() and (cloud.log_scales.grad > 0).all()
 
 
-def near_a_camera(trainer: Trainer, count: int) -> Trainer:
-    """Put the first Gaussians of a trainer a tenth of the least range in front of a camera, and return it."""
+def moved(trainer: Trainer, count: int, depth: float) -> Trainer:
+    """Put the first Gaussians of a trainer on the axis of the first camera, and return it.
+
+    `depth` is in least ranges: behind the camera where it is negative, and then no image of the tiny scene sees them.
+    """
     inputs = trainer.inputs
     pose = torch.from_numpy(inputs.training[0].camera.world_to_camera).float()
-    place = -pose[:3, :3].T @ pose[:3, 3] + 0.1 * inputs.least_range * pose[2, :3]
+    place = -pose[:3, :3].T @ pose[:3, 3] + depth * inputs.least_range * pose[2, :3]
     trainer.state.cloud.means.data[:count] = place
     return trainer
 
 
-def test_gaussians_right_in_front_of_a_camera_are_removed(tiny_scene, tmp_path):
+def ready_to_limit(scene, folder):
+    """Train the tiny scene for 40 iterations and return its trainer when Gaussians are next looked at."""
+    trainers: list[Trainer] = []
+    train_with(scene, folder, TrainSettings(iterations=40, width=64, max_gaussians=400), trainers.append)
+    state = trainers[0].state
+    state.iteration, state.clock.fraction = 2 * trainers[0].inputs.schedule.densify_every, 0.5
+    return trainers[0]
+
+
+def test_gaussians_before_all_surfaces_that_no_image_sees_are_removed(tiny_scene, tmp_path):
     runs: list[Trainer] = []
     settings = TrainSettings(iterations=60, width=64, max_gaussians=400)
-    train_with(tiny_scene, tmp_path / "run", settings, lambda trainer: runs.append(near_a_camera(trainer, 20)))
+    train_with(tiny_scene, tmp_path / "run", settings, lambda trainer: runs.append(moved(trainer, 20, -0.1)))
     inputs, cloud = runs[0].inputs, runs[0].state.cloud
-    points = torch.from_numpy(inputs.scene.points.positions)
     cameras = [image.camera for image in inputs.training]
-    ranges = nearest_offsets(points, cameras).norm(dim=1)
-    assert 0.3 * ranges.min() < inputs.least_range < 0.5 * ranges.min()
     assert nearest_offsets(cloud.means, cameras).norm(dim=1).min() >= inputs.least_range
     assert len(cloud) > 250
+
+
+@pytest.mark.parametrize("depth", [0.5, -1.01])
+def test_gaussians_that_an_image_sees_or_that_are_as_far_as_surfaces_stay(tiny_scene, tmp_path, depth):
+    trainer = ready_to_limit(tiny_scene, tmp_path / "run")
+    before = len(trainer.state.cloud)
+    moved(trainer, 20, depth).densification._enforce_limits(trainer.state)
+    assert len(trainer.state.cloud) == before
+    points = torch.from_numpy(trainer.inputs.scene.points.positions)
+    ranges = nearest_offsets(points, [image.camera for image in trainer.inputs.training]).norm(dim=1)
+    assert 0.8 * ranges.min() < trainer.inputs.least_range < ranges.min()
+
+
+def test_moments_follow_and_a_cloud_that_would_vanish_stays(tiny_scene, tmp_path):
+    trainer = ready_to_limit(tiny_scene, tmp_path / "run")
+    state = trainer.state
+    before, moments = len(state.cloud), state.optimizer.moments["means"][0].clone()
+    moved(trainer, 20, -0.1).densification._enforce_limits(state)
+    assert len(state.cloud) == before - 20 and state.optimizer.moments["means"][0].equal(moments[20:])
+    moved(trainer, before, -0.1).densification._enforce_limits(state)
+    assert len(state.cloud) == before - 20
 
 
 def test_a_wrong_point_near_a_camera_does_not_change_how_near_surfaces_may_be(tiny_scene):
@@ -269,19 +299,3 @@ def test_a_wrong_point_near_a_camera_does_not_change_how_near_surfaces_may_be(ti
     assert wrong.least_range == pytest.approx(right.least_range, rel=0.02)
     none = replace(scene.points, positions=positions[:0])
     assert replace(right, scene=replace(scene, points=none)).least_range == 0
-
-
-def test_moments_follow_and_a_cloud_that_is_all_near_stays(tiny_scene, tmp_path):
-    trainers: list[Trainer] = []
-    settings = TrainSettings(iterations=40, width=64, max_gaussians=400)
-    train_with(tiny_scene, tmp_path / "run", settings, trainers.append)
-    trainer = trainers[0]
-    state = trainer.state
-    state.iteration = 2 * trainer.inputs.schedule.densify_every
-    state.clock.fraction = 0.5
-    before = len(state.cloud)
-    moments = state.optimizer.moments["means"][0].clone()
-    near_a_camera(trainer, 20).densification._enforce_limits(state)
-    assert len(state.cloud) == before - 20 and state.optimizer.moments["means"][0].equal(moments[20:])
-    near_a_camera(trainer, before).densification._enforce_limits(state)
-    assert len(state.cloud) == before - 20

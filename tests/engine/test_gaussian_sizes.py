@@ -33,7 +33,8 @@ FOCAL = 64.0
 def enforce_in_air(cloud, cameras):
     """Enforce sizes where all light reaches the cameras and the median range is 8."""
     distances = nearest_offsets(cloud.means, cameras).norm(dim=1)
-    enforce_sizes(cloud, cameras, 8.0, distances, torch.ones(len(cloud)))
+    limits = size_limits(*sampling(cloud.means, cameras, 8.0), distances, torch.ones(len(cloud)), 8.0)
+    enforce_sizes(cloud, *limits)
 
 
 def camera_at(z, kind="perspective"):
@@ -100,10 +101,9 @@ def test_gaussians_that_the_water_hides_may_be_larger():
     means = torch.tensor([[0.0, 0, 1], [0, 0, 5], [0, 0, 29]])
     distances = torch.tensor([1.0, 4, 20])
     visible = torch.exp(-0.5 * distances)
-    _, largest = size_limits(
-        means.repeat(9000, 1), [camera_at(0), camera_at(9)], 8.0, distances.repeat(9000), visible.repeat(9000)
-    )
-    fractions = largest[:3] / distances
+    spacings = sampling(means.repeat(9000, 1), [camera_at(0), camera_at(9)], 8.0)[1][:3]
+    _, largest = size_limits(torch.ones(3), spacings, distances, visible, 8.0)
+    fractions = largest / distances
     assert LARGEST < fractions[0] < fractions[1] < fractions[2] <= LARGEST_HIDDEN
     assert fractions[2] > 0.99 * LARGEST_HIDDEN
 
@@ -152,6 +152,7 @@ def test_no_gaussian_of_a_result_is_thinner_or_larger(tiny_scene, tmp_path, monk
     seen = torch.full((len(offsets),), float(water == "found"))
     if water == "on":
         seen = visibility(state.effects.medium, offsets)
-    least, largest = size_limits(state.cloud.means, cameras, inputs.median_range, offsets.norm(dim=1), seen)
+    sampled = sampling(state.cloud.means, cameras, inputs.median_range)
+    least, largest = size_limits(*sampled, offsets.norm(dim=1), seen, inputs.median_range)
     assert (state.cloud.scales.amin(1) > 0.999 * least).all() and (least > 0).any()
     assert 0.99 < (state.cloud.scales.amax(1) / largest).max() < 1.01
