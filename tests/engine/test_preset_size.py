@@ -1,6 +1,7 @@
 """Sizes of presets: what the photos resolve, the surface they show, and what the machine does in two minutes."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from swag_engine.training.pacing import preset_size
 from swag_engine.training.pacing.preset_size import (
     DRAFT_SECONDS,
     FEWEST,
+    MOST_ON_PROCESSOR,
     ON_PROCESSOR,
     fit_preset,
     limit_gaussians,
@@ -24,6 +26,7 @@ from swag_engine.training.pacing.speed import Extent, Speed, predicted_seconds
 from swag_engine.training.trainer import train
 from tests.scenes.tiny import make_tiny_scene
 
+ROOT = Path(__file__).resolve().parents[2]
 SURVEY = Extent(training=90, held_out=10, points=9000, overlap=8, width=1280, height=960)
 FAST, SLOW = Speed(1, 2e-4, 2e-5, 0.01), Speed(20, 4e-3, 4e-4, 0.2)
 
@@ -65,6 +68,18 @@ def test_better_presets_have_more_gaussians_for_the_same_surface(scenes, monkeyp
     monkeypatch.setattr(preset_size, "device_for", lambda backend: type("Card", (), {"type": "cuda"}))
     on_card = fit_preset(scenes["sharp"], TrainSettings(preset="draft", width=480), FAST)
     assert on_card.max_gaussians >= gaussians[2]
+
+
+def test_no_preset_has_more_gaussians_on_a_processor_than_gain_anything(scenes, monkeypatch):
+    monkeypatch.setattr(Extent, "of", lambda scene: replace(SURVEY, training=5000))
+    sizes = [fit_preset(scenes["sharp"], TrainSettings(preset=name, width=480), FAST) for name in PRESETS]
+    gaussians = [settings.max_gaussians for settings in sizes]
+    assert gaussians == [3 * PRESETS["draft"].max_gaussians, MOST_ON_PROCESSOR, MOST_ON_PROCESSOR]
+    guide = (ROOT / "docs" / "getting-started.md").read_text(encoding="utf-8")
+    for name, settings in zip(PRESETS, sizes, strict=True):
+        size = PRESETS[name]
+        row = f"| `{name}` | {size.iterations} | {size.width} | {settings.max_gaussians:,} |".replace(",", " ")
+        assert row in guide
 
 
 def test_presets_train_longer_the_more_photos_there_are(scenes, monkeypatch):

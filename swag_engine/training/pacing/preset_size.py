@@ -34,8 +34,9 @@ PIXELS_EACH = 1.0
 """Pixels of the surface for one Gaussian, at least: photos do not determine more of them (docs/accuracy.md)."""
 FEWEST = 5_000
 """Gaussians that a run may always have."""
-MOST_GROWTH = 3
-"""Largest number of Gaussians on a processor, for scenes of much surface, as a factor of the preset's."""
+MOST_GROWTH, MOST_ON_PROCESSOR = 3, 180_000
+"""Largest number of Gaussians on a processor, for scenes of much surface, as a factor of the preset's, and whatever the
+preset is: more of them double the time of `high` and gain nothing (docs/accuracy.md)."""
 DRAFT_SECONDS = 100.0
 """Predicted time of a draft up to which it is not reduced: with planning and the report it then ends in two minutes."""
 DRAFT_STEPS = 40
@@ -147,4 +148,4 @@ def largest_size(settings: TrainSettings) -> Size:
 
 def _grown(size: Size) -> Size:
     """Allow the Gaussians of a scene of much surface."""
-    return replace(size, max_gaussians=MOST_GROWTH * size.max_gaussians)
+    return replace(size, max_gaussians=min(MOST_GROWTH * size.max_gaussians, MOST_ON_PROCESSOR))
