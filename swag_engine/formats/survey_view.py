@@ -39,35 +39,8 @@ def _in_view(tiles: Sequence[Tile], camera: Camera) -> list[Tile]:
     reach = LINEARISATION * np.array([tile.reach for tile in tiles])
     middles, halves = (high + low) / 2, (high - low) / 2
     visible = np.full(len(tiles), True)
-    for normal, offset, reaches in _frustum(camera):
-        nearest = middles @ normal + offset + halves @ np.abs(normal)
-        visible &= nearest + reaches * reach >= 0
+    for index, (*normal, offset) in enumerate(camera.view_planes((BLUR, BLUR))):
+        inside = middles @ normal + offset + halves @ np.abs(normal)
+        # Splats behind the camera are not drawn, even where they reach beyond its plane.
+        visible &= inside + (reach if index else 0) >= 0
     return [tile for tile, seen in zip(tiles, visible, strict=True) if seen]
-
-
-def _frustum(camera: Camera) -> list[tuple[np.ndarray, float, bool]]:
-    """Return the planes of a view frustum.
-
-    Returns:
-        Of each plane its normal (3,), of length 1 and pointing inwards, and its offset: a point p is inside where
-        normal . p + offset >= 0. The third value is whether splats outside can reach in; those behind the camera are
-        not drawn.
-    """
-    left, right = (-BLUR - camera.cx) / camera.fx, (camera.width + BLUR - camera.cx) / camera.fx
-    top, bottom = (-BLUR - camera.cy) / camera.fy, (camera.height + BLUR - camera.cy) / camera.fy
-    if camera.kind == "orthographic":
-        planes = [
-            ((1.0, 0.0, 0.0), -left),
-            ((-1.0, 0.0, 0.0), right),
-            ((0.0, 1.0, 0.0), -top),
-            ((0.0, -1.0, 0.0), bottom),
-        ]
-    else:
-        planes = [((1, 0, -left), 0.0), ((-1, 0, right), 0.0), ((0, 1, -top), 0.0), ((0, -1, bottom), 0.0)]
-    rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    result = []
-    for direction, distance, reaches in [*((*plane, True) for plane in planes), ((0, 0, 1), 0.0, False)]:
-        length = float(np.linalg.norm(direction))
-        normal = np.array(direction) / length
-        result.append((rotation.T @ normal, float(normal @ translation) + distance / length, reaches))
-    return result

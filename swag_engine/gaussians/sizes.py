@@ -50,36 +50,18 @@ def sampling(means: Tensor, cameras: Sequence[Camera], median_range: float) -> t
     near = NEAREST * median_range
     rates, spacings = means.new_zeros(len(means)), means.new_zeros(len(means))
     for camera in cameras:
-        planes = torch.from_numpy(view_planes(camera, near)).to(means)
-        heights = torch.addmm(planes[:, 3:], planes[:, :3], means.T)
-        focal = max(camera.fx, camera.fy)
-        rate = focal / (torch.ones_like(heights[0]) if camera.kind == "orthographic" else heights[0] + near)
-        seen = heights.amin(dim=0) > 0
-        rate = torch.where(seen, rate, 0.0)
+        planes = torch.from_numpy(camera.view_planes((MARGIN * camera.width, MARGIN * camera.height))).to(means)
+        planes[0, 3] -= near
+        inside = torch.addmm(planes[:, 3:], planes[:, :3], means.T)
+        depth = torch.ones_like(inside[0]) if camera.kind == "orthographic" else inside[0] + near
+        seen = inside.amin(dim=0) > 0
+        rate = torch.where(seen, max(camera.fx, camera.fy) / depth, 0.0)
         finer = rate > rates
         area = (1 + 2 * MARGIN) ** 2 * camera.width * camera.height
         pixels = (area / seen.sum().clamp(min=1)).sqrt()
         spacings = torch.where(finer, pixels / rate, spacings)
         rates = torch.where(finer, rate, rates)
     return rates, spacings
-
-
-def view_planes(camera: Camera, near: float) -> np.ndarray:
-    """Return the planes (5, 4) that bound what an image and MARGIN around it see, nearest first, then the four sides.
-
-    A point p is seen where `planes @ (p, 1)` is positive; the first of the five is its depth less `near`, scene units.
-    """
-    x, y, z = camera.world_to_camera[:3]
-    one = np.array([0.0, 0.0, 0.0, 1.0])
-    depth = one if camera.kind == "orthographic" else z
-    planes = [z - near * one]
-    for axis, focal, centre, size in (
-        (x, camera.fx, camera.cx, camera.width),
-        (y, camera.fy, camera.cy, camera.height),
-    ):
-        position = focal * axis + centre * depth
-        planes += [position + MARGIN * size * depth, (1 + MARGIN) * size * depth - position]
-    return np.stack(planes)
 
 
 @torch.no_grad()

@@ -57,3 +57,24 @@ class Camera:
         height = max(1, round(self.height * width / self.width))
         x, y = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * x, cx=self.cx * x, fy=self.fy * y, cy=self.cy * y)
+
+    def view_planes(self, beside: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+        """Return the planes that bound the view: through the camera, left, right, top and bottom.
+
+        Args:
+            beside: Pixels beside the image, in x and in y, that count as part of it.
+
+        Returns:
+            (5, 4) float64; `planes @ (p, 1)` are the distances of a point p from them in scene units, positive inside.
+        """
+        x, y, z = self.world_to_camera[:3]
+        depth = np.array([0.0, 0.0, 0.0, 1.0]) if self.kind == "orthographic" else z
+        planes = [z]
+        for axis, focal, centre, size, margin in (
+            (x, self.fx, self.cx, self.width, beside[0]),
+            (y, self.fy, self.cy, self.height, beside[1]),
+        ):
+            position = focal * axis + centre * depth
+            planes += [position + margin * depth, (size + margin) * depth - position]
+        found = np.stack(planes)
+        return found / np.linalg.norm(found[:, :3], axis=1, keepdims=True)

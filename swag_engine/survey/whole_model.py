@@ -247,16 +247,6 @@ def _seen(cloud: GaussianCloud, cameras: list[Camera]) -> torch.Tensor:
     reach = 3 * cloud.scales.amax(1)
     seen = torch.zeros(len(cloud), dtype=torch.bool)
     for camera in cameras:
-        pose = torch.from_numpy(camera.world_to_camera).float()
-        x, y, z = torch.addmm(pose[:3, 3], cloud.means, pose[:3, :3].T).unbind(-1)
-        ahead = z > -reach
-        # Beyond the planes through the edges of the image, by their distance.
-        for edge, focal, along in (
-            (-camera.cx, camera.fx, x), (camera.width - camera.cx, camera.fx, x),
-            (-camera.cy, camera.fy, y), (camera.height - camera.cy, camera.fy, y),
-        ):  # fmt: skip
-            tangent = edge / focal
-            distance = (along - tangent * z) / (1 + tangent**2) ** 0.5
-            ahead &= distance > -reach if edge < 0 else distance < reach
-        seen |= ahead
+        planes = torch.from_numpy(camera.view_planes()).float()
+        seen |= (torch.addmm(planes[:, 3:], planes[:, :3], cloud.means.T) > -reach).all(dim=0)
     return seen
