@@ -137,6 +137,7 @@ class LightSums:
 
     def add(
         self,
+        chosen: Tensor,
         weight: Tensor,
         light: Tensor,
         transmission: Tensor,
@@ -147,21 +148,22 @@ class LightSums:
         """Add an image.
 
         Args:
-            weight: (N, 1) pixels.
-            light: (N, 3) light that reaches the camera.
-            transmission: (N, 3) fraction of J in it; above 1 where a lamp is near.
-            backscatter: (N, 3) the rest of it.
-            variance: (N, 3) of a pixel of that light.
-            background: (N, 3) light of open water in the direction of each.
+            chosen: (M,) index of the Gaussians that it shows.
+            weight: (M, 1) pixels.
+            light: (M, 3) light that reaches the camera.
+            transmission: (M, 3) fraction of J in it; above 1 where a lamp is near.
+            backscatter: (M, 3) the rest of it.
+            variance: (M, 3) of a pixel of that light.
+            background: (M, 3) light of open water in the direction of each.
         """
         information = weight * transmission.square()
-        self.weight += weight
-        self.light += weight * light
-        self.information += information
-        self.backscatter += weight * transmission * backscatter
-        self.optical_depth -= information * transmission.clamp(LEAST, 1.0).log()
-        self.noise += information * variance
-        self.background += weight * transmission * background
+        self.weight[chosen] += weight
+        self.light[chosen] += weight * light
+        self.information[chosen] += information
+        self.backscatter[chosen] += weight * transmission * backscatter
+        self.optical_depth[chosen] -= information * transmission.clamp(LEAST, 1.0).log()
+        self.noise[chosen] += information * variance
+        self.background[chosen] += weight * transmission * background
 
     def rows(self, chosen: Tensor) -> "LightSums":
         """Return the sums of the Gaussians where `chosen` (N,) is True."""
@@ -277,20 +279,21 @@ def restoration_limit(
         small = camera.resized(min(camera.width, WIDTH))
         pixels = camera.width * camera.height / (small.width * small.height)
         weight = contribution_sums(cloud, small, color.new_full((small.height, small.width, 1), pixels), backend)
-        offsets = cloud.means - torch.from_numpy(camera.centre).to(color)
+        shown = weight[:, 0].nonzero()[:, 0]
+        offsets = cloud.means[shown] - torch.from_numpy(camera.centre).to(color)
         transmission, backscatter = transmission_and_backscatter(offsets, medium, lamp, backend)
-        light = transmission * J + backscatter
+        light = transmission * J[shown] + backscatter
         background = medium.background_light(offsets / offsets.norm(dim=1, keepdim=True).clamp(min=LEAST))
-        sums.add(weight, light, transmission, backscatter, noise.variance(light), background)
+        sums.add(shown, weight[shown], light, transmission, backscatter, noise.variance(light), background)
     known, everything = colors, torch.ones_like(sums.weight[:, 0], dtype=torch.bool)
     colors = known or colors_of(J, sums, everything)
     water = open_water_gaussians(J, sums, colors) if medium.background_sh is not None else ~everything
     if water.any():
         colors = known or colors_of(J, sums, ~water)
     signal = colors.signal.to(J)
-    confidence, shown = sums.confidence(signal), sums.weight * ~water[:, None]
+    confidence, surfaces = sums.confidence(signal), sums.weight * ~water[:, None]
     likely = to_display(likely_light(J, sums.error(signal), colors))
-    restored = (shown * (confidence >= RESTORED_FROM)).sum(0) / shown.sum(0).clamp(min=LEAST)
+    restored = (surfaces * (confidence >= RESTORED_FROM)).sum(0) / surfaces.sum(0).clamp(min=LEAST)
     limit = RestorationLimit(confidence, torch.where(sums.weight > 0, likely, color), water)
     return limit, restored, colors
 

@@ -77,8 +77,8 @@ def _corrected(seen: Picture, model: SceneModel, image: TrainingImage, noise: No
     if surface.sum() < 2:  # no color to compare with
         return without.clip(min=0)
     brightness = np.sqrt(np.square(without[surface]).mean(axis=0))
-    deviation = water_deviation(model, image.resized(min(camera.width, WIDTH)), brightness, sh_degree)
     added, gain = water_terms(model, camera)
+    deviation = water_deviation(model, image, added, gain, brightness, sh_degree)
     light, covariance = light_of(image.pixels / np.float32(255)), np.cov(without[surface].T)
     water_error = WATER_DEVIATIONS * deviation * added
     detail = likely_detail(
@@ -121,23 +121,34 @@ def blurred(values: np.ndarray, deviation: float) -> np.ndarray:
     return cv2.resize(cv2.GaussianBlur(small, (0, 0), deviation / factor), (width, height))
 
 
-def water_deviation(model: SceneModel, image: TrainingImage, brightness: np.ndarray, sh_degree: int) -> np.ndarray:
+def water_deviation(
+    model: SceneModel,
+    image: TrainingImage,
+    added: np.ndarray,
+    gain: np.ndarray,
+    brightness: np.ndarray,
+    sh_degree: int,
+) -> np.ndarray:
     """Measure how much the water of a photo differs from the one that was fitted to all, where it shows hardly more.
 
     Args:
         model: The Gaussians as trained, and the effects.
-        image: The photo, reduced: only what is the same over many pixels counts.
+        image: The photo. It is compared at WIDTH at most: only what is the same over many pixels counts.
+        added: (H, W, 3) light that is added in it.
+        gain: (H, W, 3) fraction of a surface's light in it.
         brightness: (3,) usual linear light of surfaces.
         sh_degree: Degree of the Gaussians' colors.
 
     Returns:
         (3,) float32, standard deviation relative to the light that is added, from the median; 0 without enough pixels.
     """
+    image = image.resized(min(image.camera.width, WIDTH))
     camera, effects = image.camera, model.effects
+    size = (camera.width, camera.height)
+    added, gain = (cv2.resize(terms, size, interpolation=cv2.INTER_AREA) for terms in (added, gain))
     through = render(model.cloud, camera, sh_degree, effects.medium, lamp=effects.lamp).color
     fitted = light_of(effects.apply_to_image(through, camera.name).cpu().numpy())
     apart = np.abs(blurred(light_of(image.pixels / np.float32(255)) - fitted, window_of(camera)))
-    added, gain = water_terms(model, camera)
     far = (added > MOSTLY_WATER * gain * brightness) & image.valid[..., None]
     deviations = np.zeros(3, np.float32)
     for channel in range(3):

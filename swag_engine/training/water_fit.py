@@ -295,11 +295,13 @@ def colors_through(
     for image in images:
         camera = image.camera
         weight = contribution_sums(cloud, camera, colors.new_ones(camera.height, camera.width, 1), backend)
-        offsets = cloud.means - torch.from_numpy(camera.centre).to(cloud.means)
+        shown = weight[:, 0].nonzero()[:, 0]
+        weight = weight[shown]
+        offsets = cloud.means[shown] - torch.from_numpy(camera.centre).to(cloud.means)
         passed, added = transmission_and_backscatter(offsets, before.medium, before.lamp, backend)
         transmission, backscatter = transmission_and_backscatter(offsets, after.medium, after.lamp, backend)
-        numerator += weight * transmission * (passed * J + added - backscatter)
-        information += weight * transmission.square()
+        numerator[shown] += weight * transmission * (passed * J[shown] + added - backscatter)
+        information[shown] += weight * transmission.square()
     found = to_display((numerator / information.clamp(min=LEAST)).clamp(min=0)).clamp(max=BRIGHTEST)
     return torch.where(information > LEAST, found, colors)
 

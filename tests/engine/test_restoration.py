@@ -129,7 +129,8 @@ def test_confidence_is_the_wiener_weight_of_the_least_squares_solution():
     variance = 1e-3 + 1e-2 * light
     sums = LightSums(*(torch.zeros(n, 3, dtype=torch.float64) for _ in fields(LightSums)))
     for view in range(views):
-        sums.add(*(torch.from_numpy(values[view]) for values in (weight, light, T, back, variance, back)))
+        seen = (torch.from_numpy(values[view]) for values in (weight, light, T, back, variance, back))
+        sums.add(torch.arange(n), *seen)
 
     def solve(seen):
         return (weight * T * seen).sum(0) / (weight * T**2).sum(0)

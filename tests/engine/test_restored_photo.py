@@ -22,6 +22,7 @@ from swag_engine.rendering.restored_photo import (
     photos_to_fit,
     restored_photo,
     water_deviation,
+    water_terms,
 )
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
@@ -188,12 +189,13 @@ def brighter_water(model: SceneModel, factors: tuple[float, float, float]) -> Tr
 
 def test_the_error_of_the_water_is_measured_where_a_photo_shows_hardly_more(half_far):
     factors, grey = (1.2, 1.1, 0.95), np.full(3, 0.05)
-    found = water_deviation(half_far, brighter_water(half_far, factors), grey, 0)
+    terms = water_terms(half_far, CAMERA)
+    found = water_deviation(half_far, brighter_water(half_far, factors), *terms, grey, 0)
     np.testing.assert_allclose(found, MAD_TO_SD * np.abs(np.array(factors) - 1), rtol=0.15)
-    assert water_deviation(half_far, brighter_water(half_far, (1, 1, 1)), grey, 0).max() < 0.02
+    assert water_deviation(half_far, brighter_water(half_far, (1, 1, 1)), *terms, grey, 0).max() < 0.02
     image = brighter_water(half_far, factors)
-    assert not water_deviation(half_far, image, np.full(3, 100.0), 0).any()
-    assert not water_deviation(half_far, replace(image, valid=~image.valid), grey, 0).any()
+    assert not water_deviation(half_far, image, *terms, np.full(3, 100.0), 0).any()
+    assert not water_deviation(half_far, replace(image, valid=~image.valid), *terms, grey, 0).any()
 
 
 def test_far_places_do_not_take_the_color_of_water_that_differs_in_one_photo(wall, half_far):
