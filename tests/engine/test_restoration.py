@@ -1,6 +1,6 @@
 """What cannot be restored: noise of images, confidence in colors without water, and what is shown where it is low."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import cv2
 import numpy as np
@@ -228,6 +228,18 @@ def test_gaussians_that_no_image_shows_keep_their_color():
     limit = restoration_limit(cloud, [CAMERA], BLUE, NOISE)[0]
     assert (limit.confidence[2] == 0).all()
     np.testing.assert_allclose(limit.apply(cloud).sh0[2], cloud.sh0[2], atol=1e-6)
+
+
+def test_images_say_nothing_of_gaussians_that_they_do_not_show():
+    around = np.diag([-1.0, 1, -1, 1])  # a camera at the same place that looks back
+    ahead = row_of_gaussians(np.linspace(0.2, 0.8, 18).reshape(6, 3))
+    behind = row_of_gaussians(np.linspace(0.9, 0.1, 18).reshape(6, 3))
+    behind.means *= torch.tensor([-1.0, 1, -1])
+    alone, _, colors = restoration_limit(ahead, [CAMERA], BLUE, NOISE)
+    cameras = [replace(CAMERA, world_to_camera=around), CAMERA]
+    both = restoration_limit(behind.followed_by(ahead), cameras, BLUE, NOISE, colors=colors)[0]
+    torch.testing.assert_close(both.confidence[6:], alone.confidence)
+    torch.testing.assert_close(both.color[6:], alone.color)
 
 
 def likely(J, error, weight):
