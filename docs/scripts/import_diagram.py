@@ -29,7 +29,7 @@ ROW = 34
 """Height of a package in the picture, pixels."""
 BOX = (150, 24)
 """Width and height of its box, pixels."""
-LEFT, ABOVE = 500, 24
+LEFT, ABOVE = 670, 24
 """Place of the first box, pixels; what the package is for stands left of it."""
 STEP = 15
 """Pixels by which an arrow bulges for each package that it passes."""
@@ -137,30 +137,36 @@ def picture(names: Sequence[str], arrows: Imports, torch_free: set[str]) -> str:
         '<path d="M0 0 L8 4 L0 8 Z" fill="#3f51b5"/></marker></defs>',
         f'<rect width="{size[0]}" height="{size[1]}" fill="#ffffff"/>',
     ]
+    boxes, titles, purposes, curves = [], [], [], []
     for name in names:
         y = middle(name)
         fill = "#fff3e0" if name in TOP else "#e8f5e9" if name in torch_free else "#e8eaf6"
-        parts += [
-            f'<rect x="{LEFT}" y="{y - height / 2:.0f}" width="{width}" height="{height}" rx="4" fill="{fill}" '
-            'stroke="#90a4ae"/>',
-            f'<text x="{LEFT + width / 2:.0f}" y="{y + 4:.0f}" text-anchor="middle">{name}</text>',
-            f'<text x="{LEFT - 10}" y="{y + 4:.0f}" text-anchor="end" font-size="11" fill="#455a64">'
-            f"{escaped(purpose(name))}</text>",
-        ]
+        boxes.append(
+            f'<rect x="{LEFT}" y="{y - height / 2:.0f}" width="{width}" height="{height}" rx="4" fill="{fill}"/>'
+        )
+        titles.append(f'<text x="{LEFT + width / 2:.0f}" y="{y + 4:.0f}">{name}</text>')
+        purposes.append(f'<text x="{LEFT - 10}" y="{y + 4:.0f}">{escaped(purpose(name))}</text>')
+        # Arrows leave a box below those that enter it, so that their ends stay apart.
+        for to in sorted(arrows[name], key=names.index):
+            start, end = y + 5, middle(to) - 5
+            bulge = right + 12 + STEP * (names.index(to) - names.index(name))
+            curves.append(
+                f'<path d="M{right} {start:.0f} C{bulge} {start:.0f} {bulge} {end:.0f} {right} {end:.0f}" '
+                'marker-end="url(#tip)"/>'
+            )
+    for style, drawn in (
+        ('stroke="#90a4ae"', boxes),
+        ('text-anchor="middle"', titles),
+        ('text-anchor="end" font-size="11" fill="#455a64"', purposes),
+        ('stroke="#3f51b5" fill="none"', curves),
+    ):
+        parts += [f"<g {style}>", *drawn, "</g>"]
     y = ABOVE + ROW * line - (ROW - height) / 2
     parts += [
         f'<path d="M10 {y:.0f} H{size[0] - 10}" stroke="#2e7d32" stroke-dasharray="5 4" fill="none"/>',
-        f'<text x="10" y="{y - 4:.0f}" font-size="11" fill="#2e7d32">below: no torch</text>',
+        f'<text x="{size[0] - 10}" y="{y - 4:.0f}" text-anchor="end" font-size="11" fill="#2e7d32">'
+        "below: no torch</text>",
     ]
-    for of in names:
-        # Arrows leave a box below those that enter it, so that their ends stay apart.
-        for to in sorted(arrows[of], key=names.index):
-            start, end = middle(of) + 5, middle(to) - 5
-            bulge = right + 12 + STEP * (names.index(to) - names.index(of))
-            parts.append(
-                f'<path d="M{right} {start:.0f} C{bulge} {start:.0f} {bulge} {end:.0f} {right} {end:.0f}" '
-                'stroke="#3f51b5" fill="none" marker-end="url(#tip)"/>'
-            )
     return "\n".join([*parts, "</svg>", ""])
 
 
