@@ -29,16 +29,19 @@ TRAIN = """
 import json, sys, time
 from pathlib import Path
 import swag_engine.base.threads
+from swag_engine.settings.presets import PRESETS
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.trainer import train
 
 scene, out, preset, seed, iterations = sys.argv[1:]
-settings = TrainSettings(preset=preset, seed=int(seed), iterations=int(iterations))
+width = PRESETS[preset].width
+settings = TrainSettings(preset=preset, seed=int(seed), iterations=int(iterations), width=width)
 metrics = train(Path(scene), Path(out), settings)["metrics"]
 figures = {"psnr": metrics["test_psnr"], "gaussians": metrics["gaussians"], "iterations": metrics["iterations"]}
 print(json.dumps({"seconds": time.process_time()} | figures))
 """
-"""Trains a scene in whichever checkout is first on Python's path."""
+"""Trains a scene in whichever checkout is first on Python's path. The width is given, so that test images are the same:
+a draft is made smaller where other work slows the machine."""
 
 
 def generated_scenes(folder: Path) -> dict[str, Path]:
