@@ -29,19 +29,27 @@ TRAIN = """
 import json, sys, time
 from pathlib import Path
 import swag_engine.base.threads
+from swag_engine.evaluation.metrics import mean_score, score_views
+from swag_engine.rendering.model import SceneModel
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.images import load_images
 from swag_engine.settings.presets import PRESETS
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import train
 
-scene, out, preset, seed, iterations = sys.argv[1:]
-width = PRESETS[preset].width
-settings = TrainSettings(preset=preset, seed=int(seed), iterations=int(iterations), width=width)
-metrics = train(Path(scene), Path(out), settings)["metrics"]
-figures = {"psnr": metrics["test_psnr"], "gaussians": metrics["gaussians"], "iterations": metrics["iterations"]}
-print(json.dumps({"seconds": time.process_time()} | figures))
+folder, out, preset, seed, iterations = sys.argv[1:]
+settings = TrainSettings(preset=preset, seed=int(seed), iterations=int(iterations))
+metrics = train(Path(folder), Path(out), settings)["metrics"]
+figures = {"seconds": time.process_time(), "gaussians": metrics["gaussians"], "iterations": metrics["iterations"]}
+scene, model = load_scene(Path(folder)), SceneModel.from_checkpoint(*load_checkpoint(Path(out)))
+views = [view for view in scene.views if view.camera.name in metrics["views"]]
+images = load_images(scene, views, PRESETS[preset].width)
+psnr, _ = mean_score(score_views(model.cloud, images, 3, "auto", model.effects))
+print(json.dumps(figures | {"psnr": psnr}))
 """
-"""Trains a scene in whichever checkout is first on Python's path. The width is given, so that test images are the same:
-a draft is made smaller where other work slows the machine."""
+"""Trains a scene in whichever checkout is first on Python's path. Test images have the preset's largest width: a run is
+smaller where photos resolve less, and a draft where other work slows the machine."""
 
 
 def generated_scenes(folder: Path) -> dict[str, Path]:
