@@ -1,7 +1,7 @@
 """Measure milliseconds of rasterising and of a whole training iteration on the CPU, and ratios within one process.
 
 Run: `python benchmarks/raster.py` (Linux), with nothing else on the machine
-Results: benchmarks/results/raster.json, docs/images/raster.webp
+Results: benchmarks/results/raster.json
 
 Compared are the CPU kernels, the torch backend, and, where gsplat is installed, the torch reference inside gsplat. The
 reference has no CPU code for the lists of pixel-Gaussian pairs and for the scan along rays: it gets the lists for free,
@@ -29,11 +29,10 @@ sys.path.insert(0, str(ROOT))
 
 import swag_engine.base.threads  # noqa: F401, I001  before torch, which reads what it sets
 
-import matplotlib.pyplot as plt
 import numpy as np
 import torch
 
-from benchmarks.common import processor, save_chart, write_results
+from benchmarks.common import processor, write_results
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.backends import KERNELS
@@ -323,28 +322,7 @@ def main() -> None:
         for count in counts
     }
     write_results("raster", results)
-    plot(results)
     print(json.dumps(results, indent=2))
-
-
-def plot(results: dict) -> None:
-    """Plot milliseconds by Gaussians, pixels and threads."""
-    figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
-    panels = (
-        ("ms by Gaussians at 640x360", "Gaussians at 640 x 360", 1),
-        ("ms by width, 100 000 Gaussians", "megapixels, 100 000 Gaussians", None),
-        ("ms by threads, 50 000 at 640x360", "threads, 50 000 Gaussians at 640 x 360", 1),
-    )
-    for axis, (key, label, scale) in zip(axes, panels, strict=True):
-        rows = results[key]
-        x = [float(value) * (scale or float(value) * 9 / 16 / 1e6) for value in rows]
-        for name in ("iteration", "rasterise"):
-            axis.plot(x, [row[name] for row in rows.values()], "o-", label=name)
-        axis.set(xlabel=label, ylabel="ms, forward and backward", ylim=(0, None), xlim=(0, None))
-        axis.grid(alpha=0.3)
-    axes[0].legend()
-    figure.suptitle(str(results["machine"]))
-    save_chart("raster", figure, dpi=110)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Measure accuracy against time on the demo and on japanese_gardens: presets at two widths, the demo without water too.
 
 Run: `python benchmarks/tradeoff.py FOLDER [WEIGHTS]`, with nothing else on the machine
-Results: benchmarks/results/tradeoff_SCENE.json, docs/images/tradeoff_SCENE.webp
+Results: benchmarks/results/tradeoff_SCENE.json; of the demo docs/images/tradeoff_demo.webp, too
 
 FOLDER receives the runs; started again with the same FOLDER the benchmark continues. WEIGHTS is a folder with the
 networks of LPIPS. A scene that is not on this machine is skipped.
@@ -46,8 +46,9 @@ def main(folder: Path, *weights: str) -> None:
         ]
         print(f"\n{name}\n", flush=True)
         subprocess.run(command, cwd=ROOT, check=True)
-        picture = cv2.imread(str(out / "tradeoff.png"))
-        cv2.imwrite(str(PICTURES / f"tradeoff_{name}.webp"), picture, [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
+        if name == "demo":
+            picture = cv2.imread(str(out / "tradeoff.png"))
+            cv2.imwrite(str(PICTURES / "tradeoff_demo.webp"), picture, [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
         store(name, json.loads((out / "tradeoff.json").read_text("utf-8")))
 
 

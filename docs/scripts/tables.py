@@ -377,12 +377,13 @@ def zoom() -> str:
     runs = results("zoom")["runs"]
 
     def psnr(scene: str, variance: float, width: str) -> float:
-        known = [run[width]["psnr"] for run in runs if (run["scene"], run["least_variance"]) == (scene, variance)]
+        known = [run[width] for run in runs if (run["scene"], run["least_variance"]) == (scene, variance)]
         return sum(known) / len(known)
 
     rows = []
     for scene, words in SCENES.items():
-        for width, label in (("x0.5", "half"), ("x1", "equal"), ("x2", "double")):
+        widths = ("half", "x0.5"), ("half, film", "x0.5 film"), ("equal", "x1"), ("double", "x2")
+        for label, width in (*widths, ("double, film", "x2 film")):
             none, used, published = (psnr(scene, variance, width) for variance in (0.0, 0.1, 0.2))
             rows.append([words, label, f"{none:.2f} dB", f"{used - none:+.2f} dB", f"{published - none:+.2f} dB"])
     return markdown(["scene", "width", "without", "with .1", "with .2"], rows)

@@ -147,6 +147,14 @@ def remember_training(obj: bpy.types.Object, pixel_size: float, background: Sequ
     obj[BACKGROUND_KEY] = [float(value) for value in background]
 
 
+def pixel_size_of(obj: bpy.types.Object) -> float:
+    """1 / focal length in pixels of the training images of a splat object; 0 where that is not known."""
+    if (found := _input(obj, PIXEL_SIZE)) is None:
+        return 0.0
+    owner, path, _ = found
+    return owner.value if path == "value" else owner[path]
+
+
 def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str = "CYCLES") -> None:
     """Set up Cycles or EEVEE so that renders show splats completely, in their own colors, with their background.
 

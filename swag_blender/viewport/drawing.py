@@ -19,6 +19,7 @@ from ...swag_engine.splats.development import NO_DEVELOPMENT
 from .. import colors, display, water
 from ..blender_types import present
 from ..crop_box import world_to_box
+from ..nodes import splat_preview
 from ..properties import swag_of
 from .depth_order import Part, Sorter
 from .packing import HARMONICS_TEXELS, OBJECT_TEXELS, ObjectTexels
@@ -281,6 +282,7 @@ def _object_texels(context: bpy.types.Context, shown: Sequence[Placement]) -> li
                 density=settings.density / 100,
                 water=own_water,
                 water_amount=amount if own_water else 0.0,
+                pixel_size=splat_preview.pixel_size_of(one.obj),
                 # An instance is cropped as its object is.
                 crop=None if to_box is None else to_box @ np.array(one.obj.matrix_world, np.float64),
             )

@@ -13,7 +13,7 @@ from ...swag_engine.splats.splats import Splats
 from ..water_values import WaterValues
 
 GEOMETRY_TEXELS = 3
-"""Texels of a splat's position, opacity and covariance."""
+"""Texels of a splat's position, opacity, covariance and least variance."""
 HARMONICS_TEXELS = (1, 3, 9, 12)
 """Texels of a splat's color by degree of spherical harmonics: four coefficients in three texels from degree 1."""
 OBJECT_TEXELS = 24
@@ -24,13 +24,13 @@ LARGEST_TINT_ALPHA = 0.99
 
 
 def geometry_texels(splats: Splats) -> np.ndarray:
-    """Position and opacity, and the covariance in the object's own space, as (N, 3, 4) float32."""
+    """Position and opacity, covariance and its least eigenvalue in the object's own space, as (N, 3, 4) float32."""
     texels = np.zeros((len(splats), GEOMETRY_TEXELS, 4), np.float32)
     texels[:, 0, :3] = splats.positions
     texels[:, 0, 3] = splats.opacities
     xx, xy, xz, yy, yz, zz = _covariances(splats.rotations, splats.scales)
     texels[:, 1] = np.stack([xx, xy, xz, yy], axis=1)
-    texels[:, 2, 0], texels[:, 2, 1] = yz, zz
+    texels[:, 2, :3] = np.stack([yz, zz, splats.scales.min(axis=1) ** 2], axis=1)
     return texels
 
 
@@ -76,6 +76,7 @@ class ObjectTexels:
         density: Fraction of the splats to draw.
         water: The fitted water, None for none.
         water_amount: Fraction of it to show.
+        pixel_size: 1 / focal length in pixels of the training images, 0 where it is not known.
         crop: (4, 4) from the object's own space to one where kept splats are between -1 and 1; None for no crop box.
     """
 
@@ -84,6 +85,7 @@ class ObjectTexels:
     density: float = 1.0
     water: WaterValues | None = None
     water_amount: float = 0.0
+    pixel_size: float = 0.0
     crop: np.ndarray | None = None
 
     def texels(self) -> np.ndarray:
@@ -92,7 +94,7 @@ class ObjectTexels:
         rows[0:3] = self.object_to_view[:3]
         eye = np.linalg.inv(self.object_to_view.astype(np.float64))
         rows[3, :3] = eye[:3, 3]
-        rows[4, :3] = self.sh_degree, self.density, self.crop is not None
+        rows[4] = self.sh_degree, self.density, self.crop is not None, self.pixel_size
         rows[5, :3] = eye[:3, 2] / np.linalg.norm(eye[:3, 2])
         if self.water is not None and self.water_amount > 0:
             rows[6, :3], rows[6, 3] = self.water.beta_D, self.water_amount

@@ -11,6 +11,7 @@ from typing import Any
 import gpu
 
 from ...swag_engine.splats.development import GREY, NO_DEVELOPMENT, Development
+from ...swag_engine.splats.splats import LEAST_VARIANCE
 from ..nodes.formulas import SH_0, SH_FACTORS
 from ..nodes.splat_shapes import FRUSTUM_MARGIN, MIN_ALPHA, PIXEL_VARIANCE
 from .packing import GEOMETRY_TEXELS, HIDDEN_ALPHA
@@ -19,6 +20,9 @@ MAX_ALPHA = 0.99
 """Alphas are clamped to it, as in the engine."""
 NEAR = 0.01
 """Depth below which centres are not drawn, as in the engine, scene units."""
+LEAST_BLUR = 0.1
+"""Variance in pixels squared that is always added, about that of a pixel: that of the 2D filter of Mip-Splatting (Yu et
+al. 2024)."""
 OVERLAY_GAMMA = 2.2
 """Exponent with which Blender lays its overlays over the scene, on any display (measured in 5.2: sRGB's own curve is
 up to 7 levels of 255 off)."""
@@ -143,10 +147,19 @@ void main() {
   vec3 along_y = view.focal_size.y * inverse_z * (y_row.xyz + slope.y * z_row.xyz);
   mat3 covariance = mat3(upper.x, upper.y, upper.z, upper.y, upper.w, lower.x, upper.z, lower.x, lower.y);
   vec3 c_x = covariance * along_x, c_y = covariance * along_y;
-  float xx = dot(along_x, c_x) + BLUR, xy = dot(along_x, c_y), yy = dot(along_y, c_y) + BLUR;
+  /* In a view of more pixels than the training images splats would be thinner than trained, with gaps between them; in
+     one of fewer pixels they would be wider. They get the blur that these images have at the same distance, but no more
+     than the finest of them has, which limited the least variance. */
+  float blur = BLUR;
+  if (display.w > 0.0 && !orthographic) {
+    float finest = inverse_z * length(x_row.xyz) * sqrt(lower.z / LEAST_VARIANCE);
+    float pixel = view.focal_size.y * min(display.w, finest);  /* of a training image, in pixels of the view */
+    blur = max(BLUR * pixel * pixel, LEAST_BLUR);
+  }
+  float xx = dot(along_x, c_x) + blur, xy = dot(along_x, c_y), yy = dot(along_y, c_y) + blur;
   float middle = 0.5 * (xx + yy), difference = 0.5 * (xx - yy);
   float apart = sqrt(max(difference * difference + xy * xy, 1e-20));
-  float longest = middle + apart, widest = max(middle - apart, BLUR);
+  float longest = middle + apart, widest = max(middle - apart, blur);
   vec2 axis = abs(xy) > 1e-9 * middle ? normalize(vec2(xy, longest - xx))
                                       : (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0));
   float reach = sqrt(2.0 * log(centre.w * 255.0));
@@ -296,6 +309,8 @@ def _compile(
         ("SH_0", SH_0),
         *((f"SH_F{number}", factor) for number, factor in enumerate(SH_FACTORS)),
         ("BLUR", PIXEL_VARIANCE),
+        ("LEAST_VARIANCE", LEAST_VARIANCE),
+        ("LEAST_BLUR", LEAST_BLUR),
         ("LEAST", MIN_ALPHA),
         ("MOST", MAX_ALPHA),
         ("NEAR", NEAR),

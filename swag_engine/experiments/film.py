@@ -1,9 +1,11 @@
 """Films: a camera path rendered to an image sequence or a video, with alpha and depth."""
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +21,23 @@ from ..formats.camera_path import PathFrame
 from ..formats.exr import write_exr, write_light_exr
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder, read_json
+from ..formats.survey_folder import COARSE, SurveyFolder
 from ..formats.water import DAMAGED
 from ..gaussians.cloud import GaussianCloud
 from ..kernels.backends import device_for
 from ..rendering.model import SceneModel
 from ..rendering.render import Picture, render
+from ..rendering.trained_detail import TrainedDetail, render_as_trained
 from ..scene.cameras import Camera
+from ..scene.colmap import load_scene
+from ..scene.scene_part import read_part
 from ..splats.development import AS_RESTORED, ColorView, Development
 from ..training.checkpoint import checkpoints
 from ..water.medium import Medium
 from .develop_run import color_view
 from .evaluate_run import load_newest
+
+log = logging.getLogger(__name__)
 
 VIDEO_SUFFIX = ".mp4"
 VIDEO_CODEC = "mp4v"
@@ -68,9 +76,20 @@ class FilmOptions:
             raise InputError(f"The frames per second must be from above 0 to 1000, not {self.fps}.")
 
 
+@dataclass
+class FilmModel(SceneModel):
+    """What a film shows.
+
+    Attributes:
+        detail: How finely training images sampled the Gaussians; None where that is not known.
+    """
+
+    detail: TrainedDetail | None = None
+
+
 def film_model(
     splats: Path | None, run: Path | None, water: Path | None = None, background: Sequence[float] = (0.0, 0.0, 0.0)
-) -> SceneModel:
+) -> FilmModel:
     """Load what a film shows.
 
     Args:
@@ -81,7 +100,7 @@ def film_model(
 
     Returns:
         The model on the device of the fastest backend. Its effects on whole images, such as exposure, are not part of
-        a film.
+        a film. The detail is known where the scene of the run can be read.
 
     Raises:
         InputError: Where there are neither splats nor a checkpoint, or a file is damaged.
@@ -89,14 +108,41 @@ def film_model(
     if run is not None and (splats is None or checkpoints(run)):
         cloud, effects, _ = load_newest(run)
         if splats is None:
-            return SceneModel(cloud, effects)
+            return FilmModel(cloud, effects, _detail(run, cloud, False))
         background = cloud.background.sigmoid().tolist()
     elif splats is None:
         raise InputError("A film needs splats or a run.")
     else:
         effects = SceneEffects({} if water is None else {"medium": read_medium(water)})
     device = device_for("auto")
-    return SceneModel(GaussianCloud.from_splats(read_ply(splats), background), effects).to(device)
+    cloud = GaussianCloud.from_splats(read_ply(splats), background).to(device)
+    return FilmModel(cloud, effects.to(device), None if run is None else _detail(run, cloud, True))
+
+
+def _detail(run: Path, cloud: GaussianCloud, of_blocks: bool) -> TrainedDetail | None:
+    """Measure how finely training images sampled Gaussians; None where their scene cannot be read.
+
+    Args:
+        run: Folder of the run.
+        cloud: The Gaussians.
+        of_blocks: Whether those of a survey's coarse model are the Gaussians of its blocks.
+    """
+    survey_folder = SurveyFolder(run.parent)
+    try:
+        if of_blocks and run.name == COARSE and survey_folder.survey.is_file():
+            survey = survey_folder.read()
+            scene, settings = read_part(survey_folder.all_views, survey.scene), survey.settings
+        else:
+            folder, settings, _ = RunFolder(run).read_config()
+            scene = load_scene(folder, read_scale=False)
+    except InputError as error:
+        log.info("Frames are rendered without the detail of the training images: %s", error)
+        return None
+    names = set(scene.split.train)
+    cameras = [view.camera for view in scene.views if view.name in names]
+    return TrainedDetail.of_training(
+        cloud.means, [camera.resized(min(settings.width, camera.width)) for camera in cameras]
+    )
 
 
 def read_medium(path: Path) -> Medium:
@@ -139,7 +185,7 @@ def film_run(
 
 
 def render_film(
-    model: SceneModel,
+    model: FilmModel,
     out: Path,
     frames: Sequence[PathFrame],
     options: FilmOptions,
@@ -284,9 +330,10 @@ def _video_file(path: Path, camera: Camera, fps: float) -> Iterator[cv2.VideoWri
 
 
 @torch.no_grad()
-def _picture(model: SceneModel, camera: Camera, amount: float, sh_degree: int, options: FilmOptions) -> Picture:
-    return render(
-        model.cloud, camera, sh_degree, model.effects.medium, amount=amount, lamp=model.effects.lamp,
+def _picture(model: FilmModel, camera: Camera, amount: float, sh_degree: int, options: FilmOptions) -> Picture:
+    draw = render if model.detail is None else partial(render_as_trained, detail=model.detail)
+    return draw(
+        model.cloud, camera, sh_degree=sh_degree, medium=model.effects.medium, amount=amount, lamp=model.effects.lamp,
         with_range=options.depth, with_background=not options.alpha,
     )  # fmt: skip
 

@@ -13,12 +13,9 @@ import torch
 from torch import Tensor
 
 from ..scene.cameras import Camera
+from ..splats.splats import LEAST_VARIANCE
 from .cloud import GaussianCloud
 
-LEAST_VARIANCE = 0.1
-"""Least variance of a Gaussian along each axis, squared pixels of the training image that samples it most finely: half
-that of the 3D smoothing filter of Mip-Splatting (Yu et al. 2024, arXiv 2311.16493), which costs quality at the training
-width (benchmarks/zoom.py)."""
 LARGEST, LARGEST_HIDDEN = 0.05, 0.5
 """Largest standard deviation of a Gaussian along each axis, as fractions of its distance from the nearest camera: where
 all of its light reaches that camera, and where none does. Far places in murky water have so little contrast that only

@@ -14,6 +14,11 @@ from .development import SplatDevelopment
 
 log = logging.getLogger(__name__)
 
+LEAST_VARIANCE = 0.1
+"""Least variance of a trained splat along each axis, squared pixels of the training image that samples it most finely:
+half that of the 3D smoothing filter of Mip-Splatting (Yu et al. 2024, arXiv 2311.16493), which costs quality at the
+training width (benchmarks/zoom.py)."""
+
 
 @dataclass(eq=False)
 class Splats:

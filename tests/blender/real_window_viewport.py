@@ -128,6 +128,10 @@ def steps():
     obj["swag_development"] = json.dumps({"auto": json.loads((OUT / "development.json").read_text())})
     yield from picture("developed", obj)
     del obj["swag_development"]
+    for name, focal in (("trained_wider", 2000), ("trained_narrower", 100)):
+        module("nodes.splat_preview").set_input(obj, "Pixel Size", 1 / focal)
+        yield from picture(name, obj)
+    module("nodes.splat_preview").set_input(obj, "Pixel Size", 0.0)
     shown.sh_degree = 1
     yield from picture("degree_1", obj)
     shown.sh_degree, shown.density = 3, 30.0

@@ -1,6 +1,7 @@
 """What viewports of the real Blender draw, against the engine's picture, and editing with the pointer."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from swag_engine.base.transfer import linear_to_srgb, srgb_to_linear
 from swag_engine.formats.ply import write_ply
 from swag_engine.kernels.backends import KERNELS
 from swag_engine.splats.development import Development, white_balance
-from swag_engine.splats.splats import Splats
+from swag_engine.splats.splats import LEAST_VARIANCE, Splats
 from swag_engine.splats.transform import sh_basis
 from tests.blender.real_blender import in_window, new_folder, viewport_picture
 from tests.blender.splat_pictures import psnr
@@ -59,7 +60,9 @@ def cloud():
     )
 
 
-def engine_picture(report, name, keep=None, water=False, degree=3, change=lambda colors: colors, develop=None):
+def engine_picture(
+    report, name, keep=None, water=False, degree=3, change=lambda colors: colors, develop=None, pixel_size=0.0
+):
     """The engine's picture (H, W, 3) of the cloud for the matrices of a viewport's picture.
 
     Args:
@@ -70,6 +73,7 @@ def engine_picture(report, name, keep=None, water=False, degree=3, change=lambda
         degree: of spherical harmonics.
         change: applied to the display values (N, 3) of the splats.
         develop: Development of the picture, without the background.
+        pixel_size: 1 / focal length of the training images, pixels.
     """
     splats, shown = cloud(), report["pictures"][name]
     if keep is not None:
@@ -100,6 +104,10 @@ def engine_picture(report, name, keep=None, water=False, degree=3, change=lambda
         tensor(splats.positions), tensor(splats.rotations), tensor(splats.scales), opacities, colors,
         tensor(to_view), intrinsics, width, height, kind="orthographic" if parallel else "perspective",
     )  # fmt: skip
+    if pixel_size:
+        finest = fy / projected.depths * tensor(splats.scales.min(axis=1)) / LEAST_VARIANCE**0.5
+        blur = (0.3 * finest.clamp(max=fy * pixel_size) ** 2).clamp(min=0.1)
+        projected = replace(projected, conics=widened(projected.conics, blur - 0.3))
     image, alpha = kernels.blend(projected, opacities, colors, tensor(background), width, height)
     image, alpha = image.numpy(), alpha.numpy()[..., None]
     if water:
@@ -112,6 +120,14 @@ def engine_picture(report, name, keep=None, water=False, degree=3, change=lambda
         through = (1 - alpha) * background
         image = through + alpha * develop.apply((image - through).clip(0) / np.maximum(alpha, 1e-4))
     return np.clip(image, 0, 1)
+
+
+def widened(conics, variances):
+    """Conics (N, 3) of projected Gaussians with (N,) added to their variances, pixels squared."""
+    a, b, c = conics.double().unbind(1)
+    xx, xy, yy = (value / (a * c - b * b) for value in (c, -b, a))
+    xx, yy = xx + variances, yy + variances
+    return torch.stack([yy, -xy, xx], 1).div((xx * yy - xy * xy)[:, None]).float()
 
 
 def open_water(directions):
@@ -146,6 +162,16 @@ def test_selection_development_and_degree_change_the_colors(viewport_pictures):
     for name, how in wanted.items():
         assert psnr(pictures[name][inside], engine_picture(report, name, **how)[inside]) > 38, name
         assert psnr(pictures[name][inside], plain) < 36, name
+
+
+@pytest.mark.parametrize(("name", "focal"), [("trained_wider", 2000), ("trained_narrower", 100)])
+def test_splats_are_blurred_as_in_the_images_of_their_training(viewport_pictures, name, focal):
+    report, pictures = viewport_pictures
+    inside = (slice(30, -5), slice(5, -5))
+    wanted, plain = (engine_picture(report, name, pixel_size=size)[inside] for size in (1 / focal, 0.0))
+    as_wanted = psnr(pictures[name][inside], wanted)
+    assert as_wanted > 40
+    assert as_wanted > psnr(pictures[name][inside], plain) + 2
 
 
 def test_crop_boxes_clipping_and_density_leave_splats_out(viewport_pictures):

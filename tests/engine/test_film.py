@@ -1,6 +1,7 @@
 """Films: camera paths, image sequences, videos, alpha and depth."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -11,19 +12,28 @@ import torch
 from swag_engine.base.errors import InputError
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.experiments.evaluate_run import load_newest
-from swag_engine.experiments.film import EMPTY_DEPTH, FilmOptions, describe, film_model, film_run, render_film
+from swag_engine.experiments.film import (
+    EMPTY_DEPTH,
+    FilmModel,
+    FilmOptions,
+    describe,
+    film_model,
+    film_run,
+    render_film,
+)
 from swag_engine.formats.camera_path import PathFrame, read_camera_path, write_camera_path
 from swag_engine.formats.exr import write_exr
 from swag_engine.formats.ply import write_ply
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.rendering.model import SceneModel
 from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.scene_part import without_points, write_part
 from swag_engine.splats.splats import Splats
 from swag_engine.water.medium import Medium
 from tests.engine.exr_files import read_exr
+from tests.scenes.small_surveys import make_survey, random_splats
 
 
 def wall(depth=4.0, side=200):
@@ -38,7 +48,7 @@ def wall(depth=4.0, side=200):
         opacities=np.full(count, 0.99, "f4"),
         sh=((color - 0.5) / 0.28209479177387814)[:, None].astype("f4"),
     )
-    return SceneModel(GaussianCloud.from_splats(splats, (0.1, 0.2, 0.6)), SceneEffects()), splats
+    return FilmModel(GaussianCloud.from_splats(splats, (0.1, 0.2, 0.6)), SceneEffects()), splats
 
 
 def front(name="0001", width=64, height=48):
@@ -264,7 +274,8 @@ def test_splats_without_a_run_take_water_and_background_from_files(tmp_path):
 
 
 def test_a_run_is_rendered_along_a_path(finished_run, tiny_scene, tmp_path):
-    view = load_scene(tiny_scene).views[3]
+    scene = load_scene(tiny_scene)
+    view = next(view for view in scene.views if view.name in scene.split.train)
     result = film_run(finished_run, tmp_path / "film", [PathFrame(replace(view.camera, name="0001"))], FilmOptions())
     cloud, effects, _ = load_newest(finished_run)
     _, settings, _ = RunFolder(finished_run).read_config()
@@ -274,6 +285,40 @@ def test_a_run_is_rendered_along_a_path(finished_run, tiny_scene, tmp_path):
     assert result["rendered"] == 1
     with pytest.raises(InputError, match="from 0 to 1"):
         film_run(finished_run, tmp_path, [PathFrame(view.camera)], FilmOptions(), water=2)
+
+
+def test_a_film_wider_than_the_training_images_keeps_their_detail(finished_run, tiny_scene, tmp_path):
+    scene, (_, settings, _) = load_scene(tiny_scene), RunFolder(finished_run).read_config()
+    camera = replace(next(view.camera for view in scene.views if view.name in scene.split.train), name="0001")
+    film_run(finished_run, tmp_path, [PathFrame(camera.resized(4 * settings.width))], FilmOptions())
+    film_run(finished_run, tmp_path / "small", [PathFrame(camera.resized(settings.width))], FilmOptions())
+    wide, small = read_image(tmp_path / "0001.png"), read_image(tmp_path / "small" / "0001.png")
+    enlarged = cv2.resize(small, wide.shape[1::-1], interpolation=cv2.INTER_CUBIC)
+    cloud, effects, _ = load_newest(finished_run)
+    thin = render(cloud, camera.resized(4 * settings.width), 3, effects.medium, lamp=effects.lamp).color
+    apart = [np.square(image / 255.0 - enlarged / 255.0).mean() for image in (wide, thin.clamp(0, 1).numpy() * 255)]
+    assert apart[0] < 0.2 * apart[1]
+
+
+def test_splats_of_a_survey_have_the_detail_of_its_blocks(finished_run, tiny_scene, tmp_path):
+    """The run that Blender names for them is that of the coarse model, whose images are smaller."""
+    folder, scene = make_survey(tmp_path / "survey", random_splats(10)), load_scene(tiny_scene)
+    shutil.copytree(finished_run, folder.coarse.path, dirs_exist_ok=True)
+    survey, (_, settings, _) = folder.read(), folder.coarse.read_config()
+    folder.write(replace(survey, scene=tiny_scene, settings=replace(settings, width=settings.width // 2)))
+    write_part(folder.all_views, without_points(scene))
+    write_ply(tmp_path / "splats.ply", load_newest(finished_run)[0].to_splats())
+    blocks = film_model(tmp_path / "splats.ply", folder.coarse.path).detail
+    coarse = film_model(None, folder.coarse.path).detail
+    assert coarse.focal == film_model(tmp_path / "splats.ply", finished_run).detail.focal
+    assert blocks.focal == pytest.approx(coarse.focal / 2)
+
+
+def test_a_run_whose_scene_is_gone_is_rendered_all_the_same(finished_run, tmp_path):
+    shutil.copytree(finished_run, tmp_path / "run")
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    (tmp_path / "run" / "config.json").write_text(json.dumps(config | {"scene": str(tmp_path / "gone")}))
+    assert film_model(None, tmp_path / "run").detail is None
 
 
 def test_a_film_without_splats_or_run_and_impossible_rates_are_refused():

@@ -14,7 +14,6 @@ from swag_engine.gaussians.sizes import (
     COVERING,
     LARGEST,
     LARGEST_HIDDEN,
-    LEAST_VARIANCE,
     enforce_sizes,
     nearest_offsets,
     sampling,
@@ -24,6 +23,7 @@ from swag_engine.rasterize.api import rasterize
 from swag_engine.rendering.importance import visibility
 from swag_engine.scene.cameras import Camera
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.splats.splats import LEAST_VARIANCE
 from tests.scenes.runs import train_with
 
 FOCAL = 64.0

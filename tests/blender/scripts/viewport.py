@@ -25,6 +25,7 @@ def texels():
         wanted = turned @ turned.T
         got = [*texel[1], *texel[2, :2]]
         assert np.allclose(got, wanted[np.triu_indices(3)], rtol=1e-5, atol=1e-9), (got, wanted)
+        assert np.isclose(texel[2, 2], np.linalg.eigvalsh(wanted)[0], rtol=1e-4, atol=1e-9)
     for degree, per_splat in enumerate(packing.HARMONICS_TEXELS):
         packed = packing.harmonics_texels(made.sh, degree).reshape(200, -1)
         coefficients = (degree + 1) ** 2
@@ -50,7 +51,8 @@ def object_texels():
     assert np.allclose(rows[:3] @ np.append(rows[3, :3], 1), 0, atol=1e-6), "the eye is the view's origin"
     assert np.allclose(rows[6], (0.1, 0.2, 0.3, 0.5)) and np.allclose(rows[7], (0.4, 0.5, 0.6, 1))
     assert np.array_equal(rows[8:17, 0], range(9))
-    none = packing.ObjectTexels(to_view, water=water, water_amount=0.0).texels()
+    none = packing.ObjectTexels(to_view, water=water, water_amount=0.0, pixel_size=0.25).texels()
+    assert none[4, 3] == 0.25
     assert not none[6:17].any()
 
 
