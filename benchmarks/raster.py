@@ -12,6 +12,7 @@ is taken there, since it does not count waiting for other processes.
 """
 
 import json
+import random
 import shutil
 import statistics
 import subprocess
@@ -209,17 +210,14 @@ def prototype_step(rasteriser: Any, splats: dict[str, Any], gradient: np.ndarray
 
 def prototype_scene(library: CpuLibrary, splats: dict[str, Any], gradient: np.ndarray) -> Callable[[], None]:
     """Return the same work of a build of the kernels."""
-    names = "xy", "conic", "op", "col"
-    leaves = [torch.from_numpy(splats[name]).requires_grad_() for name in names]
+    means2d, conics, opacities, channels = (torch.from_numpy(splats[name]) for name in ("xy", "conic", "op", "col"))
     depths, background, by_image = (torch.from_numpy(array) for array in (splats["z"], splats["bg"], gradient))
-    radii = torch.ones_like(depths)
-    kernels = CpuKernels(lambda: library)
+    projected = Projection(means2d, conics, depths, torch.ones_like(depths))
+    kernels, by_alpha = CpuKernels(lambda: library), torch.zeros(splats["H"], splats["W"])
 
     def step() -> None:
-        means2d, conics, opacities, channels = leaves
-        seen = Projection(means2d, conics, depths, radii)
-        image, _ = kernels.blend(seen, opacities, channels, background, splats["W"], splats["H"])
-        torch.autograd.grad(image, leaves, by_image)
+        image = kernels.blended(projected, opacities, channels, background, splats["W"], splats["H"])
+        image.backward(by_image, by_alpha)
 
     return step
 
@@ -227,10 +225,11 @@ def prototype_scene(library: CpuLibrary, splats: dict[str, Any], gradient: np.nd
 def milliseconds(
     steps: dict[str, Callable[[], None]], rounds: int = ROUNDS, clock: Callable[[], float] = time.perf_counter
 ) -> dict[str, float]:
-    """Return medians over rounds in which each step runs once, after one round of warming up."""
+    """Return medians over rounds in which each step runs once, in any order, after one round of warming up."""
     times: dict[str, list[float]] = {name: [] for name in steps}
+    order = random.Random(0)
     for number in range(rounds + 1):
-        for name, step in steps.items():
+        for name, step in order.sample(list(steps.items()), len(steps)):
             start = clock()
             step()
             if number:

@@ -94,11 +94,11 @@ class CpuKernels(ElementwiseKernels):
         results = channels.new_empty(len(b.ids), size)
         tiles = len(b.tile_starts) - 1
         sizes = width, height, channel_count, weights.shape[2]
-        lists = b.splats, channels, b.ids, b.slots, b.tile_starts, background, b.transmittance, b.endings
+        lists = b.splats, channels, b.ids, b.tile_starts, background, b.transmittance, b.endings
         images = weights.contiguous(), image_gradient.contiguous()
         library.run("contributions", tiles, *sizes, *lists, *images, results)
         sums = channels.new_zeros(n, size)
-        library.run("gather_sums", len(b.rank_starts) - 1, size, b.order, b.rank_starts, results, sums)
+        library.run("gather_sums", len(b.rank_starts) - 1, size, b.order, b.rank_starts, b.places, results, sums)
         return sums[:, 2:], sums[:, 0], sums[:, 1]
 
     def l1_ssim(self, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
@@ -170,13 +170,13 @@ class BlendedTiles:
     order: Tensor
     rank_starts: Tensor
     ids: Tensor
-    slots: Tensor
+    places: Tensor
     tile_starts: Tensor
 
     def saved(self, channels: Tensor, background: Tensor) -> tuple[Tensor, ...]:
         """Return what `blend_backward` needs, for channels and background as they were blended."""
         return (
-            self.splats, channels, self.order, self.rank_starts, self.ids, self.slots, self.tile_starts, background,
+            self.splats, channels, self.order, self.rank_starts, self.ids, self.places, self.tile_starts, background,
             self.transmittance, self.endings,
         )  # fmt: skip
 
@@ -197,17 +197,17 @@ def blend(
     p = projected
     geometry = [tensor.contiguous() for tensor in (p.means2d, p.conics, opacities, p.depths, p.radii)]
     library.run("pack", n, *geometry, width, height, splats, keys)
-    order, rank_starts, tile_starts, ids, slots = _bin(library, splats, keys, width, height)
+    order, rank_starts, tile_starts, ids, places = _bin(library, splats, keys, width, height)
     out = channels.new_empty(height, width, channel_count)
     transmittance = channels.new_empty(height, width)
     endings = torch.empty(height, width, dtype=torch.int32)
     inputs = width, height, channel_count, splats, channels, ids, tile_starts, background
     library.run("blend_forward", len(tile_starts) - 1, *inputs, out, transmittance, endings)
-    return BlendedTiles(out, transmittance, endings, splats, order, rank_starts, ids, slots, tile_starts)
+    return BlendedTiles(out, transmittance, endings, splats, order, rank_starts, ids, places, tile_starts)
 
 
 def blend_backward(
-    library: CpuLibrary, saved: Sequence[Tensor], out_gradient: Tensor, alpha_gradient: Tensor
+    library: CpuLibrary, saved: Sequence[Tensor], out_gradient: Tensor, alpha_gradient: Tensor | None
 ) -> Gradients:
     """Go back through `blend`.
 
@@ -215,23 +215,23 @@ def blend_backward(
         library: The compiled kernels.
         saved: What `Blended.saved` returned.
         out_gradient: (H, W, C) gradient by the image.
-        alpha_gradient: (H, W) gradient by alpha.
+        alpha_gradient: (H, W) gradient by alpha, None for zeros.
 
     Returns:
         Gradients by means2d (N, 2), conics (N, 3), opacities (N,), channels (N, C) and background (C,).
     """
-    splats, channels, order, rank_starts, ids, slots, tile_starts, background, transmittance, endings = saved
+    splats, channels, order, rank_starts, ids, places, tile_starts, background, transmittance, endings = saved
     n, channel_count = channels.shape
     height, width = transmittance.shape
     tiles = len(tile_starts) - 1
     gradients = channels.new_empty(len(ids), library.call("moment_count") + channel_count)
     per_tile = channels.new_empty(tiles, channel_count)
-    inputs = splats, channels, ids, slots, tile_starts, background, transmittance, endings
-    incoming = out_gradient.contiguous(), alpha_gradient.contiguous()
+    inputs = splats, channels, ids, tile_starts, background, transmittance, endings
+    incoming = out_gradient.contiguous(), 0 if alpha_gradient is None else alpha_gradient.contiguous()
     library.run("blend_backward", tiles, width, height, channel_count, *inputs, *incoming, gradients, per_tile)
-    means2d, conics, opacities, by_channel = (channels.new_zeros(n, size) for size in (2, 3, 1, channel_count))
-    outputs = means2d, conics, opacities, by_channel
-    library.run("gather", len(rank_starts) - 1, channel_count, splats, order, rank_starts, gradients, *outputs)
+    means2d, conics, opacities, by_channel = (channels.new_empty(n, size) for size in (2, 3, 1, channel_count))
+    lists, outputs = (splats, order, rank_starts, places, gradients), (means2d, conics, opacities, by_channel)
+    library.run("gather", n, len(rank_starts) - 1, channel_count, *lists, *outputs)
     by_background = per_tile.double().sum(0).float()
     return means2d, conics, opacities[:, 0], by_channel, by_background
 
@@ -257,13 +257,18 @@ class _Blend(torch.autograd.Function):
         b = blend(library, projected, opacities, channels, background, width, height)
         ctx.save_for_backward(*b.saved(channels, background))
         ctx.library = library
+        ctx.set_materialize_grads(False)
         return b.out, 1 - b.transmittance
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     @part("rasterise backward")
-    def backward(ctx: Any, out_gradient: Tensor, alpha_gradient: Tensor) -> tuple[Tensor | None, ...]:
-        gradients = blend_backward(ctx.library, ctx.saved_tensors, out_gradient, alpha_gradient)
+    def backward(ctx: Any, out_gradient: Tensor | None, alpha_gradient: Tensor | None) -> tuple[Tensor | None, ...]:
+        saved = ctx.saved_tensors
+        if out_gradient is None:
+            channels, transmittance = saved[1], saved[8]
+            out_gradient = channels.new_zeros(*transmittance.shape, channels.shape[1])
+        gradients = blend_backward(ctx.library, saved, out_gradient, alpha_gradient)
         return *gradients, None, None, None, None, None
 
 
@@ -272,10 +277,10 @@ def _bin(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """List the Gaussians of each tile in depth order, without sorting (Gaussian, tile) pairs.
 
-    The depth order is cut into RANK_CHUNKS parts; each counts its pairs by tile, the counts are summed into the places
-    where each part writes. Returns order (V,) the V drawable Gaussians by depth, rank_starts (V + 1,) the first of each
+    The depth order is cut into RANK_CHUNKS parts; each counts its pairs by tile, and the counts become the places where
+    each part writes. Returns order (V,) the V drawable Gaussians by depth, rank_starts (V + 1,) the first of each
     one's pairs, tile_starts (tiles + 1,) the first of each tile's pairs, and of the pairs by tile ids (P,) the Gaussian
-    and slots (P,) the pair's number by Gaussian.
+    and by Gaussian places (P,) the pair's place in the tile lists.
     """
     n = len(keys)
     spare = torch.empty(n, dtype=torch.int32)
@@ -284,19 +289,16 @@ def _bin(
     drawable = library.call("sort_by_depth", n, keys, order, spare, spare_keys)
 
     tiles = -(-width // library.call("tile_width")) * -(-height // library.call("tile_height"))
-    rank_starts = torch.zeros(drawable + 1, dtype=torch.int64)
+    rank_starts = torch.empty(drawable + 1, dtype=torch.int64)
     counts = torch.zeros(RANK_CHUNKS, tiles, dtype=torch.int64)
     library.run_parts("count_tiles", drawable, [splats, order, width, height, rank_starts[1:]], counts)
-    torch.cumsum(rank_starts, 0, out=rank_starts)
-    pairs = int(rank_starts[-1])
+    tile_starts = torch.empty(tiles + 1, dtype=torch.int64)
+    pairs = library.call("start_lists", drawable, tiles, RANK_CHUNKS, rank_starts, counts, tile_starts)
     check_pairs(pairs)
-    ends = counts.T.reshape(-1).cumsum(0).reshape(tiles, RANK_CHUNKS)  # by tile, then by part: depth order in a tile
-    tile_starts = torch.cat([ends.new_zeros(1), ends[:, -1]])
     ids = torch.empty(pairs, dtype=torch.int32)
-    slots = torch.empty(pairs, dtype=torch.int32)
-    places = (ends.T - counts).contiguous()
-    library.run_parts("fill_tiles", drawable, [splats, order, width, height, rank_starts, ids, slots], places)
-    return order, rank_starts, tile_starts, ids, slots
+    places = torch.empty(pairs, dtype=torch.int32)
+    library.run_parts("fill_tiles", drawable, [splats, order, width, height, rank_starts, ids, places], counts)
+    return order, rank_starts, tile_starts, ids, places
 
 
 def _l1_ssim(library: CpuLibrary, image: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:

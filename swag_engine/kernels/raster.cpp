@@ -36,6 +36,7 @@ constexpr int STRIP_VECTORS = TILE_HEIGHT / ROWS;  // vectors of a strip
 constexpr int TILE_VECTORS = STRIPS * STRIP_VECTORS;
 constexpr int BLOCK = 4;                    // vectors of alphas for which one exponential is computed
 constexpr int AHEAD = 6;                    // entries of a tile's list between fetching a Gaussian from memory and its use
+constexpr int ROWS_AHEAD = 8;               // rows of an image between fetching pixels from memory and their use
 constexpr int GROUP = 8;                    // channels blended in one pass: their sums stay in registers
 constexpr int MOMENTS = 6;                  // sums of v times 1, dx, u, dx^2, dx u, u^2
 constexpr float MAX_ALPHA = constants::MAX_ALPHA;  // the backward pass divides by 1 - alpha
@@ -139,25 +140,38 @@ struct Place {
 
     // One channel of an image, 0 outside.
     Vec read(const float *image, int64_t stride) const {
+        fetch<0>(image, stride);
         Vec values = {};
         for_lanes([&](int lane, int64_t at) { values[lane] = image[at * stride]; });
         return values;
     }
     Mask read(const int32_t *image) const {
+        fetch<0>(image, 1);
         Mask values = {};
         for_lanes([&](int lane, int64_t at) { values[lane] = image[at]; });
         return values;
     }
     void write(Vec values, float *image, int64_t stride) const {
+        fetch<1>(image, stride);
         for_lanes([&](int lane, int64_t at) { image[at * stride] = values[lane]; });
     }
     void write(Mask values, int32_t *image) const {
+        fetch<1>(image, 1);
         for_lanes([&](int lane, int64_t at) { image[at] = values[lane]; });
     }
     Mask inside() const {
         Mask values = {};
         for_lanes([&](int lane, int64_t) { values[lane] = -1; });
         return values;
+    }
+
+   private:
+    // A tile's rows are too short for the processor to fetch the next ones by itself.
+    template <int WRITES, class T>
+    void fetch(const T *image, int64_t stride) const {
+        int64_t first = (pixel + ROWS_AHEAD * image_width) * stride;
+        __builtin_prefetch(image + first, WRITES);
+        __builtin_prefetch(image + first + (STRIP - 1) * stride, WRITES);
     }
 };
 
@@ -294,11 +308,10 @@ void forward_tile(const Tile &tile, int image_width, const Splat *splats, const 
     });
 }
 
-// The buffers of a tile that is gone through once more: its list [begin, end) of Gaussians `ids` with the places `slots`
-// of their results, and how each pixel ended.
+// The buffers of a tile that is gone through once more: its list [begin, end) of Gaussians `ids`, and how each pixel ended.
 struct Replay {
     const Splat *splats;
-    const int32_t *ids, *slots;
+    const int32_t *ids;
     int64_t begin, end;
     const float *transmittance;
     const int32_t *endings;
@@ -306,7 +319,8 @@ struct Replay {
 
 // Back to front. Job says what is kept per pixel (Job::Pixels, with T, the transmittance behind the current Gaussian) and
 // what is done with a Gaussian over each strip that it meets. `fill(pixels, place)` sets the rest of a vector; the result
-// of each Gaussian goes to `results`, `size` floats a slot, by `finish(job, slot)`; Gaussians behind every pixel's end get 0.
+// of each Gaussian goes to its place in `results`, `size` floats, by `finish(job, place)`; Gaussians behind every pixel's end
+// get 0.
 template <class Job, class Fill, class Finish>
 void replay_tile(const Tile &tile, int image_width, const Replay &replay, const float *channels, int64_t stride,
                  float *results, int64_t size, Fill fill, Finish finish) {
@@ -333,16 +347,12 @@ void replay_tile(const Tile &tile, int image_width, const Replay &replay, const 
         }
         tile_last = larger(tile_last, strip_last[s]);
     }
-    const int32_t *ids = replay.ids + replay.begin, *slots = replay.slots + replay.begin;
-    for (int64_t rank = tile_last; rank < replay.end - replay.begin; rank++)
-        memset(results + slots[rank] * size, 0, size * sizeof(float));
+    const int32_t *ids = replay.ids + replay.begin;
+    results += replay.begin * size;
+    int64_t hidden = replay.end - replay.begin - tile_last;  // behind every pixel's end
+    if (hidden > 0) memset(results + tile_last * size, 0, hidden * size * sizeof(float));
     for (int32_t rank = tile_last - 1; rank >= 0; rank--) {
-        if (rank >= AHEAD) {
-            prefetch(replay.splats, channels, stride, ids[rank - AHEAD]);
-            const float *to = results + slots[rank - AHEAD] * size;
-            __builtin_prefetch(to, 1);
-            __builtin_prefetch(to + size - 1, 1);
-        }
+        if (rank >= AHEAD) prefetch(replay.splats, channels, stride, ids[rank - AHEAD]);
         const Splat &g = replay.splats[ids[rank]];
         Job job(g, channels + ids[rank] * stride);
         for_strips(g, tile, (1u << tile.strips) - 1, [&](int s, int first, int count) {
@@ -357,7 +367,7 @@ void replay_tile(const Tile &tile, int image_width, const Replay &replay, const 
             }
             job.strip(over.dx, over.u, alpha, pixels + at, count);
         });
-        finish(job, results + slots[rank] * size);
+        finish(job, results + rank * size);
     }
 }
 
@@ -421,7 +431,7 @@ void backward_tile(const Tile &tile, int image_width, const Replay &replay, cons
                    float *gradients, float *background_gradient) {
     double background_sum[C] = {};
     auto fill = [&](typename Gradients<C>::Pixels &p, const Place &place) {
-        p.behind = first_channel == 0 ? -place.read(alpha_gradient, 1) * p.T : Vec{};
+        p.behind = first_channel == 0 && alpha_gradient ? -place.read(alpha_gradient, 1) * p.T : Vec{};
         for (int c = 0; c < C; c++) {
             p.gradient[c] = place.read(out_gradient + c, stride);
             Vec seen = p.T * p.gradient[c];
@@ -471,7 +481,7 @@ struct Contribution {
     }
 };
 
-// A slot holds importance, error and one sum for each of `weight_count` weight images, of which this pass takes the GROUP
+// A place holds importance, error and one sum for each of `weight_count` weight images, of which this pass takes the GROUP
 // from `first_weight` on.
 template <int C>
 void contributions_tile(const Tile &tile, int image_width, const Replay &replay, const float *channels,
@@ -509,6 +519,43 @@ inline void with_channels(int channels, Call call) {
         call(Constant<C>());
     } else {
         with_channels<C - 1>(channels, call);
+    }
+}
+
+// Sums of C channels from `first_channel` on, and with the first of them the geometry. With v = -dL/ds summed:
+// ds = 2 c u (dy' + k dx' + dx k') + 2 h dx dx' + u^2 c' + dx^2 h', and c, k, h by the conic.
+template <int C>
+void gather_ranks(int64_t begin, int64_t end, int64_t drawable, int64_t channel_count, int first_channel, const Splat *splats,
+                  const int32_t *order, const int64_t *rank_starts, const int32_t *places, const float *gradients,
+                  float *means2d, float *conics, float *opacities, float *channels) {
+    int64_t size = MOMENTS + channel_count, pairs = rank_starts[drawable];
+    for (int64_t rank = begin; rank < end; rank++) {
+        int64_t i = order[rank];
+        float sums[MOMENTS + C] = {}, k = 0, c = 0, h = 0, opacity = 1;
+        if (rank < drawable) {
+            if (rank + AHEAD < drawable) __builtin_prefetch(splats + order[rank + AHEAD]);
+            const Splat &g = splats[i];
+            k = g.k, c = g.c, h = g.h, opacity = g.opacity;
+            for (int64_t pair = rank_starts[rank]; pair < rank_starts[rank + 1]; pair++) {
+                if (pair + 2 * AHEAD < pairs) {
+                    const float *later = gradients + places[pair + 2 * AHEAD] * size;
+                    __builtin_prefetch(later);
+                    __builtin_prefetch(later + size - 1);
+                }
+                const float *from = gradients + places[pair] * size;
+                for (int m = 0; m < MOMENTS; m++) sums[m] += from[m];
+                for (int j = 0; j < C; j++) sums[MOMENTS + j] += from[MOMENTS + first_channel + j];
+            }
+        }
+        for (int j = 0; j < C; j++) channels[i * channel_count + first_channel + j] = sums[MOMENTS + j];
+        if (first_channel > 0) continue;
+        float v = sums[0], vx = sums[1], vu = sums[2], vxx = sums[3], vxu = sums[4], vuu = sums[5];
+        means2d[2 * i] = -2 * (c * k * vu + h * vx);
+        means2d[2 * i + 1] = -2 * c * vu;
+        conics[3 * i] = -.5f * vxx;
+        conics[3 * i + 1] = k * vxx - vxu;
+        conics[3 * i + 2] = k * vxu - .5f * (vuu + k * k * vxx);
+        opacities[i] = v / opacity;
     }
 }
 
@@ -558,7 +605,8 @@ API void pack(int64_t begin, int64_t end, const float *means2d, const float *con
     }
 }
 
-// Indices of the drawable Gaussians by depth, equal depths by index; returns their number. Radix sort: positive floats
+// Indices of the drawable Gaussians by depth, equal depths by index, and then of the others; returns the number of drawable
+// ones. Radix sort: positive floats
 // order as their bits. `spare` holds n indices, `spare_keys` 2 n keys.
 API int64_t sort_by_depth(int64_t n, const uint32_t *keys, int32_t *order, int32_t *spare, uint32_t *spare_keys) {
     uint32_t *from_keys = spare_keys, *to_keys = spare_keys + n;
@@ -568,6 +616,8 @@ API int64_t sort_by_depth(int64_t n, const uint32_t *keys, int32_t *order, int32
         if (keys[i] != NOT_DRAWN) {
             from_keys[drawable] = keys[i];
             from[drawable++] = (int32_t)i;
+        } else {
+            order[n - 1 - (i - drawable)] = (int32_t)i;  // the sort leaves these places as they are
         }
     for (int shift = 0; shift < 33; shift += 11) {
         int64_t starts[2049] = {};
@@ -599,17 +649,35 @@ API void count_tiles(int64_t begin, int64_t end, const Splat *splats, const int3
     }
 }
 
-// Writes those ranks into the tile lists: the Gaussian, and the slot its gradient in this tile goes to. `next` is where
-// this range's entries of each tile begin; it is advanced.
+// Turns the counts of `count_tiles` into places. Returns the number of pairs.
+API int64_t start_lists(int64_t drawable, int64_t tiles, int64_t ranges, int64_t *rank_starts, int64_t *per_tile,
+                        int64_t *tile_starts) {
+    rank_starts[0] = 0;
+    for (int64_t rank = 0; rank < drawable; rank++) rank_starts[rank + 1] += rank_starts[rank];
+    int64_t place = 0;
+    for (int64_t tile = 0; tile < tiles; tile++) {
+        tile_starts[tile] = place;
+        for (int64_t range = 0; range < ranges; range++) {  // depth order in a tile
+            int64_t count = per_tile[range * tiles + tile];
+            per_tile[range * tiles + tile] = place;
+            place += count;
+        }
+    }
+    tile_starts[tiles] = place;
+    return place;
+}
+
+// Writes those ranks into the tile lists, and the places in these lists by rank. `next` is where this range's entries of
+// each tile begin; it is advanced.
 API void fill_tiles(int64_t begin, int64_t end, const Splat *splats, const int32_t *order, int64_t width, int64_t,
-                    const int64_t *rank_starts, int32_t *ids, int32_t *slots, int64_t *next) {
+                    const int64_t *rank_starts, int32_t *ids, int32_t *places, int64_t *next) {
     for (int64_t rank = begin; rank < end; rank++) {
         if (rank + AHEAD < end) __builtin_prefetch(splats + order[rank + AHEAD]);
-        int64_t slot = rank_starts[rank];
+        int32_t *place_of = places + rank_starts[rank];
         for_tiles(splats[order[rank]], (int)width, [&](int tile) {
             int64_t place = next[tile]++;
             ids[place] = order[rank];
-            slots[place] = (int32_t)slot++;
+            *place_of++ = (int32_t)place;
         });
     }
 }
@@ -629,16 +697,16 @@ API void blend_forward(int64_t begin, int64_t end, int64_t width, int64_t height
     }
 }
 
-// Gradients of tiles [begin, end): a slot of moments and channel gradients per (Gaussian, tile), the background's per
-// tile. Groups of channels add up, since the gradient is linear in them.
+// Gradients of tiles [begin, end): moments and channel gradients by place in the tile lists, the background's by tile.
+// Groups of channels add up, since the gradient is linear in them.
 API void blend_backward(int64_t begin, int64_t end, int64_t width, int64_t height, int64_t channel_count, const Splat *splats,
-                        const float *channels, const int32_t *ids, const int32_t *slots, const int64_t *tile_starts,
+                        const float *channels, const int32_t *ids, const int64_t *tile_starts,
                         const float *background, const float *transmittance, const int32_t *endings,
                         const float *out_gradient, const float *alpha_gradient, float *gradients,
                         float *background_gradient) {
     for (int64_t t = begin; t < end; t++) {
         Tile tile = tile_at((int)t, (int)width, (int)height);
-        Replay replay = {splats, ids, slots, tile_starts[t], tile_starts[t + 1], transmittance, endings};
+        Replay replay = {splats, ids, tile_starts[t], tile_starts[t + 1], transmittance, endings};
         for (int c = 0; c < channel_count; c += GROUP)
             with_channels<GROUP>(smaller(GROUP, (int)channel_count - c), [&](auto count) {
                 backward_tile<decltype(count)::value>(tile, width, replay, channels + c, channel_count, background + c,
@@ -648,14 +716,14 @@ API void blend_backward(int64_t begin, int64_t end, int64_t width, int64_t heigh
     }
 }
 
-// Contributions of tiles [begin, end), a slot of 2 + weight_count sums per (Gaussian, tile); at most GROUP channels.
+// Contributions of tiles [begin, end), 2 + weight_count sums by place in the tile lists; at most GROUP channels.
 API void contributions(int64_t begin, int64_t end, int64_t width, int64_t height, int64_t channel_count, int64_t weight_count,
-                       const Splat *splats, const float *channels, const int32_t *ids, const int32_t *slots,
+                       const Splat *splats, const float *channels, const int32_t *ids,
                        const int64_t *tile_starts, const float *background, const float *transmittance,
                        const int32_t *endings, const float *weights, const float *out_gradient, float *results) {
     for (int64_t t = begin; t < end; t++) {
         Tile tile = tile_at((int)t, (int)width, (int)height);
-        Replay replay = {splats, ids, slots, tile_starts[t], tile_starts[t + 1], transmittance, endings};
+        Replay replay = {splats, ids, tile_starts[t], tile_starts[t + 1], transmittance, endings};
         for (int r = 0; r == 0 || r < weight_count; r += GROUP)
             with_channels<GROUP>((int)channel_count, [&](auto count) {
                 contributions_tile<decltype(count)::value>(tile, width, replay, channels, background, weights, weight_count,
@@ -664,37 +732,21 @@ API void contributions(int64_t begin, int64_t end, int64_t width, int64_t height
     }
 }
 
-// Sums the slots of ranks [begin, end) in their fixed order: sums (N, size).
+// Adds up the results of ranks [begin, end) in a fixed order: sums (N, size).
 API void gather_sums(int64_t begin, int64_t end, int64_t size, const int32_t *order, const int64_t *rank_starts,
-                     const float *results, float *sums) {
+                     const int32_t *places, const float *results, float *sums) {
     for (int64_t rank = begin; rank < end; rank++)
-        for (int64_t slot = rank_starts[rank]; slot < rank_starts[rank + 1]; slot++)
-            for (int64_t k = 0; k < size; k++) sums[order[rank] * size + k] += results[slot * size + k];
+        for (int64_t pair = rank_starts[rank]; pair < rank_starts[rank + 1]; pair++)
+            for (int64_t k = 0; k < size; k++) sums[order[rank] * size + k] += results[places[pair] * size + k];
 }
 
-// Sums the slots of ranks [begin, end) in their fixed order and turns moments into gradients. With v = -dL/ds summed:
-// ds = 2 c u (dy' + k dx' + dx k') + 2 h dx dx' + u^2 c' + dx^2 h', and c, k, h by the conic.
-API void gather(int64_t begin, int64_t end, int64_t channel_count, const Splat *splats, const int32_t *order,
-                const int64_t *rank_starts, const float *gradients, float *means2d, float *conics, float *opacities,
-                float *channels) {
-    int64_t size = MOMENTS + channel_count;
-    for (int64_t rank = begin; rank < end; rank++) {
-        if (rank + AHEAD < end) __builtin_prefetch(splats + order[rank + AHEAD]);
-        int64_t i = order[rank];
-        const Splat &g = splats[i];
-        float moment[MOMENTS] = {};
-        float *channel = channels + i * channel_count;
-        for (int64_t slot = rank_starts[rank]; slot < rank_starts[rank + 1]; slot++) {
-            const float *from = gradients + slot * size;
-            for (int m = 0; m < MOMENTS; m++) moment[m] += from[m];
-            for (int c = 0; c < channel_count; c++) channel[c] += from[MOMENTS + c];
-        }
-        float v = moment[0], vx = moment[1], vu = moment[2], vxx = moment[3], vxu = moment[4], vuu = moment[5];
-        means2d[2 * i] = -2 * (g.c * g.k * vu + g.h * vx);
-        means2d[2 * i + 1] = -2 * g.c * vu;
-        conics[3 * i] = -.5f * vxx;
-        conics[3 * i + 1] = g.k * vxx - vxu;
-        conics[3 * i + 2] = g.k * vxu - .5f * (vuu + g.k * g.k * vxx);
-        opacities[i] = v / g.opacity;
-    }
+// Adds up the results of ranks [begin, end) in a fixed order and turns moments into gradients.
+API void gather(int64_t begin, int64_t end, int64_t drawable, int64_t channel_count, const Splat *splats, const int32_t *order,
+                const int64_t *rank_starts, const int32_t *places, const float *gradients, float *means2d, float *conics,
+                float *opacities, float *channels) {
+    for (int c = 0; c < channel_count; c += GROUP)
+        with_channels<GROUP>(smaller(GROUP, (int)channel_count - c), [&](auto count) {
+            gather_ranks<decltype(count)::value>(begin, end, drawable, channel_count, c, splats, order, rank_starts, places,
+                                                 gradients, means2d, conics, opacities, channels);
+        });
 }

@@ -33,20 +33,18 @@ int main(int, char **files) {
     int64_t tiles = ((width + tile_width() - 1) / tile_width()) * ((height + tile_height() - 1) / tile_height());
     int64_t *rank_starts = (int64_t *)zeros(drawable + 1, 8), *tile_starts = (int64_t *)zeros(tiles + 1, 8);
     int64_t *next = (int64_t *)zeros(tiles, 8);
-    count_tiles(0, drawable, splats, order, width, height, rank_starts + 1, tile_starts + 1);
-    for (int64_t i = 0; i < drawable; i++) rank_starts[i + 1] += rank_starts[i];
-    for (int64_t t = 0; t < tiles; t++) tile_starts[t + 1] += next[t] = tile_starts[t];
-    int64_t pairs = rank_starts[drawable];
-    int32_t *ids = (int32_t *)zeros(pairs, 4), *slots = (int32_t *)zeros(pairs, 4), *endings = (int32_t *)zeros(pixels, 4);
-    fill_tiles(0, drawable, splats, order, width, height, rank_starts, ids, slots, next);
+    count_tiles(0, drawable, splats, order, width, height, rank_starts + 1, next);
+    int64_t pairs = start_lists(drawable, tiles, 1, rank_starts, next, tile_starts);
+    int32_t *ids = (int32_t *)zeros(pairs, 4), *places = (int32_t *)zeros(pairs, 4), *endings = (int32_t *)zeros(pixels, 4);
+    fill_tiles(0, drawable, splats, order, width, height, rank_starts, ids, places, next);
 
     float *image = floats(pixels * channels), *transmittance = floats(pixels);
     float *gradients = floats(pairs * (moment_count() + channels)), *by_background = floats(tiles * channels);
     blend_forward(0, tiles, width, height, channels, splats, given[5], ids, tile_starts, given[6], image, transmittance, endings);
-    blend_backward(0, tiles, width, height, channels, splats, given[5], ids, slots, tile_starts, given[6], transmittance,
+    blend_backward(0, tiles, width, height, channels, splats, given[5], ids, tile_starts, given[6], transmittance,
                    endings, given[7], given[8], gradients, by_background);
     float *means2d = floats(2 * n), *conics = floats(3 * n), *opacities = floats(n), *by_channel = floats(n * channels);
-    gather(0, drawable, channels, splats, order, rank_starts, gradients, means2d, conics, opacities, by_channel);
+    gather(0, n, drawable, channels, splats, order, rank_starts, places, gradients, means2d, conics, opacities, by_channel);
 
     fwrite(image, 4, pixels * channels, results);
     fwrite(transmittance, 4, pixels, results);
