@@ -136,7 +136,7 @@ def _detail(run: Path, cloud: GaussianCloud, of_blocks: bool) -> TrainedDetail |
             folder, settings, _ = RunFolder(run).read_config()
             scene = load_scene(folder, read_scale=False)
     except InputError as error:
-        log.info("Frames are rendered without the detail of the training images: %s", error)
+        log.warning("Frames larger or smaller than the training images lose detail, as the scene is missing: %s", error)
         return None
     names = set(scene.split.train)
     cameras = [view.camera for view in scene.views if view.name in names]

@@ -42,7 +42,8 @@ API int64_t start_lists(int64_t drawable, int64_t tiles, int64_t ranges, int64_t
                         int64_t *tile_starts);
 
 // Writes those ranks into the tile lists, `ids` (P,) the Gaussians by place, and `places` (P,) the places in these lists by
-// rank. rank_starts (V + 1,): the first pair of each rank. `next` (T,): where this range's entries of each tile begin; it is advanced.
+// rank. rank_starts (V + 1,): the first pair of each rank. `next` (T,): where this range's entries of each tile begin; it is
+// advanced.
 API void fill_tiles(int64_t begin, int64_t end, const Splat *splats, const int32_t *order, int64_t width, int64_t height,
                     const int64_t *rank_starts, int32_t *ids, int32_t *places, int64_t *next);
 
@@ -54,8 +55,8 @@ API void blend_forward(int64_t begin, int64_t end, int64_t width, int64_t height
                        float *out, float *transmittance, int32_t *endings);
 
 // Gradients of tiles [begin, end), given those by the image (height, width, channel_count) and by alpha = 1 -
-// transmittance (height, width), none where that is null. Writes `gradients` (P, moment_count() + channel_count) by place in the
-// tile lists, and the background's gradient by tile (T, channel_count).
+// transmittance (height, width), none where that is null. Writes `gradients` (P, moment_count() + channel_count) by place in
+// the tile lists, and the background's gradient by tile (T, channel_count).
 API void blend_backward(int64_t begin, int64_t end, int64_t width, int64_t height, int64_t channel_count, const Splat *splats,
                         const float *channels, const int32_t *ids, const int64_t *tile_starts,
                         const float *background, const float *transmittance, const int32_t *endings,

@@ -314,11 +314,14 @@ def test_splats_of_a_survey_have_the_detail_of_its_blocks(finished_run, tiny_sce
     assert blocks.focal == pytest.approx(coarse.focal / 2)
 
 
-def test_a_run_whose_scene_is_gone_is_rendered_all_the_same(finished_run, tmp_path):
+def test_a_run_whose_scene_is_gone_is_rendered_all_the_same(finished_run, tmp_path, caplog):
     shutil.copytree(finished_run, tmp_path / "run")
     config = json.loads((tmp_path / "run" / "config.json").read_text())
     (tmp_path / "run" / "config.json").write_text(json.dumps(config | {"scene": str(tmp_path / "gone")}))
-    assert film_model(None, tmp_path / "run").detail is None
+    model = film_model(None, tmp_path / "run")
+    assert model.detail is None
+    assert render_film(model, tmp_path / "film", frames(1), FilmOptions())["rendered"] == 1
+    assert "lose detail" in caplog.text and str(tmp_path / "gone") in caplog.text
 
 
 def test_a_film_without_splats_or_run_and_impossible_rates_are_refused():
