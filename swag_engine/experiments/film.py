@@ -138,11 +138,7 @@ def _detail(run: Path, cloud: GaussianCloud, of_blocks: bool) -> TrainedDetail |
     except InputError as error:
         log.warning("Frames larger or smaller than the training images lose detail, as the scene is missing: %s", error)
         return None
-    names = set(scene.split.train)
-    cameras = [view.camera for view in scene.views if view.name in names]
-    return TrainedDetail.of_training(
-        cloud.means, [camera.resized(min(settings.width, camera.width)) for camera in cameras]
-    )
+    return TrainedDetail.of_training(cloud.means, scene.training_cameras(settings.width))
 
 
 def read_medium(path: Path) -> Medium:

@@ -10,6 +10,7 @@ from ..formats.run_folder import RunFolder
 from ..rendering.model import SceneModel
 from ..rendering.photo_terms import works_on_light
 from ..rendering.restored_photo import restored_photo
+from ..rendering.trained_detail import TrainedDetail
 from ..scene.colmap import load_scene
 from ..scene.images import load_image
 from ..splats.development import ColorView
@@ -60,11 +61,12 @@ def restore_photos(
     if out.resolve().is_relative_to(scene.image_folder.resolve()):
         raise InputError(f"{out} is in the folder of the photos, which must not be replaced: choose another folder.")
     colors = develop if isinstance(develop, ColorView) else color_view(folder, develop, run.cloud, run.effects)
-    model = SceneModel(run.trained, run.effects)
+    detail = TrainedDetail.of_training(run.trained.means, scene.training_cameras(settings.width))
     files = []
     for number, view in enumerate(views):
         progress("Restore photos", number / len(views))
         image = load_image(scene, view, width)
+        model = SceneModel(detail.widened(run.trained, image.camera), run.effects)
         light = restored_photo(model, run.limit, image, estimate_noise([image], [view]), settings.sh_degree)
         files.append(write_picture(out, view.name, linear_to_srgb(light), colors.at(0), exr))
     return files

@@ -100,6 +100,12 @@ class Scene:
         """Which views are trained on, and which are held out."""
         return self.split_of_whole or split_views(view.name for view in self.views)
 
+    def training_cameras(self, width: int) -> list[Camera]:
+        """Return the cameras of the training images, which are at most `width` pixels wide."""
+        names = set(self.split.train)
+        cameras = [view.camera for view in self.views if view.name in names]
+        return [camera.resized(min(width, camera.width)) for camera in cameras]
+
     @property
     def metres_per_unit(self) -> float:
         """Length of one scene unit in metres, 0 where it was not measured."""

@@ -22,6 +22,7 @@ from swag_engine.formats.export import ExportOptions, export_run
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
+from swag_engine.rendering.trained_detail import TrainedDetail
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
 from swag_engine.settings.settings import TrainSettings
@@ -273,6 +274,19 @@ def test_restored_photos_are_nearer_to_the_truth_than_renders_and_photos(runs, t
         errors.append([restored_error(picture, *truth)[1] for picture in (*made, image.pixels / 255)])
     photos, renders, taken = np.mean(errors, axis=0)
     assert photos < 0.85 * renders and photos < 0.6 * taken
+
+
+def test_a_photo_wider_than_the_training_images_is_restored_with_their_detail(runs, tmp_path, monkeypatch):
+    scene = load_scene(REEF)
+    [image] = load_images(scene, [view for view in scene.views if view.name == "reef_008.jpg"], 640)
+    truth, valid = true_image(scene, image)
+    errors = []
+    for _ in range(2):
+        [file] = restore_photos(runs / "swag", tmp_path, image.camera.name, develop="none")
+        made = cv2.imread(str(file))[..., ::-1] / 255
+        errors.append(np.square(made - truth)[valid].mean())
+        monkeypatch.setattr(TrainedDetail, "widened", lambda self, cloud, camera: cloud)
+    assert errors[0] < 0.99 * errors[1]
 
 
 def test_a_photo_is_restored_at_full_size_and_as_light(runs, tmp_path):
