@@ -148,12 +148,13 @@ void main() {
   mat3 covariance = mat3(upper.x, upper.y, upper.z, upper.y, upper.w, lower.x, upper.z, lower.x, lower.y);
   vec3 c_x = covariance * along_x, c_y = covariance * along_y;
   /* In a view of more pixels than the training images splats would be thinner than trained, with gaps between them; in
-     one of fewer pixels they would be wider. They get the blur that these images have at the same distance, but no more
-     than the finest of them has, which limited the least variance. */
+     one of fewer pixels they would be wider. They get the blur that these images have at the same distance. In a view
+     of more pixels it is no more than that of the finest of these images, which limited the least variance. */
   float blur = BLUR;
   if (display.w > 0.0 && !orthographic) {
-    float finest = inverse_z * length(x_row.xyz) * sqrt(lower.z / LEAST_VARIANCE);
-    float pixel = view.focal_size.y * min(display.w, finest);  /* of a training image, in pixels of the view */
+    /* Pixels of the training images, in pixels of the view. */
+    float finest = view.focal_size.y * inverse_z * length(x_row.xyz) * sqrt(lower.z / LEAST_VARIANCE);
+    float pixel = min(view.focal_size.y * display.w, max(finest, 1.0));
     blur = max(BLUR * pixel * pixel, LEAST_BLUR);
   }
   float xx = dot(along_x, c_x) + blur, xy = dot(along_x, c_y), yy = dot(along_y, c_y) + blur;

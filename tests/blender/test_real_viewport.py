@@ -106,7 +106,7 @@ def engine_picture(
     )  # fmt: skip
     if pixel_size:
         finest = fy / projected.depths * tensor(splats.scales.min(axis=1)) / LEAST_VARIANCE**0.5
-        blur = (0.3 * finest.clamp(max=fy * pixel_size) ** 2).clamp(min=0.1)
+        blur = (0.3 * finest.clamp(min=1).clamp(max=fy * pixel_size) ** 2).clamp(min=0.1)
         projected = replace(projected, conics=widened(projected.conics, blur - 0.3))
     image, alpha = kernels.blend(projected, opacities, colors, tensor(background), width, height)
     image, alpha = image.numpy(), alpha.numpy()[..., None]
