@@ -273,7 +273,7 @@ def peak_resident() -> int:
 
 
 def main() -> None:
-    """Time everything, print, write and plot the results."""
+    """Time everything, print and write the results."""
     threads = torch.get_num_threads()
     counts = [1 << k for k in range(threads.bit_length()) if 1 << k <= threads]
     rivals = {"kernels": raster(*MAIN, "cpu"), "torch": raster(*MAIN, "torch")}

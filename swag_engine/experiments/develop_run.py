@@ -99,8 +99,7 @@ def automatic_development(
         note = "No water was modelled: colors are as photographed and are not developed."
         return NO_DEVELOPMENT.to_json() | {"note": note}
     scene = scene or load_scene(scene_folder)
-    train = set(scene.split.train)
-    cameras = [view.camera.resized(min(WIDTH, view.camera.width)) for view in scene.views if view.name in train]
+    cameras = scene.training_cameras(WIDTH)
     seen = [_restored(cloud, effects, camera, settings.sh_degree) for camera in cameras]
     colors, weights = (np.concatenate(parts) for parts in zip(*seen, strict=True))
     development, neutral = find_development(
