@@ -38,7 +38,7 @@ from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.backends import KERNELS
 from swag_engine.kernels.build import host_targets
-from swag_engine.kernels.cpu import CpuKernels
+from swag_engine.kernels.cpu import blend, blend_backward
 from swag_engine.kernels.cpu_library import CpuLibrary, supported_level
 from swag_engine.kernels.protocol import Projection
 from swag_engine.kernels.reference.blending import Samples, tiles_of
@@ -209,15 +209,14 @@ def prototype_step(rasteriser: Any, splats: dict[str, Any], gradient: np.ndarray
 
 
 def prototype_scene(library: CpuLibrary, splats: dict[str, Any], gradient: np.ndarray) -> Callable[[], None]:
-    """Return the same work of a build of the kernels."""
+    """Return the same work of a build of the kernels; the prototypes know no gradient by alpha."""
     means2d, conics, opacities, channels = (torch.from_numpy(splats[name]) for name in ("xy", "conic", "op", "col"))
     depths, background, by_image = (torch.from_numpy(array) for array in (splats["z"], splats["bg"], gradient))
     projected = Projection(means2d, conics, depths, torch.ones_like(depths))
-    kernels, by_alpha = CpuKernels(lambda: library), torch.zeros(splats["H"], splats["W"])
 
     def step() -> None:
-        image = kernels.blended(projected, opacities, channels, background, splats["W"], splats["H"])
-        image.backward(by_image, by_alpha)
+        image = blend(library, projected, opacities, channels, background, splats["W"], splats["H"])
+        blend_backward(library, image.saved(channels, background), by_image, None)
 
     return step
 

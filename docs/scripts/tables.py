@@ -408,20 +408,37 @@ def largest_size() -> str:
 
 
 @table
+def schedules() -> str:
+    """Schedules against the standard with the same processor time, means of three seeds."""
+    scenes = {name: rows for name, rows in results("schedules").items() if name != "machine"}
+
+    def psnr(runs: Mapping[str, Any], change: str) -> str:
+        if change not in runs:
+            return "not measured"
+        mean, standard = (sum(runs[name]["psnr"]) / len(runs[name]["psnr"]) for name in (change, "standard"))
+        return f"{mean:.2f} dB" if change == "standard" else f"{mean - standard:+.2f} dB"
+
+    rows = []
+    for change in next(iter(scenes.values())):
+        times = [runs[change]["seconds"] / runs["standard"]["seconds"] for runs in scenes.values() if change in runs]
+        rows.append([change, *(psnr(runs, change) for runs in scenes.values()), f"{100 * (median(times) - 1):+.0f} %"])
+    return markdown(["schedule", *scenes, "time of an iteration"], rows)
+
+
+@table
 def strategies() -> str:
     """Our densification and gsplat's strategies on our rasteriser; rows of one comparison have equal Gaussians."""
-    header = ["scene", "iterations", "strategy", "limit of", "equal", "Gaussians", "time", "test PSNR", "seeds"]
+    header = ["scene", "iterations", "strategy", "limit from", "equal", "Gaussians", "time", "test PSNR", "seeds"]
     groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for run in results("strategies")["runs"]:
-        strategy = run["strategy"].split(",")[0]
-        groups.setdefault((run["scene"], run["length"], run["to"], strategy, run["equal"]), []).append(run)
+        key = tuple(run[name] for name in ("scene", "length", "limit", "strategy", "equal"))
+        groups.setdefault(key, []).append(run)
     rows = []
-    for (scene, length, rates, strategy, equal), runs in groups.items():
+    for (scene, length, limit, strategy, equal), runs in sorted(groups.items(), key=lambda group: group[0][1::-1]):
         gaussians, seconds, psnr = (
-            sum(run[name] for run in runs) / len(runs) for name in ("gaussians", "processor_seconds", "psnr")
+            sum(run[name] for run in runs) / len(runs) for name in ("gaussians", "seconds", "psnr")
         )
         figures = [f"{gaussians:.0f}", f"{seconds:.0f} s", f"{psnr:.2f} dB", len(runs)]
-        limit = "preset `standard`" if rates == "preset" else f"gsplat default, {rates}"
         rows.append([scene, length, strategy, limit, equal, *figures])
     return markdown(header, rows)
 

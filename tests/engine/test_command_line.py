@@ -297,3 +297,25 @@ importlib.import_module(sys.argv[1])
         [sys.executable, "-c", script, module], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0 and "numpy" in done.stdout, done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the GNU C library is asked")
+def test_memory_that_was_freed_is_used_again_without_being_cleared():
+    script = """
+import resource
+import swag_engine.base.threads
+import torch
+
+def pages_cleared():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    torch.empty(100_000_000, dtype=torch.uint8).fill_(1)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+print(pages_cleared())
+for _ in range(10):  # aligned blocks need some room until they fit where others were
+    pages_cleared()
+print(sum(pages_cleared() for _ in range(4)))
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    first, others = map(int, done.stdout.split())
+    assert first > 40 and others < 20, done.stdout + done.stderr  # huge pages hold 2 MB

@@ -17,7 +17,7 @@ from ...kernels.protocol import TooManyPairs
 from ...settings.settings import TrainSettings
 from .speed import Extent
 
-BYTES_PER_GAUSSIAN = 1280
+BYTES_PER_GAUSSIAN = 1400
 """Memory of one Gaussian with its moments, gradients and copies."""
 BYTES_PER_PIXEL = 24
 """Memory of one pixel of a training image at all sizes."""
