@@ -9,15 +9,12 @@ times are equal. Everything is trained on one thread.
 """
 
 import argparse
-import contextlib
 import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import torch
@@ -33,8 +30,9 @@ from swag_engine.gaussians import sizes
 from swag_engine.gaussians.densify import MIN_OPACITY
 from swag_engine.rendering.importance import scores
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.splats.splats import LEAST_VARIANCE
 from swag_engine.training.densification import Densification
-from swag_engine.training.schedule import STANDARD
+from swag_engine.training.schedule import STANDARD, Schedule
 from swag_engine.training.state import RunState
 from swag_engine.training.trainer import Trainer, make_trainer
 
@@ -85,7 +83,7 @@ class WithResets(Densification):
     def _densify(self, state: RunState, random: torch.Generator) -> None:
         super()._densify(state, random)
         every = self.inputs.schedule.densify_every
-        every *= round(state.clock.iterations / RESETS / every)
+        every *= max(1, round(state.clock.iterations / RESETS / every))
         if not state.iteration % every and state.clock.fraction < state.recipe.densify_until:
             with torch.no_grad():
                 state.cloud.opacity_logits.clamp_(max=torch.logit(torch.tensor(2 * MIN_OPACITY)).item())
@@ -93,23 +91,22 @@ class WithResets(Densification):
                 moment.zero_()
 
 
-CHANGES: dict[str, tuple[type[Densification], Callable[[], Any]]] = {
-    "standard": (Densification, contextlib.nullcontext),
-    "images of full size throughout": (Densification, contextlib.nullcontext),
-    "fewer Gaussians while images are reduced (DashGaussian)": (ByResolution, contextlib.nullcontext),
-    "split and removed by errors of 10 images (FastGS)": (ByErrors, contextlib.nullcontext),
-    "opacities reset every fifth of a run": (WithResets, contextlib.nullcontext),
-    "no least size": (Densification, lambda: mock.patch.object(sizes, "LEAST_VARIANCE", 1e-12)),
+CHANGES: dict[str, tuple[type[Densification], Schedule, float]] = {
+    "standard": (Densification, STANDARD, LEAST_VARIANCE),
+    "images of full size throughout": (Densification, replace(STANDARD, coarse=()), LEAST_VARIANCE),
+    "fewer Gaussians while images are reduced (DashGaussian)": (ByResolution, STANDARD, LEAST_VARIANCE),
+    "split and removed by errors of 10 images (FastGS)": (ByErrors, STANDARD, LEAST_VARIANCE),
+    "opacities reset every fifth of a run": (WithResets, STANDARD, LEAST_VARIANCE),
+    "no least size": (Densification, STANDARD, 1e-12),
 }
-"""What densifies, and what is changed beside it."""
+"""What densifies, the schedule and the least variance of Gaussians."""
 
 
 def run(scene: Path, change: str, seed: int, iterations: int) -> tuple[float, float]:
     """Train once and return test PSNR in dB and processor time in seconds."""
     settings = TrainSettings(preset="standard", iterations=iterations, width=WIDTH, seed=seed, backend="cpu")
-    densification, context = CHANGES[change]
-    schedule = replace(STANDARD, coarse=()) if "throughout" in change else STANDARD
-    with tempfile.TemporaryDirectory() as folder, context():
+    densification, schedule, variance = CHANGES[change]
+    with tempfile.TemporaryDirectory() as folder, mock.patch.object(sizes, "LEAST_VARIANCE", variance):
         out = RunFolder(Path(folder) / "run")
         trainer: Trainer = make_trainer(out, scene, settings, False, lambda event: None, None, 0.0, schedule)
         trainer.densification = densification(trainer.inputs, trainer.selection, trainer.targets, None)
@@ -139,16 +136,16 @@ def main() -> None:
         for change in CHANGES:
             if change in rows:
                 continue
-            psnr, seconds = run(scene, change, arguments.seeds[0], ITERATIONS)
-            standard, iterations = rows.get("standard", {"seconds": seconds})["seconds"], ITERATIONS
-            took, first = seconds, psnr
-            while abs(took / standard - 1) > TOLERANCE:
-                iterations = round(iterations * standard / took)
+            iterations = ITERATIONS
+            first, took = run(scene, change, arguments.seeds[0], iterations)
+            row = rows[change] = {"seconds": took}
+            while abs(took / rows["standard"]["seconds"] - 1) > TOLERANCE:
+                iterations = round(iterations * rows["standard"]["seconds"] / took)
                 first, took = run(scene, change, arguments.seeds[0], iterations)
-            runs = [first, *(run(scene, change, seed, iterations)[0] for seed in arguments.seeds[1:])]
-            rows[change] = {"equal iterations": psnr, "seconds": seconds, "iterations": iterations, "psnr": runs}
+            row["iterations"] = iterations
+            row["psnr"] = [first, *(run(scene, change, seed, iterations)[0] for seed in arguments.seeds[1:])]
             write_results("schedules", {**results, "machine": machine()})
-            print(name, change, rows[change], flush=True)
+            print(name, change, row, flush=True)
 
 
 if __name__ == "__main__":
