@@ -3,24 +3,27 @@
 set -eu
 [ -x .venv/bin/python ] || "$PYTHON" -m venv .venv
 export PIP_DISABLE_PIP_VERSION_CHECK=1
-.venv/bin/python -m pip install --quiet --constraint constraints.txt --requirement requirements-dev.txt
 
 # The oldest Blender that the extension supports lies beside the newest that this Python takes; it shares the other packages.
 oldest=4.5.15
-[ -d ".venv/blender-4.5/bpy-$oldest.dist-info" ] ||
-    .venv/bin/python -m pip install --quiet --no-deps --upgrade --target .venv/blender-4.5 "bpy==$oldest"
-
 # The newest wants a Python of its own; where there is none its tests skip.
 newest=5.2.3
-if ! [ -d ".venv/blender-5.2/bpy-$newest.dist-info" ]; then
+install_other_blenders() {
+    [ -d ".venv/blender-4.5/bpy-$oldest.dist-info" ] ||
+        .venv/bin/python -m pip install --quiet --no-deps --upgrade --target .venv/blender-4.5 "bpy==$oldest"
+    [ -d ".venv/blender-5.2/bpy-$newest.dist-info" ] && return
     for python in python3.13 "$HOME"/.pyenv/versions/3.13.*/bin/python3.13; do
         if "$python" -m pip -V >/dev/null 2>&1; then
             "$python" -m pip install --quiet --upgrade --root-user-action ignore --target .venv/blender-5.2 "bpy==$newest"
             ln -sf "$("$python" -c "import sys; print(sys.executable)")" .venv/blender-5.2/python
-            break
+            return
         fi
     done
-fi
+}
+trap wait EXIT
+install_other_blenders &
+.venv/bin/python -m pip install --quiet --constraint constraints.txt --requirement requirements-dev.txt
+wait $!
 
 # Blender as a Python package links to the system's OpenGL and X11 libraries even when it draws nothing on a screen.
 libraries="libgl1 libegl1 libgl1-mesa-dri libsm6 libxi6 libxrender1 libxfixes3 libxkbcommon0"

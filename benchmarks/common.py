@@ -36,8 +36,8 @@ def machine() -> str:
 
 
 def write_results(name: str, document: dict[str, Any]) -> None:
-    """Write benchmarks/results/NAME.json: each entry of the document in one line, numbers with six digits."""
-    rounded = json.loads(json.dumps(document), parse_float=lambda text: float(f"{float(text):.6g}"))
+    """Write benchmarks/results/NAME.json: each entry of the document in one line, numbers with five digits."""
+    rounded = json.loads(json.dumps(document), parse_float=lambda text: float(f"{float(text):.5g}"))
     entries = (f"{json.dumps(key)}:{json.dumps(value, separators=(',', ':'))}" for key, value in rounded.items())
     (RESULTS / f"{name}.json").write_text("{\n" + ",\n".join(entries) + "\n}\n", encoding="utf-8")
 
