@@ -4,24 +4,26 @@ set -eu
 [ -x .venv/bin/python ] || "$PYTHON" -m venv .venv
 export PIP_DISABLE_PIP_VERSION_CHECK=1
 
-# The oldest Blender that the extension supports lies beside the newest that this Python takes; it shares the other packages.
+# The oldest Blender that the extension supports runs in this Python and shares the other packages.
 oldest=4.5.15
-# The newest wants a Python of its own; where there is none its tests skip.
-newest=5.2.3
-install_other_blenders() {
+# The others want a Python of their own; where there is none their tests skip.
+newer="5.2.3 5.3.0"
+install_blenders() {
     [ -d ".venv/blender-4.5/bpy-$oldest.dist-info" ] ||
         .venv/bin/python -m pip install --quiet --no-deps --upgrade --target .venv/blender-4.5 "bpy==$oldest"
-    [ -d ".venv/blender-5.2/bpy-$newest.dist-info" ] && return
     for python in python3.13 "$HOME"/.pyenv/versions/3.13.*/bin/python3.13; do
-        if "$python" -m pip -V >/dev/null 2>&1; then
-            "$python" -m pip install --quiet --upgrade --root-user-action ignore --target .venv/blender-5.2 "bpy==$newest"
-            ln -sf "$("$python" -c "import sys; print(sys.executable)")" .venv/blender-5.2/python
-            return
-        fi
+        "$python" -m pip -V >/dev/null 2>&1 || continue
+        for version in $newer; do
+            folder=".venv/blender-${version%.*}"
+            [ -d "$folder/bpy-$version.dist-info" ] && continue
+            "$python" -m pip install --quiet --upgrade --root-user-action ignore --target "$folder" "bpy==$version"
+            ln -sf "$("$python" -c "import sys; print(sys.executable)")" "$folder/python"
+        done
+        return
     done
 }
 trap wait EXIT
-install_other_blenders &
+install_blenders &
 .venv/bin/python -m pip install --quiet --constraint constraints.txt --requirement requirements-dev.txt
 wait $!
 

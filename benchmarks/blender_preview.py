@@ -80,7 +80,7 @@ def rendered_picture(bpy, path: Path, width: int, height: int, display_values: b
 def into_blender(bpy, count: int) -> dict:
     """Measure the seconds to load `count` splats of SH degree 3 into Blender and to evaluate them for the viewport."""
     from bl_ext.user_default.swag_splatting.swag_blender import splats
-    from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+    from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_colors, splat_preview
 
     made = make_splats(count)
     started, busy = time.perf_counter(), time.process_time()
@@ -90,7 +90,7 @@ def into_blender(bpy, count: int) -> dict:
     for name, change in (
         ("evaluated for the viewport", lambda: None),
         ("evaluated again", many.update_tag),
-        ("at a tenth", lambda: splat_preview.set_input(many, splat_preview.DENSITY, 10.0)),
+        ("at a tenth", lambda: splat_preview.set_input(many, splat_colors.DENSITY, 10.0)),
     ):
         change()
         started, busy = time.perf_counter(), time.process_time()

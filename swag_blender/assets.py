@@ -18,6 +18,7 @@ from .water_values import WaterValues
 LIBRARY = "SWAG Splatting"
 DESCRIPTIONS = {
     splat_preview.NAME: "Modifier that draws a point cloud with the attributes of Gaussian splats",
+    splat_preview.NATIVE: "Modifier for the colors of Gaussian splats that Blender draws itself",
     water_shader.NAME: "Light seen through water, for materials",
 }
 
@@ -43,7 +44,9 @@ def install(context: bpy.types.Context) -> Path:
 def _write_library(values: WaterValues) -> Path:
     mine: tuple[Any, ...] = (bpy.data.node_groups, bpy.data.materials)
     before = [set(blocks) for blocks in mine]
-    groups: set[bpy.types.ID] = {splat_preview.node_group(), water_shader.free_group(values)}
+    groups: set[bpy.types.ID] = {splat_preview.node_group(native=False), water_shader.free_group(values)}
+    if splat_preview.HAS_NATIVE:
+        groups.add(splat_preview.node_group(native=True))
     unmarked = [group for group in groups if not group.asset_data]
     for group in unmarked:
         group.asset_mark()

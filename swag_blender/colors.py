@@ -11,7 +11,7 @@ from bpy.types import PropertyGroup
 from ..swag_engine.splats.development import NO_DEVELOPMENT, ColorView, Development, white_balance
 from . import splats
 from .blender_types import present, with_properties
-from .nodes import development_nodes
+from .nodes import development_nodes, splat_colors, splat_preview
 from .properties import swag_of
 from .sidebar import SwagPanel
 from .water import KEY as WATER_KEY
@@ -24,7 +24,7 @@ SLIDERS = ("exposure", "temperature", "tint", "contrast")
 
 def _update(colors: Any, context: bpy.types.Context) -> None:
     """Show a change in viewports and in a render that is set up."""
-    update_render(colors.id_data)
+    show(colors.id_data)
     colors.id_data.update_tag()
 
 
@@ -106,6 +106,8 @@ def remember_developments(obj: bpy.types.Object, known: Mapping[str, Any]) -> No
         obj[KEY] = json.dumps(known)
     else:
         obj.pop(KEY, None)
+    for scene in obj.users_scene:
+        show(scene)
 
 
 def has_development(obj: bpy.types.Object, name: str) -> bool:
@@ -150,11 +152,32 @@ def set_up_render(scene: bpy.types.Scene, display_values: bool) -> None:
     else:
         has_water = obj is not None and obj.get(WATER_KEY) is not None
         development_nodes.set_up(scene, view, has_water, display_values)
+    show(scene)
 
 
-def update_render(scene: bpy.types.Scene) -> None:
-    """Give the present development to the compositor nodes of a scene whose render is set up for one."""
+def show(scene: bpy.types.Scene) -> None:
+    """Give the present development to what Blender draws.
+
+    Where a render is set up, the compositor develops its pictures. Elsewhere the nodes of splats that viewports draw as
+    renders do develop each splat.
+    """
     development_nodes.update(scene, color_view(scene, find(scene, None)))
+    by_nodes = not development_nodes.is_set_up(scene)
+    for obj in scene.objects:
+        if splats.is_splats(obj):
+            _give_nodes(obj, color_view(scene, obj), by_nodes)
+
+
+def _give_nodes(obj: bpy.types.Object, view: ColorView, develop: bool) -> None:
+    for name, row in zip(splat_colors.RESTORED_ROWS, view.restored.gains.tolist(), strict=True):
+        splat_preview.set_input(obj, name, row)
+    for name, value in (
+        (splat_colors.RESTORED_CONTRAST, view.restored.contrast),
+        (splat_colors.GAINS, view.adjusted.gains.diagonal().tolist()),
+        (splat_colors.CONTRAST, view.adjusted.contrast),
+        (splat_colors.DEVELOP, develop and view != ColorView()),
+    ):
+        splat_preview.set_input(obj, name, value)
 
 
 class SWAG_PT_colors(SwagPanel):

@@ -3,11 +3,19 @@
 from typing import Annotated, Any, cast
 
 import bpy
-from bpy.props import EnumProperty, FloatProperty, IntProperty, PointerProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 from bpy.types import PropertyGroup
 
 from .blender_types import present, with_properties
-from .nodes import splat_preview
+from .nodes import splat_colors, splat_preview
+
+_STYLES = [
+    ("SPLATS", "Splats", "The splats as trained, with view-dependent colors"),
+    ("POINTS", "Points", "A colored point for each splat, which any graphics card draws fast"),
+]
+if splat_preview.HAS_NATIVE:
+    text = "Blender's own drawing, also in Solid and Wireframe shading, whose lamps make it darker"
+    _STYLES.append(("NATIVE", "Blender's Splats", text))
 
 
 @with_properties
@@ -18,12 +26,18 @@ class SwagDisplay(PropertyGroup):
         str,
         EnumProperty(
             name="Display As",
-            description="What viewports show, except in Rendered shading",
-            items=[
-                ("SPLATS", "Splats", "The splats as trained, with view-dependent colors"),
-                ("POINTS", "Points", "A colored point for each splat, which any graphics card draws fast"),
-            ],
-            update=lambda self, context: apply(self.id_data),
+            description="What viewports show in Solid shading, and before Blender 5.3 in Material Preview",
+            items=_STYLES,
+            update=lambda self, context: change(self.id_data),
+        ),
+    ]
+    exact: Annotated[
+        bool,
+        BoolProperty(
+            name="Exact Shapes",
+            description="Render the extension's own shapes: without noise, as trained if set up so, and slower",
+            get=lambda self: not splat_preview.is_native(self.id_data),
+            set=lambda self, on: use_shapes(self.id_data, on),
         ),
     ]
     density: Annotated[
@@ -35,7 +49,7 @@ class SwagDisplay(PropertyGroup):
             min=0.0,
             max=100.0,
             subtype="PERCENTAGE",
-            update=lambda self, context: apply(self.id_data),
+            update=lambda self, context: change(self.id_data),
         ),
     ]
     sh_degree: Annotated[
@@ -47,7 +61,7 @@ class SwagDisplay(PropertyGroup):
             default=3,
             min=0,
             max=3,
-            update=lambda self, context: apply(self.id_data),
+            update=lambda self, context: change(self.id_data),
         ),
     ]
     crop: Annotated[
@@ -70,13 +84,22 @@ def display_of(obj: bpy.types.Object) -> SwagDisplay:
 def apply(obj: bpy.types.Object) -> None:
     """Show a splat object as its settings say; for a new object, and after a change."""
     display = display_of(obj)
-    as_points = display.style == "POINTS"
-    # Viewports draw nothing but a box of an object that is displayed as bounds; renders are not affected.
-    obj.display_type = "TEXTURED" if as_points else "BOUNDS"
-    splat_preview.set_input(obj, splat_preview.POINTS_IN_VIEWPORT, as_points)
-    splat_preview.set_input(obj, splat_preview.DENSITY, display.density)
-    splat_preview.set_input(obj, splat_preview.SH_DEGREE, display.sh_degree)
+    drawn_here = display.style == "SPLATS"
+    # Of an object that is displayed as bounds viewports draw nothing but a box; in Rendered shading, and for native
+    # splats in Material Preview, it makes no difference.
+    obj.display_type = "BOUNDS" if drawn_here else "TEXTURED"
+    splat_preview.set_input(obj, splat_preview.POINTS_IN_VIEWPORT, display.style == "POINTS")
+    if not drawn_here:
+        splat_preview.set_input(obj, splat_preview.RENDERED_IN_VIEWPORT, display.style == "NATIVE")
+    splat_preview.set_input(obj, splat_colors.DENSITY, display.density)
+    splat_preview.set_input(obj, splat_colors.SH_DEGREE, display.sh_degree)
     obj.update_tag()
+
+
+def change(obj: bpy.types.Object) -> None:
+    """Show a splat object as its settings say, also one that Blender imported, which has no nodes."""
+    splat_preview.ensure_modifier(obj)
+    apply(obj)
 
 
 def can_crop(obj: bpy.types.Object, box: bpy.types.Object) -> bool:
@@ -87,11 +110,13 @@ def can_crop(obj: bpy.types.Object, box: bpy.types.Object) -> bool:
 def update_crop(obj: bpy.types.Object) -> None:
     """Give the crop box to the preview nodes, which draw the splats in renders."""
     box = display_of(obj).crop
-    splat_preview.set_input(obj, splat_preview.CROP_BOX, box)
-    path = splat_preview.input_path(obj, splat_preview.CROP_HALF_EDGE)
+    if box is not None:
+        splat_preview.ensure_modifier(obj)
+    splat_preview.set_input(obj, splat_colors.CROP_BOX, box)
+    path = splat_preview.input_path(obj, splat_colors.CROP_HALF_EDGE)
     if path:
         obj.driver_remove(path)
-        splat_preview.set_input(obj, splat_preview.CROP_HALF_EDGE, 1.0)
+        splat_preview.set_input(obj, splat_colors.CROP_HALF_EDGE, 1.0)
         if box is not None and box.type == "EMPTY":
             driver = present(cast(bpy.types.FCurve, obj.driver_add(path)).driver)
             driver.type = "SUM"
@@ -99,6 +124,13 @@ def update_crop(obj: bpy.types.Object) -> None:
             variable.targets[0].id = box
             variable.targets[0].data_path = "empty_display_size"
     splat_preview.follow_objects(obj)
+
+
+def use_shapes(obj: bpy.types.Object, shapes: bool) -> None:
+    """Have renders draw a splat object by own shapes, or natively."""
+    splat_preview.ensure_modifier(obj)
+    splat_preview.use_shapes(obj, shapes)
+    apply(obj)
 
 
 def copy_settings(source: bpy.types.Object, target: bpy.types.Object) -> None:

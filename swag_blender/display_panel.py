@@ -18,9 +18,8 @@ class SWAG_PT_display(SwagPanel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object has splats that Blender does not draw itself."""
-        obj = context.active_object
-        return obj is not None and splats.is_splats(obj) and splat_preview.modifier_of(obj) is not None
+        """Whether the active object has splats."""
+        return splats.is_splats(context.active_object)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
@@ -30,7 +29,18 @@ class SWAG_PT_display(SwagPanel):
         column = layout.column()
         for name in ("style", "density", "sh_degree"):
             column.prop(display_of(obj), name)
-        splat_preview.draw_input(column, obj, splat_preview.FACE_CAMERA)
+        if splat_preview.HAS_NATIVE:
+            column.prop(display_of(obj), "exact")
+        if splat_preview.is_native(obj):
+            draw_wrapped(
+                layout,
+                "Renders are Blender's own: noisy with few samples, and lighter where splats overlap, because Blender "
+                "blends light and training blended display values. Exact Shapes renders them as trained.",
+                present(context.region).width,
+                icon="INFO",
+            )
+        else:
+            splat_preview.draw_input(column, obj, splat_preview.FACE_CAMERA)
         if labels.CONFIDENCE in splats.pointcloud_of(obj).attributes:
             column.prop(labels.labels_of(obj), "uncertain")
         drawing = viewport.drawing()

@@ -34,7 +34,8 @@ from ..swag_engine.splats.splats import Splats, concatenate
 from ..swag_engine.splats.transform import transformed
 from . import crop_box, display, splats, water
 from .blender_types import present, with_properties
-from .nodes.splat_preview import HIDDEN, TINT, copy_inputs
+from .nodes.splat_colors import HIDDEN, TINT
+from .nodes.splat_preview import copy_inputs, ensure_modifier
 
 LABEL, SIMILARITY = "swag:label", "swag:similarity"
 CONFIDENCE = "swag:confidence"
@@ -229,6 +230,7 @@ def show(obj: bpy.types.Object) -> None:
     if own.uncertain and confidence is not None:
         tint[:, :3], tint[:, 3] = UNCERTAIN_COLOR, 1 - confidence
     tint[mask_of(obj, SELECTED)] = SELECTED_COLOR
+    ensure_modifier(obj)
     set_attribute(obj, HIDDEN, "BOOLEAN", hidden)
     set_attribute(obj, TINT, "FLOAT_COLOR", tint)
 

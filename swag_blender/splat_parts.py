@@ -8,7 +8,7 @@ from ..swag_engine.splats.splats import Splats
 from . import splats
 from .crop_box import world_to_box
 from .labels import SELECTED
-from .nodes.splat_preview import HIDDEN
+from .nodes.splat_colors import HIDDEN
 
 
 def part_of(obj: bpy.types.Object, placement: np.ndarray, part: str) -> Splats:

@@ -19,8 +19,8 @@ from ..swag_engine.splats.splats import Splats, concatenate
 from . import display
 from .blender_types import present
 from .nodes import splat_preview
+from .nodes.splat_colors import BASE
 
-BASE = "radiance:base"
 OWN_PREFIX = "swag:"
 FILE_FRAME = Matrix.Rotation(math.radians(-90), 4, "X")
 """Matrix from file to Blender world without an imported scene: a PLY has y down, which viewers show upright."""
@@ -96,7 +96,7 @@ def select_only(context: bpy.types.Context, objects: list[bpy.types.Object]) -> 
 def new_splat_object(
     name: str, splats: Splats, collection: bpy.types.Collection, parent: bpy.types.Object | None = None
 ) -> bpy.types.Object:
-    """Make an object of splats, with the preview where Blender has no native splats.
+    """Make an object of splats, with the nodes that show it.
 
     Args:
         name: of the object and its point cloud.
@@ -107,9 +107,8 @@ def new_splat_object(
     obj = bpy.data.objects.new(name, _pointcloud(name, splats))
     collection.objects.link(obj)
     obj.parent = parent
-    if not hasattr(obj.data, "type"):
-        splat_preview.add_modifier(obj)
-        display.apply(obj)
+    splat_preview.ensure_modifier(obj)
+    display.apply(obj)
     return obj
 
 
@@ -127,8 +126,7 @@ def keep_splats(obj: bpy.types.Object, chosen: np.ndarray) -> None:
     """Remove all splats of an object but those of a mask (N,) bool; all point attributes and materials stay."""
     old = pointcloud_of(obj)
     made = new_pointcloud(old.name, positions(obj)[chosen])
-    if hasattr(made, "type"):
-        made.type = "GAUSSIAN_SPLAT"
+    _make_native(made)
     for material in old.materials:
         made.materials.append(material)
     copy_attributes(old, made, chosen)
@@ -246,7 +244,7 @@ def read_modified_splats(obj: bpy.types.Object, *masks: str) -> tuple[Splats, li
         InputError: the modifiers leave no splats.
     """
     shown = [modifier for modifier in obj.modifiers if modifier.show_viewport]
-    previews = [modifier for modifier in shown if _is_preview(modifier)]
+    previews = [modifier for modifier in shown if splat_preview.is_preview(modifier)]
     if len(previews) == len(shown):
         return read_splats(obj), [_read_mask(pointcloud_of(obj), mask) for mask in masks]
     try:
@@ -272,12 +270,7 @@ def shown_pointcloud(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> b
 
 def has_other_modifiers(obj: bpy.types.Object) -> bool:
     """Whether a splat object has modifiers besides the preview that are on in viewports."""
-    return any(modifier.show_viewport and not _is_preview(modifier) for modifier in obj.modifiers)
-
-
-def _is_preview(modifier: bpy.types.Modifier) -> bool:
-    group = modifier.node_group if isinstance(modifier, bpy.types.NodesModifier) else None
-    return group is not None and group.name.startswith(splat_preview.NAME)
+    return any(modifier.show_viewport and not splat_preview.is_preview(modifier) for modifier in obj.modifiers)
 
 
 def find_with(scene: bpy.types.Scene, active: bpy.types.Object | None, key: str) -> bpy.types.Object | None:
@@ -367,13 +360,12 @@ def _fill(pointcloud: bpy.types.PointCloud, splats: Splats) -> None:
     if hasattr(pointcloud, "resize"):
         pointcloud.resize(len(splats.positions))
     base = np.concatenate([splats.sh[:, 0], splats.opacities[:, None]], axis=1)
-    types = cast(Any, bpy.types.Attribute).bl_rna.properties["data_type"].enum_items
     attributes: Any = pointcloud.attributes
     values = [
         ("position", "FLOAT_VECTOR", splats.positions),
         ("scale", "FLOAT_VECTOR", splats.scales),
         ("rotation", "QUATERNION", splats.rotations),
-        (BASE, "FLOAT4" if "FLOAT4" in types else "FLOAT_COLOR", base),
+        (BASE, _base_type(), base),
         ("radius", "FLOAT", splats.scales.mean(axis=1)),
     ]
     values += [(f"radiance:sh_{k - 1}", "FLOAT_VECTOR", splats.sh[:, k]) for k in range(1, splats.sh.shape[1])]
@@ -388,8 +380,37 @@ def _fill(pointcloud: bpy.types.PointCloud, splats: Splats) -> None:
             attributes.new(attribute, kind, "POINT")
     for attribute, _, value in values:
         _write(attributes[attribute], value)
-    if hasattr(pointcloud, "type"):
-        pointcloud.type = "GAUSSIAN_SPLAT"
+    _make_native(pointcloud)
+
+
+def fit_to_version(pointcloud: bpy.types.PointCloud) -> None:
+    """Give a point cloud of splats the types that this version of Blender draws as splats."""
+    attributes: Any = pointcloud.attributes
+    if splat_preview.HAS_NATIVE and attributes[BASE].data_type != _base_type():
+        values = _read(attributes[BASE], 4)
+        attributes.remove(attributes[BASE])
+        _write(attributes.new(BASE, _base_type(), "POINT"), values)
+        mark_changed(pointcloud)
+    _make_native(pointcloud)
+
+
+def lacks_colors(obj: bpy.types.Object) -> bool:
+    """Whether an object was splats and lost their colors, which have a type that this version does not know."""
+    if not isinstance(obj.data, bpy.types.PointCloud):
+        return False
+    has = obj.data.attributes
+    return BASE not in has and "scale" in has and "rotation" in has
+
+
+def _base_type() -> str:
+    types = cast(Any, bpy.types.Attribute).bl_rna.properties["data_type"].enum_items
+    return "FLOAT4" if "FLOAT4" in types else "FLOAT_COLOR"
+
+
+def _make_native(pointcloud: bpy.types.PointCloud) -> None:
+    """Have Blender draw the points as splats where it can."""
+    if splat_preview.HAS_NATIVE:
+        cast(Any, pointcloud).type = "GAUSSIAN_SPLAT"
 
 
 def _value_property(attribute: Any) -> str:

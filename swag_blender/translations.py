@@ -220,7 +220,32 @@ GERMAN = {
     "Splats of the last run": "Splats des letzten Laufs",
     "Splats with this label": "Splats mit diesem Etikett",
     "The selected splat objects": "Die gewählten Splat-Objekte",
-    "The splats have no fitted water.": "Die Splats haben kein angepasstes Wasser.",
+    "Renders are Blender's own: noisy with few samples, and lighter where splats overlap, because Blender blends light "
+    "and training blended display values. Exact Shapes renders them as trained.": (
+        "Blender rendert selbst: mit wenigen Samples verrauscht, und heller, wo Splats sich überlagern, weil Blender "
+        "Licht mischt und das Training Anzeigewerte. Genaue Formen rendert sie wie trainiert."
+    ),
+    "These splats have no water. It comes with the run that trained them: press Open Run in Result.": (
+        "Diese Splats haben kein Wasser. Es kommt mit dem Lauf, der sie trainiert hat: unter Ergebnis Lauf öffnen."
+    ),
+    "Blender now draws these splats itself: {names}. Undo brings back the earlier nodes; Exact Shapes in the panel "
+    "Display draws them as before.": (
+        "Blender zeichnet diese Splats jetzt selbst: {names}. Rückgängig bringt die früheren Knoten zurück; Genaue "
+        "Formen im Panel Anzeige zeichnet sie wie zuvor."
+    ),
+    "Blender 5.3 or later saved these splats, and this version of Blender cannot read their colors: {names}. Open "
+    "the file in Blender 5.2 or later, or export the splats there as PLY.": (
+        "Blender 5.3 oder neuer hat diese Splats gespeichert, und diese Version kann ihre Farben nicht lesen: {names}. "
+        "Die Datei in Blender 5.2 oder neuer öffnen oder die Splats dort als PLY exportieren."
+    ),
+    "Exact Shapes": "Genaue Formen",
+    "Render the extension's own shapes: without noise, as trained if set up so, and slower": (
+        "Die eigenen Formen der Erweiterung rendern: ohne Rauschen, wie trainiert, wenn so eingerichtet, und langsamer"
+    ),
+    "Blender's Splats": "Blenders Splats",
+    "Blender's own drawing, also in Solid and Wireframe shading, whose lamps make it darker": (
+        "Blenders eigene Darstellung, auch in Solid und Drahtgitter, deren Lampen sie dunkler machen"
+    ),
     "Threshold": "Schwelle",
     "Upright": "Aufrecht",
     "Visible": "Sichtbar",
@@ -525,7 +550,9 @@ GERMAN = {
     "Photos or Video without Cameras": "Fotos oder Video ohne Kameras",
     "Points": "Punkte",
     "The splats as trained, with view-dependent colors": "Die Splats wie trainiert, mit blickabhängigen Farben",
-    "What viewports show, except in Rendered shading": "Was Viewports zeigen, außer in der Schattierung Gerendert",
+    "What viewports show in Solid shading, and before Blender 5.3 in Material Preview": (
+        "Was Ansichten in Solid zeigen, und vor Blender 5.3 in der Materialvorschau"
+    ),
     "Add Crop Box": "Ausschnitt hinzufügen",
     "Add a box around the splats that limits what is shown, rendered and exported; move, rotate and scale it": (
         "Einen Kasten um die Splats legen, der begrenzt, was gezeigt, gerendert und exportiert wird; er lässt sich"

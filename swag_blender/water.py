@@ -8,10 +8,10 @@ import bpy
 
 from . import splats
 from .blender_types import present, set_button
-from .nodes import splat_preview, water_shader
+from .nodes import splat_colors, splat_preview, water_shader
 from .properties import swag_of
 from .scale import metres_per_unit
-from .sidebar import SwagPanel
+from .sidebar import SwagPanel, draw_wrapped
 from .water_values import WaterValues
 
 KEY = "swag_medium"
@@ -44,9 +44,12 @@ def remember_water(obj: bpy.types.Object, water: dict[str, Any] | None, metres_p
 
 
 def follow_slider(obj: bpy.types.Object) -> None:
-    """Let the slider of its scene drive the amount of water in the preview of a splat object."""
-    path = splat_preview.input_path(obj, splat_preview.WATER)
-    if path and obj.users_scene:
+    """Let the slider of its scene drive the amount of water in the preview of a splat object that has water."""
+    path = splat_preview.input_path(obj, splat_colors.WATER)
+    if path and obj.get(KEY) is None:
+        obj.driver_remove(path)
+        splat_preview.set_input(obj, splat_colors.WATER, 0.0)
+    elif path and obj.users_scene:
         water_shader.drive(obj, path, obj.users_scene[0])
 
 
@@ -120,7 +123,12 @@ class SWAG_PT_water(SwagPanel):
         obj = find(scene, context.active_object)
         values = water_of(obj)
         if obj is None or values is None:
-            layout.label(text="The splats have no fitted water.", icon="INFO")
+            draw_wrapped(
+                layout,
+                "These splats have no water. It comes with the run that trained them: press Open Run in Result.",
+                present(context.region).width,
+                icon="INFO",
+            )
         else:
             layout.prop(swag_of(scene), "water", slider=True)
             metres = metres_per_unit(obj)

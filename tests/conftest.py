@@ -25,8 +25,9 @@ import pytest
 
 import swag_engine.base.threads  # noqa: F401
 
-MAIN_VERSION = "5.0"
-"""The Blender version that the quick tests run in: it is the package of this Python."""
+ROOT = Path(__file__).resolve().parents[1]
+MAIN_VERSION = "5.3" if (ROOT / ".venv" / "blender-5.3" / "python").exists() else "4.5"
+"""The Blender version that the quick tests run in: the current one, which needs a Python of its own."""
 QUICK_BLENDER = ("test_scene_import", "test_extension", "test_panels", "test_server", "test_export")
 """Files of tests/blender that belong to `make test`."""
 NOT_QUICK = (

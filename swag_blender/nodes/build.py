@@ -105,6 +105,29 @@ def add_socket(
     return new_socket(name, in_out=in_out, socket_type=f"NodeSocket{kind}", parent=parent)
 
 
+def add_input(
+    tree: bpy.types.NodeTree,
+    name: str,
+    kind: str,
+    description: str,
+    default: float | Sequence[float],
+    low: float | None = None,
+    high: float | None = None,
+    parent: bpy.types.NodeTreeInterfacePanel | None = None,
+) -> Any:
+    """Add an input with a default value, and for numbers their range, to a node group."""
+    socket = add_socket(tree, name, kind, parent=parent)
+    socket.default_value, socket.description = default, description
+    if low is not None:
+        socket.min_value, socket.max_value = low, high
+    return socket
+
+
+def by_name(sockets: bpy.types.NodeOutputs) -> dict[str, Field]:
+    """The outputs of a node by their names."""
+    return {socket.name: Field(socket) for socket in sockets if socket.name}
+
+
 def connect(tree: bpy.types.NodeTree, value: Operand, socket: bpy.types.NodeSocket) -> None:
     """Set an input socket: a link from a field, or a constant."""
     if isinstance(value, Field):
@@ -140,6 +163,36 @@ def combined(tree: bpy.types.NodeTree, parts: Sequence[Operand]) -> Field:
     for part, socket in zip(parts, node.inputs, strict=True):
         connect(tree, part, socket)
     return Field(node.outputs["Vector"])
+
+
+def switch(tree: bpy.types.NodeTree, condition: Field, off: Field, on: Field, kind: str = "GEOMETRY") -> Field:
+    """One of two fields of geometry nodes; only that one is computed if `condition` is the same for all points."""
+    node = add(tree, "GeometryNodeSwitch", {"input_type": kind}, Switch=condition, **{"False": off, "True": on})
+    return Field(node.outputs["Output"])
+
+
+def stored(tree: bpy.types.NodeTree, geometry: Field, name: str, kind: str, value: Field) -> Field:
+    """The geometry with a field stored as a point attribute."""
+    node = add(
+        tree,
+        "GeometryNodeStoreNamedAttribute",
+        {"data_type": kind, "domain": "POINT"},
+        Geometry=geometry,
+        Name=name,
+        Value=value,
+    )
+    return Field(node.outputs["Geometry"])
+
+
+def attribute(tree: bpy.types.NodeTree, name: str, kind: str) -> Field:
+    """A point attribute as a field."""
+    node = add(tree, "GeometryNodeInputNamedAttribute", {"data_type": kind}, Name=name)
+    return Field(node.outputs["Attribute"])
+
+
+def alpha(tree: bpy.types.NodeTree, color: Field) -> Field:
+    """The alpha of a color in geometry nodes."""
+    return Field(add(tree, "FunctionNodeSeparateColor", Color=color).outputs["Alpha"])
 
 
 def arranged(tree: bpy.types.NodeTree) -> None:

@@ -8,10 +8,10 @@ from typing import Any, cast
 
 import bpy
 
-from ...swag_engine.splats.development import GREY, ColorView
+from ...swag_engine.splats.development import ColorView
 from ..blender_types import present
 from .build import Field, add, add_socket, arranged, combined, new_tree
-from .formulas import by_channel, mixed, to_display, to_light
+from .formulas import Development, by_channel, to_display, to_light
 from .water_shader import drive
 
 NAME = "SWAG Development"
@@ -20,8 +20,8 @@ GROUP_KEY = "swag_development_group"
 WATER = "Water"
 _ROWS = ("Red", "Green", "Blue")
 _GAINS, _CONTRAST, _KNEE, _OWN_CONTRAST = "Own Gains", "Contrast", "Knee", "Own Contrast"
-_LEAST = 1e-6
-"""Least alpha and least largest channel that is divided by."""
+_LEAST_ALPHA = 1e-6
+"""Least alpha that is divided by."""
 
 
 def set_up(scene: bpy.types.Scene, view: ColorView, has_water: bool, display_values: bool) -> None:
@@ -60,6 +60,11 @@ def update(scene: bpy.types.Scene, view: ColorView) -> None:
         (_OWN_CONTRAST, view.adjusted.contrast),
     ):
         nodes[name].outputs[0].default_value = value
+
+
+def is_set_up(scene: bpy.types.Scene) -> bool:
+    """Whether renders of a scene are developed."""
+    return scene.get(GROUP_KEY) is not None
 
 
 def remove(scene: bpy.types.Scene) -> None:
@@ -119,27 +124,13 @@ def _new_group(name: str, display_values: bool) -> bpy.types.NodeTree:
     rows, gains = [figure(name, "ShaderNodeCombineXYZ") for name in _ROWS], figure(_GAINS, "ShaderNodeCombineXYZ")
     contrast, knee, own_contrast = map(figure, (_CONTRAST, _KNEE, _OWN_CONTRAST))
     water = figure(WATER)
-    kept = water * -1.0 + 1.0
 
     image = Field(tree.nodes.new("NodeGroupInput").outputs["Image"])
     parts = [Field(socket) for socket in add(tree, "CompositorNodeSeparateColor", Image=image).outputs]
     alpha = parts[3]
-    straight = combined(tree, parts[:3]).scaled(alpha.math("MAXIMUM", _LEAST).math("POWER", -1.0))
+    straight = combined(tree, parts[:3]).scaled(alpha.math("MAXIMUM", _LEAST_ALPHA).math("POWER", -1.0))
     light = by_channel(tree, to_light, straight) if display_values else straight
-    seen = combined(tree, [row.dot(light) for row in rows])
-    light = (seen * kept + light * water) * gains
-
-    red, green, blue = light.xyz()
-    peak = red.math("MAXIMUM", green).math("MAXIMUM", blue).math("MAXIMUM", _LEAST)
-    exponent = contrast.math("POWER", kept) * own_contrast
-    curved = (peak * (1 / GREY)).math("POWER", exponent) * GREY
-    least = (knee * -1.0 + 1.0) * kept  # 1 - knee
-    begin = least * -1.0 + 1.0
-    over = (curved - begin).math("MAXIMUM", 0.0).math("DIVIDE", least.math("MAXIMUM", _LEAST))
-    rolled = curved.math("MINIMUM", begin) + least * over.math("DIVIDE", over + 1.0)
-    wanted = mixed(curved, rolled, least.math("GREATER_THAN", _LEAST))
-    light = light.scaled(wanted.math("DIVIDE", peak))
-
+    light = Development(water, rows, contrast, gains, own_contrast, knee).apply(tree, light)
     developed = (by_channel(tree, to_display, light) if display_values else light).scaled(alpha)
     red, green, blue = developed.xyz()
     result = add(tree, "CompositorNodeCombineColor", Red=red, Green=green, Blue=blue, Alpha=alpha)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import bpy
 
+from ...swag_engine.splats.development import GREY
 from ..water_values import ATTENUATION, BACKGROUND, BACKSCATTER, OF_DISPLAY
 from .build import Field, Operand, combined
 
@@ -16,6 +17,10 @@ _SH_2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
 _SH_3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
 """Factors of the real spherical harmonics with the order and signs of 3DGS files: 1 / (2 sqrt(pi)) and so on."""
 SH_FACTORS = (_SH_1, *_SH_2, *_SH_3)
+
+
+_LEAST_PEAK = 1e-6
+"""Least largest channel that is divided by, linear light."""
 
 
 def harmonics(direction: Field) -> list[list[Field]]:
@@ -109,3 +114,41 @@ class Water:
 
         gained = transmission(self.backscatter) * -1.0 + (1.0, 1.0, 1.0)
         return light * transmission(self.attenuation) + background * gained
+
+
+@dataclasses.dataclass
+class Development:
+    """The inputs of the formula of swag_engine/splats/development.py: restored colors, then what a user adjusts.
+
+    Attributes:
+        water: fraction of the water that is shown, by which the development of restored colors fades.
+        rows: three vectors, the matrix of restored colors.
+        contrast: exponent of restored colors.
+        gains: a vector, the gains of any colors.
+        own_contrast: exponent of any colors.
+        knee: linear light above which restored colors are rolled off; None for no roll-off.
+    """
+
+    water: Field
+    rows: Sequence[Field]
+    contrast: Field
+    gains: Field
+    own_contrast: Field
+    knee: Field | None = None
+
+    def apply(self, tree: bpy.types.NodeTree, light: Field) -> Field:
+        """Develop linear light."""
+        kept = self.water * -1.0 + 1.0
+        seen = combined(tree, [row.dot(light) for row in self.rows])
+        light = (seen * kept + light * self.water) * self.gains
+        red, green, blue = light.xyz()
+        peak = red.math("MAXIMUM", green).math("MAXIMUM", blue).math("MAXIMUM", _LEAST_PEAK)
+        exponent = self.contrast.math("POWER", kept) * self.own_contrast
+        wanted = (peak * (1 / GREY)).math("POWER", exponent) * GREY
+        if self.knee is not None:
+            least = (self.knee * -1.0 + 1.0) * kept  # 1 - knee
+            begin = least * -1.0 + 1.0
+            over = (wanted - begin).math("MAXIMUM", 0.0).math("DIVIDE", least.math("MAXIMUM", _LEAST_PEAK))
+            rolled = wanted.math("MINIMUM", begin) + least * over.math("DIVIDE", over + 1.0)
+            wanted = mixed(wanted, rolled, least.math("GREATER_THAN", _LEAST_PEAK))
+        return light.scaled(wanted.math("DIVIDE", peak))

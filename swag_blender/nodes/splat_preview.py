@@ -1,7 +1,12 @@
-"""Preview of splats by geometry nodes and a material, for Blender versions without native splats.
+"""Geometry nodes with which an object shows its splats, and how a scene renders them.
 
-Color is computed once per splat, as splat renderers do: 0.5 + spherical harmonics of the direction from the scene's
-active camera. The shape is drawn in one of three ways:
+Two node groups show the colors of splat_colors.py:
+- native (NATIVE), from Blender 5.3: Blender itself draws the splats, by chance where they are transparent, so that a
+  picture has noise that more samples remove, and in linear light.
+- own shapes (NAME), in earlier versions, and in 5.3 where the user asks for "Exact Shapes": the nodes make shapes whose
+  material is the Gaussian.
+
+An own shape is one of:
 - renders ("Face Camera"): a rectangle parallel to the image plane through each splat's centre, with the projected
   Gaussian on it (EWA splatting, Zwicker et al. 2001, as in Kerbl et al. 2023). Cycles blends the splats by depth, with
   the alpha of the training, and EEVEE blends them in the order of the mesh's faces, which are sorted by depth: the
@@ -12,10 +17,9 @@ active camera. The shape is drawn in one of three ways:
   with the distance d of the ray from the centre: the largest value of the 3D Gaussian along the ray.
 - in the viewport ("Points in Viewport"): colored points, smaller for fainter splats, fast for any number.
 
-In viewports the nodes give the points without any shape unless an input asks for points or shapes:
-swag_blender/viewport draws the splats there, except in Rendered shading.
+Both groups give viewports the points alone unless an input asks for more: swag_blender/viewport draws the splats there.
 
-Training blends sRGB values. Two ways to blend here:
+Training blends sRGB values. Two ways to blend the own shapes:
 - linear light (default): colors are converted from sRGB and blended as light, as Cycles and EEVEE do with everything.
   Right beside other objects, under the view transform Standard, but semi-transparent splats in front of others are
   lighter than in training.
@@ -30,45 +34,67 @@ import bpy
 from mathutils import Color
 
 from ..blender_types import present
-from ..water_values import OF_DISPLAY, WaterValues
-from . import point_material, splat_shapes
-from .build import Field, add, add_socket, arranged, new_tree
-from .formulas import SH_0, Water, by_channel, harmonics, mixed, to_display, to_light
-from .splat_shapes import attribute, stored
+from . import point_material, splat_colors, splat_shapes
+from .build import Field, add, add_input, add_socket, alpha, arranged, attribute, by_name, new_tree, stored, switch
+from .formulas import by_channel, to_light
 from .water_shader import background_node
 
 NAME = "SWAG Splat Preview"
-HIDDEN, TINT = "swag:hidden", "swag:tint"
-"""Point attributes: splats that are not drawn, and a color that is mixed in by its alpha (see labels.py)."""
+NATIVE = "SWAG Native Splats"
+HAS_NATIVE = "type" in bpy.types.PointCloud.bl_rna.properties
+"""Whether this Blender draws splats itself: from 5.3."""
 BACKGROUND_KEY = "swag_background"
 """Property of a splat object: the sRGB background color of its training."""
 
-SH_DEGREE = "SH Degree"
 BLEND_DISPLAY = "Blend Display Values"
 PIXEL_SIZE = "Pixel Size"
 FACE_CAMERA = "Face Camera"
 POINTS_IN_VIEWPORT = "Points in Viewport"
-SHAPES_IN_VIEWPORT = "Shapes in Viewport"
-DENSITY = "Viewport Density"
-WATER = "Water"
-CROP_BOX, CROP_HALF_EDGE = "Crop Box", "Crop Half Edge"
+RENDERED_IN_VIEWPORT = "Rendered in Viewport"
 
 
-def add_modifier(obj: bpy.types.Object) -> bpy.types.NodesModifier:
-    """Give a splat object the preview."""
-    modifier = cast(bpy.types.NodesModifier, obj.modifiers.new(NAME, "NODES"))
-    modifier.node_group = node_group()
-    return modifier
+def ensure_modifier(obj: bpy.types.Object) -> None:
+    """Give a splat object the nodes that show it, where it has none; native ones where Blender draws splats itself."""
+    if modifier_of(obj) is None:
+        modifier = cast(bpy.types.NodesModifier, obj.modifiers.new("SWAG Splats", "NODES"))
+        modifier.node_group = node_group(HAS_NATIVE)
 
 
 def modifier_of(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
-    """The preview of a splat object; None if it was removed, or Blender draws the splats itself."""
+    """The modifier that shows a splat object; None where it was removed or never added."""
     for modifier in obj.modifiers:
-        if not isinstance(modifier, bpy.types.NodesModifier) or modifier.node_group is None:
-            continue
-        if modifier.node_group.name.startswith(NAME):
-            return modifier
+        if is_preview(modifier):
+            return cast(bpy.types.NodesModifier, modifier)
     return None
+
+
+def is_preview(modifier: bpy.types.Modifier) -> bool:
+    """Whether a modifier shows splats, also one of an earlier version."""
+    group = modifier.node_group if isinstance(modifier, bpy.types.NodesModifier) else None
+    return group is not None and group.name.startswith((NAME, NATIVE))
+
+
+def is_native(obj: bpy.types.Object) -> bool:
+    """Whether Blender itself draws the splats of an object in renders."""
+    modifier = modifier_of(obj)
+    return HAS_NATIVE and (modifier is None or present(modifier.node_group).name.startswith(NATIVE))
+
+
+def use_shapes(obj: bpy.types.Object, shapes: bool) -> bool:
+    """Have renders draw a splat object by own shapes, or natively, with the present node groups.
+
+    Returns:
+        Whether the modifier has other nodes now. Its inputs keep their values; if the nodes were those of an earlier
+        version, drivers have to be made again.
+    """
+    modifier, group = modifier_of(obj), node_group(HAS_NATIVE and not shapes)
+    if modifier is None or modifier.node_group == group:
+        return False
+    values = read_inputs(obj)
+    modifier.node_group = group
+    for name, value in values.items():
+        set_input(obj, name, value)
+    return True
 
 
 def set_input(
@@ -125,14 +151,21 @@ def _items(modifier: bpy.types.NodesModifier) -> Any:
     return present(present(modifier.node_group).interface).items_tree
 
 
+def read_inputs(obj: bpy.types.Object) -> dict[str, Any]:
+    """Values of the inputs of the object's preview by name; empty without a preview."""
+    values = {}
+    for item in _items(modifier) if (modifier := modifier_of(obj)) is not None else ():
+        if getattr(item, "in_out", "") == "INPUT" and item.socket_type != "NodeSocketGeometry":
+            owner, path, _ = present(_input(obj, item.name))
+            value = owner.value if path == "value" else owner[path]
+            values[item.name] = tuple(value) if hasattr(value, "__len__") else value
+    return values
+
+
 def copy_inputs(source: bpy.types.Object, target: bpy.types.Object) -> None:
     """Copy the inputs of the preview of one splat object to another."""
-    if (modifier := modifier_of(source)) is None:
-        return
-    for item in _items(modifier):
-        if getattr(item, "in_out", "") == "INPUT" and item.socket_type != "NodeSocketGeometry":
-            owner, path, _ = present(_input(source, item.name))
-            set_input(target, item.name, owner.value if path == "value" else owner[path])
+    for name, value in read_inputs(source).items():
+        set_input(target, name, value)
 
 
 def remember_training(obj: bpy.types.Object, pixel_size: float, background: Sequence[float]) -> None:
@@ -176,6 +209,8 @@ def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str = "
     view_settings.look = "None"
     view_settings.exposure, view_settings.gamma = 0.0, 1.0
     for obj in scene.objects:
+        if display_values or read_inputs(obj).get(BLEND_DISPLAY):
+            use_shapes(obj, display_values)
         set_input(obj, BLEND_DISPLAY, display_values)
     stored_colors = (obj.get(BACKGROUND_KEY) for obj in scene.objects)
     background = next((color for color in stored_colors if color is not None), None)
@@ -188,145 +223,90 @@ def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str = "
         inputs["Strength"].default_value = 1.0
 
 
-def node_group() -> bpy.types.NodeTree:
-    """The preview's geometry nodes; made once per file."""
-    if (known := bpy.data.node_groups.get(NAME)) is not None:
-        return known
-    tree = new_tree(NAME, "GeometryNodeTree")
+def node_group(native: bool) -> bpy.types.NodeTree:
+    """The geometry nodes of native splats or of own shapes; made once per file."""
+    name = NATIVE if native else NAME
+    known = bpy.data.node_groups.get(name)
+    if known is not None and known.library is None:
+        if _is_current(known):
+            return known
+        known.name = f"{name} of an earlier version"
+    tree = new_tree(name, "GeometryNodeTree")
     cast(bpy.types.GeometryNodeTree, tree).is_modifier = True
-    _interface(tree)
-    inputs = {s.name: Field(s) for s in add(tree, "NodeGroupInput").outputs if s.name}
+    # The same inputs in the same order in both groups: Blender keeps their values and drivers when one replaces the
+    # other.
+    add_socket(tree, "Geometry", "Geometry", "OUTPUT")
+    add_socket(tree, "Geometry", "Geometry")
+    splat_colors.add_inputs(tree)
+    _add_inputs(tree)
+    inputs = by_name(add(tree, "NodeGroupInput").outputs)
     in_viewport = Field(add(tree, "GeometryNodeIsViewport").outputs[0])
-    geometry = _drawn(tree, inputs, in_viewport)
-    position = Field(add(tree, "GeometryNodeInputPosition").outputs[0])
-    camera = Field(add(tree, "GeometryNodeInputActiveCamera").outputs[0])
-    # Relative: in the splat object's own space, as positions, spherical harmonics and the water's unit of length.
-    view = add(tree, "GeometryNodeObjectInfo", {"transform_space": "RELATIVE"}, Object=camera).outputs
-    ray = position - Field(view["Location"])
-
-    color = _color(tree, ray.vector("NORMALIZE"), inputs[SH_DEGREE])
-    light = by_channel(tree, to_light, color)
-    seen, seen_light = _through_water(tree, inputs, ray, color)
-    has_water = inputs[WATER].math("GREATER_THAN", 0.0)
-    color = _switch(tree, has_water, color, seen, "VECTOR")
-    light = _switch(tree, has_water, light, seen_light, "VECTOR")
-    color = _switch(tree, inputs[BLEND_DISPLAY], light, color, "VECTOR")
-    tint = attribute(tree, TINT, "FLOAT_COLOR")
-    color = mixed(color, tint, Field(add(tree, "FunctionNodeSeparateColor", Color=tint).outputs["Alpha"]))
-    opacity = attribute(tree, "radiance:base", "FLOAT_COLOR")
-    opacity = Field(add(tree, "FunctionNodeSeparateColor", Color=opacity).outputs["Alpha"])
-    geometry = stored(tree, geometry, point_material.COLOR, "FLOAT_VECTOR", color)
-    geometry = stored(tree, geometry, splat_shapes.OPACITY, "FLOAT", opacity)
-
-    ellipsoids = splat_shapes.ellipsoids(tree, geometry, ray, view, inputs[PIXEL_SIZE])
-    facing = splat_shapes.rectangles(tree, geometry, position, camera, opacity, inputs[PIXEL_SIZE])
-    points = splat_shapes.points(tree, geometry, opacity)
-
-    rendered = _switch(tree, inputs[FACE_CAMERA], ellipsoids, facing)
-    shown = _switch(tree, inputs[POINTS_IN_VIEWPORT], splat_shapes.no_shape(tree, inputs["Geometry"]), points)
-    # The view of a viewport is seldom the active camera's, which rectangles face.
-    shown = _switch(tree, inputs[SHAPES_IN_VIEWPORT], shown, ellipsoids)
-    add(tree, "NodeGroupOutput", Geometry=_switch(tree, in_viewport, rendered, shown))
+    if native:
+        plain = inputs["Geometry"]
+        rendered = in_rendered = splat_colors.colored(tree, inputs, for_shapes=False)
+    else:
+        inputs["Geometry"] = _as_points(tree, inputs["Geometry"])
+        plain = splat_shapes.no_shape(tree, inputs["Geometry"])
+        in_rendered, rendered = _shapes(tree, inputs, splat_colors.colored(tree, inputs, for_shapes=True))
+    points = _points(tree, splat_colors.colored(tree, inputs, for_shapes=True))
+    shown = switch(tree, inputs[POINTS_IN_VIEWPORT], plain, points)
+    shown = switch(tree, inputs[RENDERED_IN_VIEWPORT], shown, in_rendered)
+    add(tree, "NodeGroupOutput", Geometry=switch(tree, in_viewport, rendered, shown))
     arranged(tree)
     return tree
 
 
-def _interface(tree: bpy.types.NodeTree) -> None:
-    add_socket(tree, "Geometry", "Geometry", "OUTPUT")
-    add_socket(tree, "Geometry", "Geometry")
+def has_current_nodes(obj: bpy.types.Object) -> bool:
+    """Whether the modifier of a splat object has nodes of this version of Blender and of the extension."""
+    modifier = modifier_of(obj)
+    return modifier is not None and _is_current(present(modifier.node_group))
 
-    def number(name: str, kind: str, text: str, default: float, low: float, high: float, subtype: str = "NONE") -> None:
-        socket = add_socket(tree, name, kind)
-        socket.subtype = subtype
-        socket.default_value, socket.min_value, socket.max_value, socket.description = default, low, high, text
 
-    def switch(name: str, default: bool, text: str, parent: bpy.types.NodeTreeInterfacePanel | None = None) -> None:
-        socket = add_socket(tree, name, "Bool", parent=parent)
-        socket.default_value, socket.description = default, text
+def _is_current(group: bpy.types.NodeTree) -> bool:
+    """Whether a node group is of this version: earlier ones compute colors without a group, or have other types."""
+    kinds = {node.bl_idname for node in group.nodes}
+    return "GeometryNodeGroup" in kinds and ("GeometryNodePointsSetType" in kinds) == HAS_NATIVE
 
-    text = "Highest degree of spherical harmonics that is used for the view from the active camera"
-    number(SH_DEGREE, "Int", text, 3, 0, 3)
-    switch(
-        BLEND_DISPLAY, False, "Blend sRGB values as training does; needs the view transform Raw, and no other objects"
-    )
+
+def _add_inputs(tree: bpy.types.NodeTree) -> None:
+    text = "Blend sRGB values as training does; needs the view transform Raw, and no other objects"
+    add_input(tree, BLEND_DISPLAY, "Bool", text, False)
     text = "1 / focal length in pixels of the training images: widens splats as in training; 0: off"
-    number(PIXEL_SIZE, "Float", text, 0.0, 0.0, 1.0)
-    switch(
-        FACE_CAMERA, True, "Render splats exactly as seen from the active camera; off: ellipsoids, for every direction"
-    )
-    switch(POINTS_IN_VIEWPORT, False, "Draw colored points in viewports")
-    switch(SHAPES_IN_VIEWPORT, False, "Draw ellipsoids in viewports, for Rendered shading")
-    number(
-        DENSITY, "Float", "Percentage of the splats in the viewport; renders show all", 100.0, 0.0, 100.0, "PERCENTAGE"
-    )
-    number(WATER, "Float", "Fraction of the water to show: 0 none, 1 as photographed", 0.0, 0.0, 1.0, "FACTOR")
-    add_socket(tree, CROP_BOX, "Object").description = "Splats outside the box of this object are not drawn"
-    number(CROP_HALF_EDGE, "Float", "Half the edge of the crop box in its own space", 1.0, 0.0, 1e6)
-    panel = present(tree.interface).new_panel("Water", default_closed=True)
-    panel.description = "Coefficients of the fitted water, per unit of the splats' own space"
-    for name, value in WaterValues().inputs().items():
-        if isinstance(value, tuple):
-            add_socket(tree, name, "Vector", parent=panel)
-        else:
-            switch(name, value, "The water acts on sRGB values, not on linear light", panel)
+    add_input(tree, PIXEL_SIZE, "Float", text, 0.0, 0.0, 1.0)
+    text = "Render splats exactly as seen from the active camera; off: ellipsoids, for every direction"
+    add_input(tree, FACE_CAMERA, "Bool", text, True)
+    add_input(tree, POINTS_IN_VIEWPORT, "Bool", "Draw colored points in viewports", False)
+    text = "Have viewports draw the splats as renders do, for Rendered shading"
+    add_input(tree, RENDERED_IN_VIEWPORT, "Bool", text, False)
 
 
-def _drawn(tree: bpy.types.NodeTree, inputs: dict[str, Field], in_viewport: Field) -> Field:
-    """The splats that are drawn: none hidden or cropped, and in the viewport only the chosen percentage."""
-    hidden = attribute(tree, HIDDEN, "BOOLEAN").math("MAXIMUM", _outside_crop(tree, inputs))
-    visible = add(tree, "GeometryNodeDeleteGeometry", Geometry=inputs["Geometry"], Selection=hidden)
-    geometry = Field(visible.outputs["Geometry"])
-    fraction = inputs[DENSITY] * 0.01
-    random = add(tree, "FunctionNodeRandomValue", {"data_type": "FLOAT"})
-    drawn = Field(next(socket for socket in random.outputs if socket.enabled))
-    dropped = drawn.math("GREATER_THAN", fraction)
-    thinned = add(tree, "GeometryNodeDeleteGeometry", Geometry=geometry, Selection=dropped)
-    thin = in_viewport * fraction.math("LESS_THAN", 1.0)
-    return _switch(tree, thin, geometry, Field(thinned.outputs["Geometry"]))
+def _as_points(tree: bpy.types.NodeTree, geometry: Field) -> Field:
+    """The points of splats as ordinary points, which Blender does not draw as splats."""
+    if not HAS_NATIVE:
+        return geometry
+    return Field(add(tree, "GeometryNodePointsSetType", Points=geometry, Type="Points").outputs["Points"])
 
 
-def _outside_crop(tree: bpy.types.NodeTree, inputs: dict[str, Field]) -> Field:
-    """1 for splats outside the crop box, else 0; 0 for all where no object is chosen."""
-    settings = {"transform_space": "RELATIVE"}
-    box = add(tree, "GeometryNodeObjectInfo", settings, Object=inputs[CROP_BOX]).outputs
-    inverse = add(tree, "FunctionNodeInvertMatrix", Matrix=Field(box["Transform"])).outputs
+def _points(tree: bpy.types.NodeTree, geometry: Field) -> Field:
+    """Colored splats as opaque points."""
+    base = attribute(tree, splat_colors.BASE, "FLOAT_COLOR")
+    light = by_channel(tree, to_light, splat_colors.display_color(base))
+    geometry = stored(tree, _as_points(tree, geometry), point_material.COLOR, "FLOAT_VECTOR", light)
+    return splat_shapes.points(tree, geometry, alpha(tree, base))
+
+
+def _shapes(tree: bpy.types.NodeTree, inputs: dict[str, Field], geometry: Field) -> tuple[Field, Field]:
+    """The shapes of colored splats in viewports, and those in renders."""
+    base = attribute(tree, splat_colors.BASE, "FLOAT_COLOR")
+    color, opacity = splat_colors.display_color(base), alpha(tree, base)
+    color = switch(tree, inputs[BLEND_DISPLAY], by_channel(tree, to_light, color), color, "VECTOR")
+    geometry = stored(tree, geometry, point_material.COLOR, "FLOAT_VECTOR", color)
+    geometry = stored(tree, geometry, splat_shapes.OPACITY, "FLOAT", opacity)
     position = Field(add(tree, "GeometryNodeInputPosition").outputs[0])
-    local = add(tree, "FunctionNodeTransformPoint", Vector=position, Transform=Field(inverse["Matrix"])).outputs
-    x, y, z = Field(local["Vector"]).vector("ABSOLUTE").xyz()
-    farthest = x.math("MAXIMUM", y).math("MAXIMUM", z)
-    # The scale of no object is zero.
-    has_box = Field(box["Scale"]).vector("LENGTH", output="Value").math("GREATER_THAN", 0.0)
-    return has_box * Field(inverse["Invertible"]) * farthest.math("GREATER_THAN", inputs[CROP_HALF_EDGE])
-
-
-def _through_water(tree: bpy.types.NodeTree, inputs: dict[str, Field], ray: Field, color: Field) -> tuple[Field, Field]:
-    """Compute sRGB values and linear light of splats with that sRGB color, seen along `ray` through the water."""
-    display = inputs[OF_DISPLAY]
-    water = Water.of(inputs, inputs[WATER])
-    own = mixed(by_channel(tree, to_light, color), color, display)
-    background = water.background_light(tree, ray.vector("NORMALIZE"))
-    seen = water.through(tree, own, ray.vector("LENGTH", output="Value"), background)
-    as_display = mixed(by_channel(tree, to_display, seen), seen, display)
-    return as_display, mixed(seen, by_channel(tree, to_light, seen), display)
-
-
-def _switch(tree: bpy.types.NodeTree, switch: Field, off: Field, on: Field, kind: str = "GEOMETRY") -> Field:
-    """One of two fields; only that one is computed if `switch` is the same for all points."""
-    node = add(tree, "GeometryNodeSwitch", {"input_type": kind}, Switch=switch, **{"False": off, "True": on})
-    return Field(node.outputs["Output"])
-
-
-def _color(tree: bpy.types.NodeTree, direction: Field, degree: Field) -> Field:
-    """Compute the sRGB color of each splat along `direction`: max(0, 0.5 + sum of coefficients times harmonics)."""
-    base = attribute(tree, "radiance:base", "FLOAT_COLOR")
-    total = base * SH_0 + (0.5, 0.5, 0.5)
-    index = 0
-    for level, functions in enumerate(harmonics(direction), start=1):
-        more = total
-        for function in functions:
-            # Attributes that the splats do not have are zero.
-            coefficient = attribute(tree, f"radiance:sh_{index}", "FLOAT_VECTOR")
-            more = coefficient.vector("MULTIPLY_ADD", function, more)
-            index += 1
-        total = _switch(tree, degree.math("GREATER_THAN", level - 0.5), total, more, "VECTOR")
-    return total.vector("MAXIMUM", (0.0, 0.0, 0.0))
+    camera = Field(add(tree, "GeometryNodeInputActiveCamera").outputs[0])
+    view = add(tree, "GeometryNodeObjectInfo", {"transform_space": "RELATIVE"}, Object=camera).outputs
+    ray = position - Field(view["Location"])
+    ellipsoids = splat_shapes.ellipsoids(tree, geometry, ray, view, inputs[PIXEL_SIZE])
+    facing = splat_shapes.rectangles(tree, geometry, position, camera, opacity, inputs[PIXEL_SIZE])
+    # The view of a viewport is seldom the active camera's, which rectangles face.
+    return ellipsoids, switch(tree, inputs[FACE_CAMERA], ellipsoids, facing)

@@ -7,7 +7,7 @@ import bpy
 
 from ..blender_types import present
 from . import point_material
-from .build import Field, add, arranged, combined
+from .build import Field, add, arranged, attribute, combined, stored
 
 OPACITY, REACH, PLACE = "swag:opacity", "swag:reach", "swag:place"
 RADIUS_IN_SIGMA = 3.0
@@ -187,25 +187,6 @@ def material(facing: bool) -> bpy.types.Material:
     add(tree, "ShaderNodeOutputMaterial", Surface=Field(mix.outputs[0]))
     arranged(tree)
     return made
-
-
-def stored(tree: bpy.types.NodeTree, geometry: Field, name: str, kind: str, value: Field) -> Field:
-    """The geometry with a field stored as a point attribute."""
-    node = add(
-        tree,
-        "GeometryNodeStoreNamedAttribute",
-        {"data_type": kind, "domain": "POINT"},
-        Geometry=geometry,
-        Name=name,
-        Value=value,
-    )
-    return Field(node.outputs["Geometry"])
-
-
-def attribute(tree: bpy.types.NodeTree, name: str, kind: str) -> Field:
-    """A point attribute as a field."""
-    node = add(tree, "GeometryNodeInputNamedAttribute", {"data_type": kind}, Name=name)
-    return Field(node.outputs["Attribute"])
 
 
 def _captured(tree: bpy.types.NodeTree, points: Field, matrix: Field) -> tuple[Field, Field]:

@@ -26,8 +26,8 @@ class Placement:
 
 
 def is_drawn(obj: bpy.types.Object) -> bool:
-    """Whether the extension draws the object's splats. Blender 5.3 and later draw splats themselves."""
-    return splats.is_splats(obj) and not hasattr(obj.data, "type") and display_of(obj).style == "SPLATS"
+    """Whether the extension draws the object's splats, in viewports that Blender does not draw them in."""
+    return splats.is_splats(obj) and display_of(obj).style == "SPLATS"
 
 
 def drawn_objects(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:

@@ -10,7 +10,7 @@ import gpu
 import numpy as np
 
 from ...swag_engine.splats.splats import Splats
-from ..nodes.splat_preview import HIDDEN, TINT
+from ..nodes.splat_colors import HIDDEN, TINT
 from ..splats import changes_of, has_other_modifiers, pointcloud_of, shown_pointcloud, splats_of
 from .depth_order import Part
 from .packing import (

@@ -15,13 +15,15 @@ from pathlib import Path
 import pytest
 
 from tests.blender.real_blender import REAL, TOOLS
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
-VERSIONS = ("5.0", "4.5", "5.2")
+VERSIONS = ("5.3", "4.5", "5.2")
+THIS_PYTHON = "4.5"
+"""The version that runs in this Python; the others have a Python of their own."""
 
 
 def packages(version):
-    """Where environment.sh puts a bpy package that is not this Python's own; 5.2 has its Python there, too."""
+    """Where environment.sh puts the bpy package of a version, with its Python unless it runs in this one."""
     return ROOT / ".venv" / f"blender-{version}"
 
 
@@ -45,16 +47,15 @@ class Blender:
     def _start(self):
         self.user = self._make_folder()
         self._log = Path(f"{self.user}.log")
-        newest = self.version == "5.2"
         own = {
             "BLENDER_USER_RESOURCES": str(self.user),
-            "PYTHONPATH": "" if self.version == "5.0" else str(packages(self.version)),
+            "PYTHONPATH": str(packages(self.version)),
             "PYTHONIOENCODING": "utf-8",
         }
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
                 [
-                    str(packages(self.version) / "python") if newest else sys.executable,
+                    sys.executable if self.version == THIS_PYTHON else str(packages(self.version) / "python"),
                     *("-X", "faulthandler", str(Path(__file__).with_name("server.py")), self._zip, self._nodes),
                 ],
                 env=os.environ | own, cwd=self.user, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log,
@@ -145,10 +146,9 @@ def blenders(extension_zip, tmp_path_factory):
 def blender(request, blenders, missing):
     """Each Blender version."""
     folder = packages(request.param)
-    if request.param != "5.0" and not (
-        (folder / "bpy").exists() and (request.param != "5.2" or (folder / "python").exists())
-    ):
-        missing(f"Blender {request.param} is not in {folder}: run `make .venv/ready`; Blender 5.2 needs Python 3.13.")
+    if not (folder / "bpy").exists() or not (request.param == THIS_PYTHON or (folder / "python").exists()):
+        needed = "" if request.param == THIS_PYTHON else "; it needs Python 3.13"
+        missing(f"Blender {request.param} is not in {folder}: run `make .venv/ready`{needed}.")
     return blenders[request.param]
 
 

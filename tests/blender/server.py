@@ -55,7 +55,9 @@ class Blank:
         """Write a .blend of the nodes that every object with splats uses: to build them takes Blender two seconds."""
         bpy.ops.wm.read_factory_settings(use_empty=True)
         assert addon_utils.enable(EXTENSION)
-        importlib.import_module(f"{EXTENSION}.swag_blender.nodes.splat_preview").node_group()
+        preview = importlib.import_module(f"{EXTENSION}.swag_blender.nodes.splat_preview")
+        for native in {False, preview.HAS_NATIVE}:
+            preview.node_group(native)
         own = USER / "nodes.blend"
         bpy.data.libraries.write(str(own), {*bpy.data.node_groups, *bpy.data.materials}, fake_user=True)
         own.replace(nodes)  # whole at once: another process may look for it

@@ -61,5 +61,15 @@ def render_by_engine(arrays, width, height, focal, through=lambda colors, offset
     return image.channels.numpy(), image.alpha.numpy()
 
 
+def apply_water(medium, display, offsets, amount=1.0):
+    """Display colors (N, 3) of splats at offsets (N, 3) from the camera, seen through the water."""
+    import torch
+
+    from swag_engine.water.medium import through_water
+
+    colors, offsets = torch.tensor(display).float(), torch.tensor(offsets).float()
+    return through_water(colors, offsets, medium, amount=amount, backend="torch").detach().numpy()
+
+
 def psnr(a, b):
     return -10 * np.log10(max(np.mean((a - b) ** 2), 1e-12))

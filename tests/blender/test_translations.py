@@ -39,5 +39,7 @@ def german(root):
 def test_a_table_has_every_shown_text_and_no_other(blender, root, german):
     shown = set(blender.run("translations.shown_words")) | drawn_words(root)
     missing, unknown = shown - set(german) - SAME, set(german) - shown
-    assert not missing and not unknown, json.dumps([sorted(missing), sorted(unknown)])
+    assert not missing, json.dumps(sorted(missing))
+    # Some texts are shown in the newest version alone.
+    assert blender.version != "5.3" or not unknown, json.dumps(sorted(unknown))
     assert all(german.values())

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.blender.splat_pictures import heap, psnr, render_by_engine
+from tests.blender.splat_pictures import apply_water, heap, psnr, render_by_engine
 
 WIDTH, HEIGHT, FOCAL = 96, 60, 90.0
 
@@ -23,16 +23,6 @@ def medium(request):
     )  # fmt: skip
     medium.background_sh[1:] = torch.randn(8, 3, generator=torch.Generator().manual_seed(1)) * 0.5
     return medium
-
-
-def apply_water(medium, display, offsets, amount=1.0):
-    """Display colors (N, 3) of splats at offsets (N, 3) from the camera, seen through the water."""
-    import torch
-
-    from swag_engine.water.medium import through_water
-
-    colors, offsets = torch.tensor(display).float(), torch.tensor(offsets).float()
-    return through_water(colors, offsets, medium, amount=amount, backend="torch").detach().numpy()
 
 
 def test_splats_and_open_water_equal_the_engines_image(blender, medium, tmp_path):

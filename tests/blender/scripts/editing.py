@@ -17,8 +17,8 @@ from bl_ext.user_default.swag_splatting.swag_blender import (
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
 from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply
 from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
-from labels import assert_refused, instance_count, labelled_object, show_as
-from pictures import linked, new_camera, render_pixel_centres
+from labels import assert_refused, labelled_object, show_as
+from pictures import linked, new_camera, render_pixel_centres, shown_count
 
 bpy.context.preferences.edit.use_global_undo = True
 scene = bpy.context.scene
@@ -184,7 +184,7 @@ def select_by_properties():
 
 def hide_delete_and_undo():
     obj, made = labelled_object([1] * 50 + [2] * 30 + [0] * 20)
-    show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)
+    show_as(obj, splat_preview.RENDERED_IN_VIEWPORT)
     bpy.ops.swag.read_labels()
     for operator in (bpy.ops.swag.delete_splats, bpy.ops.swag.hide_splats):
         assert_refused(operator, "No splats are selected")
@@ -192,19 +192,19 @@ def hide_delete_and_undo():
     bpy.ops.swag.select_all_splats(action="INVERT")
     assert selected(obj) == list(range(60, 100))
     bpy.ops.swag.hide_splats()
-    assert instance_count() == 60 and selected(obj) == []
+    assert shown_count() == 60 and selected(obj) == []
     # Neither labels nor other selections show or select what is hidden.
     bpy.ops.swag.show_labels()
     bpy.ops.swag.isolate_label(number=2)
-    assert instance_count() == 10
+    assert shown_count() == 10
     bpy.ops.swag.select_all_splats(action="SELECT")
     assert selected(obj) == list(range(50, 60))
     bpy.ops.swag.isolate_label(number=2)
-    assert instance_count() == 60
+    assert shown_count() == 60
     bpy.ops.swag.hide_splats(unselected=True)
-    assert instance_count() == 10 and selected(obj) == list(range(50, 60))
+    assert shown_count() == 10 and selected(obj) == list(range(50, 60))
     bpy.ops.swag.reveal_splats()
-    assert instance_count() == 100
+    assert shown_count() == 100
 
     labels.select(obj, np.arange(100) % 10 == 0)
     bpy.ops.swag.keep_mask(name="tenth")
@@ -220,7 +220,7 @@ def hide_delete_and_undo():
     for field in ("positions", "rotations", "scales", "opacities", "sh"):
         assert np.array_equal(getattr(back, field), getattr(made, field)[kept]), field
     assert np.array_equal(labels.attribute(obj, "mask:tenth"), kept % 10 == 0)
-    assert np.flatnonzero(labels.attribute(obj, "swag:masked")).tolist() == [0] and instance_count() == 70
+    assert np.flatnonzero(labels.attribute(obj, "swag:masked")).tolist() == [0] and shown_count() == 70
     assert [(e.number, e.count) for e in obj.swag_labels.entries] == [(2, 30), (1, 21), (0, 20)]
     assert obj.data.name == "reef" and len(bpy.data.pointclouds) == 1 and obj.data.materials[0].name == "own"
     bpy.ops.swag.select_all_splats(action="SELECT")
@@ -235,13 +235,13 @@ def hide_delete_and_undo():
 def crop(folder):
     """The box limits what is selected, drawn and rendered, and follows its object."""
     obj = new_object(splats_at(np.random.default_rng(2).uniform(-1, 1, (1000, 3)), 0.02), location=(5, 0, 0))
-    show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)
+    show_as(obj, splat_preview.RENDERED_IN_VIEWPORT)
     assert bpy.ops.swag.add_crop_box() == {"FINISHED"}
     box = obj.swag_display.crop
     assert bpy.context.active_object == box and box.type == "EMPTY" and box.empty_display_type == "CUBE"
     inside = splat_selection.inside_crop(obj)
     assert 900 < inside.sum() < 1001 and np.allclose(box.location, (5, 0, 0), atol=0.1)
-    assert np.allclose(box.scale, 1, atol=0.1) and instance_count() == inside.sum()
+    assert np.allclose(box.scale, 1, atol=0.1) and shown_count() == inside.sum()
 
     def expected():
         to_box = np.array(box.matrix_world.inverted() @ obj.matrix_world)
@@ -251,10 +251,10 @@ def crop(folder):
     box.scale, box.rotation_euler, box.location = (0.5, 0.8, 0.3), (0.3, 0.2, 0.1), (5.1, 0.2, 0)
     bpy.context.view_layer.update()
     assert 50 < expected().sum() < 300
-    assert np.array_equal(splat_selection.inside_crop(obj), expected()) and instance_count() == expected().sum()
+    assert np.array_equal(splat_selection.inside_crop(obj), expected()) and shown_count() == expected().sum()
     box.empty_display_size = 0.7
     bpy.context.view_layer.update()
-    assert np.array_equal(splat_selection.inside_crop(obj), expected()) and instance_count() == expected().sum()
+    assert np.array_equal(splat_selection.inside_crop(obj), expected()) and shown_count() == expected().sum()
 
     # The tools work on the splats that the selected box crops.
     bpy.ops.swag.select_all_splats(action="SELECT")
@@ -265,15 +265,15 @@ def crop(folder):
     cube.matrix_world = box.matrix_world
     obj.swag_display.crop = cube
     bpy.context.view_layer.update()
-    assert instance_count() == expected_of(cube, obj) > count
+    assert shown_count() == expected_of(cube, obj) > count
 
     # Saved with the file.
     bpy.ops.wm.save_as_mainfile(filepath=folder + "/crop.blend")
     bpy.ops.wm.open_mainfile(filepath=folder + "/crop.blend")
     obj, cube = bpy.data.objects["reef"], bpy.data.objects["cube"]
-    assert obj.swag_display.crop == cube and instance_count() == expected_of(cube, obj)
+    assert obj.swag_display.crop == cube and shown_count() == expected_of(cube, obj)
     bpy.data.objects.remove(cube)
-    assert obj.swag_display.crop is None and instance_count() == 1000 and splat_selection.inside_crop(obj).all()
+    assert obj.swag_display.crop is None and shown_count() == 1000 and splat_selection.inside_crop(obj).all()
 
     box = bpy.data.objects["reef Crop Box"]
     obj.swag_display.crop = box

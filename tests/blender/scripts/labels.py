@@ -6,8 +6,10 @@ import bpy
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import labels, splats
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+from bl_ext.user_default.swag_splatting.swag_engine.base.transfer import linear_to_srgb
 from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply
 from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
+from pictures import shown_count
 
 bpy.context.preferences.edit.use_global_undo = True
 scene = bpy.context.scene
@@ -40,16 +42,9 @@ def evaluated(obj):
     return obj.evaluated_get(graph)
 
 
-def instance_count():
-    """Number of splats that the viewport shows as instances."""
-    graph = bpy.context.evaluated_depsgraph_get()
-    graph.update()
-    return sum(instance.is_instance for instance in graph.object_instances)
-
-
 def show_as(obj, name):
     """Have the viewport's nodes give points or shapes, which can be counted without a window."""
-    for wanted in (splat_preview.POINTS_IN_VIEWPORT, splat_preview.SHAPES_IN_VIEWPORT):
+    for wanted in (splat_preview.POINTS_IN_VIEWPORT, splat_preview.RENDERED_IN_VIEWPORT):
         splat_preview.set_input(obj, wanted, wanted == name)
 
 
@@ -64,25 +59,25 @@ def assert_refused(operator, message, **arguments):
 
 def list_and_hide(folder):
     obj, made = labelled_object([1] * 50 + [2] * 30 + [0] * 20 + [7] * 5)
-    show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)
-    assert instance_count() == 105
+    show_as(obj, splat_preview.RENDERED_IN_VIEWPORT)
+    assert shown_count() == 105
     assert bpy.ops.swag.read_labels(directory=folder) == {"FINISHED"}
     entries = obj.swag_labels.entries
     listed = [(e.number, e.name, e.count, e.visible) for e in entries]
     assert listed == [
         (1, "coral", 50, True), (2, "wreck", 30, True), (0, "No label", 20, True), (7, "Label 7", 5, True)
     ]  # fmt: skip
-    assert len({tuple(e.color) for e in entries}) == 4 and instance_count() == 105
+    assert len({tuple(e.color) for e in entries}) == 4 and shown_count() == 105
     entries[0].visible = False
-    assert instance_count() == 55
-    assert bpy.ops.swag.isolate_label(number=2) == {"FINISHED"} and instance_count() == 30
+    assert shown_count() == 55
+    assert bpy.ops.swag.isolate_label(number=2) == {"FINISHED"} and shown_count() == 30
     bpy.ops.swag.isolate_label(number=2)
-    assert instance_count() == 105 and all(e.visible for e in entries)
+    assert shown_count() == 105 and all(e.visible for e in entries)
     entries[1].visible = False
     bpy.ops.swag.read_labels(directory=folder)
-    assert instance_count() == 75 and not entries[1].visible
+    assert shown_count() == 75 and not entries[1].visible
     bpy.ops.swag.show_labels()
-    assert instance_count() == 105
+    assert shown_count() == 105
 
 
 def tint(folder):
@@ -110,7 +105,9 @@ def tint(folder):
     tinted = shown_colors()
     obj.swag_labels.tinted = False
     plain = shown_colors()
-    assert np.allclose(tinted, plain + (tint[:, :3] - plain) * tint[:, 3:], atol=1e-5)
+    # Mixed as display values, as the viewport's own drawing does.
+    plain, color, tinted = map(linear_to_srgb, (plain, tint[:, :3], tinted))
+    assert np.allclose(tinted, plain + (color - plain) * tint[:, 3:], atol=1e-5)
     # The splats themselves are unchanged.
     back = splats.read_splats(obj)
     assert np.array_equal(back.positions, made.positions) and list(back.extras) == ["label"]
@@ -138,14 +135,14 @@ def mark_uncertain(folder):
 
 def save_and_open(folder):
     obj, _ = labelled_object([1] * 50 + [2] * 30 + [0] * 20 + [7] * 5)
-    show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)
+    show_as(obj, splat_preview.RENDERED_IN_VIEWPORT)
     bpy.ops.swag.read_labels(directory=folder)
     obj.swag_labels.entries[0].visible = False
     name = obj.name
     bpy.ops.wm.save_as_mainfile(filepath=folder + "/labels.blend")
     bpy.ops.wm.open_mainfile(filepath=folder + "/labels.blend")
     opened = bpy.data.objects[name]
-    assert [e.name for e in opened.swag_labels.entries][:2] == ["coral", "wreck"] and instance_count() == 55
+    assert [e.name for e in opened.swag_labels.entries][:2] == ["coral", "wreck"] and shown_count() == 55
 
 
 def select_and_keep_mask(folder):
@@ -175,8 +172,8 @@ def select_and_keep_mask(folder):
     modifier = obj.modifiers.new("mask", "NODES")
     modifier.node_group = tree
     obj.modifiers.move(1, 0)
-    show_as(obj, splat_preview.SHAPES_IN_VIEWPORT)
-    assert instance_count() == 50
+    show_as(obj, splat_preview.RENDERED_IN_VIEWPORT)
+    assert shown_count() == 50
 
 
 def search(folder):

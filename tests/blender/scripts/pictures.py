@@ -2,7 +2,8 @@
 
 import bpy
 import numpy as np
-from bl_ext.user_default.swag_splatting.swag_blender import scene_import
+from bl_ext.user_default.swag_splatting.swag_blender import scene_import, splats
+from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
 from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
 
 FIELDS = ("positions", "rotations", "scales", "opacities", "sh")
@@ -76,6 +77,15 @@ def render_pixel_centres(transparent=True):
     image.pixels.foreach_get(pixels)
     bpy.data.images.remove(image)
     return pixels.reshape(height, width, 4)[::-1]
+
+
+def shown_count():
+    """Number of splats that viewports show as shapes or natively, where their nodes are asked for what renders show."""
+    graph = bpy.context.evaluated_depsgraph_get()
+    graph.update()
+    native = [obj for obj in bpy.context.scene.objects if splats.is_splats(obj) and splat_preview.is_native(obj)]
+    points = sum(len(obj.evaluated_get(graph).data.points) for obj in native)
+    return points + sum(instance.is_instance for instance in graph.object_instances)
 
 
 def psnr(a, b):

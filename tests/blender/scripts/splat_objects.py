@@ -6,7 +6,16 @@ from bl_ext.user_default.swag_splatting.swag_blender import splats
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
 from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
 from mathutils import Matrix
-from pictures import FIELDS, linked, load_splats, new_camera, pinhole_camera, random_splats, render_pixel_centres
+from pictures import (
+    FIELDS,
+    linked,
+    load_splats,
+    new_camera,
+    pinhole_camera,
+    random_splats,
+    render_pixel_centres,
+    shown_count,
+)
 
 scene = bpy.context.scene
 
@@ -55,8 +64,10 @@ def render_one_ellipsoid(folder):
     camera = new_camera()
     camera.location, camera.data.type, camera.data.ortho_scale = (0, 0, 5), "ORTHO", 1
     scene.render.resolution_x = scene.render.resolution_y = 101
+    splat_preview.use_shapes(obj, True)
     for facing in (False, True):
         splat_preview.prepare_render(scene, display_values=facing)
+        splat_preview.use_shapes(obj, True)
         splat_preview.set_input(obj, splat_preview.FACE_CAMERA, facing)
         np.save(f"{folder}/{facing}.npy", render_pixel_centres())
 
@@ -90,7 +101,8 @@ def render_two_in_linear_light(folder, colors):
         ((np.array(colors) - 0.5) / 0.28209479177387814)[:, None].astype("f4"),
     )
     root = pinhole_camera(33, 33, 400.0)
-    splats.new_splat_object("two", two, scene.collection, root)
+    obj = splats.new_splat_object("two", two, scene.collection, root)
+    splat_preview.use_shapes(obj, True)
     splat_preview.prepare_render(scene, display_values=False)
     assert scene.view_settings.view_transform == "Standard"
     np.save(folder + "/render.npy", render_pixel_centres())
@@ -114,11 +126,6 @@ def show_points_or_splats():
     made = random_splats(500, 4)
     obj = splats.new_splat_object("reef", made, scene.collection)
 
-    def instance_count():
-        graph = bpy.context.evaluated_depsgraph_get()
-        graph.update()
-        return sum(instance.is_instance for instance in graph.object_instances)
-
     def shown_radius():
         radius = np.empty(500, "f4")
         bpy.context.view_layer.update()
@@ -126,11 +133,13 @@ def show_points_or_splats():
         shown.attributes["radius"].data.foreach_get("value", radius)
         return radius
 
-    # The extension draws the splats itself; Blender draws the box of their points, which have no size.
-    assert instance_count() == 0 and obj.display_type == "BOUNDS" and not shown_radius().any()
+    # The extension draws the splats itself; Blender draws the box of their points, which have no size as shapes.
+    assert obj.display_type == "BOUNDS"
+    splat_preview.use_shapes(obj, True)
+    assert shown_count() == 0 and not shown_radius().any()
     obj.swag_display.style = "POINTS"
     # Transparent and elongated splats are drawn small, so as not to hide others; the stored radius is unchanged.
-    assert instance_count() == 0 and obj.display_type == "TEXTURED"
+    assert shown_count() == 0 and obj.display_type == "TEXTURED"
     assert np.allclose(shown_radius(), 1.5 * np.median(made.scales, 1) * made.opacities, atol=1e-6)
     radius = np.empty(500, "f4")
     obj.data.attributes["radius"].data.foreach_get("value", radius)
@@ -139,5 +148,5 @@ def show_points_or_splats():
     assert 150 < len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.points) < 250
     obj.swag_display.density = 100
     # In Rendered shading Cycles and EEVEE draw the shapes that renders have.
-    splat_preview.set_input(obj, splat_preview.SHAPES_IN_VIEWPORT, True)
-    assert instance_count() == 500
+    splat_preview.set_input(obj, splat_preview.RENDERED_IN_VIEWPORT, True)
+    assert shown_count() == 500

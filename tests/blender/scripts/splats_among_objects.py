@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import splats
-from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_colors, splat_preview
 from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
 from mathutils import Matrix
 from pictures import FIELDS, linked, load_splats, new_camera, pinhole_camera, psnr, render_pixel_centres
@@ -85,7 +85,7 @@ def compare_instances(folder):
     found = {"linked duplicate": compare(duplicate)}
     splat_preview.set_input(obj, splat_preview.FACE_CAMERA, False)
     splat_preview.set_input(obj, splat_preview.PIXEL_SIZE, 0.0)
-    splat_preview.set_input(obj, splat_preview.SH_DEGREE, 0)
+    splat_preview.set_input(obj, splat_colors.SH_DEGREE, 0)
     empty = bpy.data.objects.new("instance", None)
     empty.instance_type, empty.instance_collection = "COLLECTION", hidden
     found["collection"] = compare(empty)
@@ -120,7 +120,7 @@ def other_modifiers(folder):
 
     obj.modifiers.remove(obj.modifiers[0])
     splat_preview.set_input(obj, splat_preview.FACE_CAMERA, False)
-    splat_preview.set_input(obj, splat_preview.SH_DEGREE, 0)
+    splat_preview.set_input(obj, splat_colors.SH_DEGREE, 0)
     obj.matrix_world = MOVED
     direct = render_pixel_centres()
     obj.matrix_world = Matrix()
@@ -134,7 +134,8 @@ def other_modifiers(folder):
 
 def meshes_and_holdouts(renderer):
     root = pinhole_camera(40, 40, 40.0)
-    splats.new_splat_object("one", one_splat(4.0, 2.0, 0.6), scene.collection, root)
+    obj = splats.new_splat_object("one", one_splat(4.0, 2.0, 0.6), scene.collection, root)
+    splat_preview.use_shapes(obj, True)
     back, front = plane(6.0, 20), plane(3.0, 20, left_half=True)
     set_shader(back, "ShaderNodeEmission", (0.2, 0.5, 0.8))
     set_shader(front, "ShaderNodeEmission", (0.9, 0.1, 0.3))
@@ -167,6 +168,7 @@ def shadow():
     black = one_splat(1.0, 0.1, 0.8)
     black.sh[:] = -0.5 / 0.28209479
     obj = splats.new_splat_object("black", black, scene.collection)
+    splat_preview.use_shapes(obj, True)
     splat_preview.prepare_render(scene, display_values=False)
     rows = []
     for facing in (False, True):

@@ -16,7 +16,7 @@ from bl_ext.user_default.swag_splatting.swag_blender import (
     survey_watch,
     water,
 )
-from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_colors, splat_preview
 from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply
 from bl_ext.user_default.swag_splatting.swag_engine.formats.survey_folder import SurveyFolder
 from files import export_splats, refusal
@@ -320,7 +320,7 @@ def show_water(folder, scene, out):
     swag.water = 0.25
     bpy.context.view_layer.update()
     evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    owner, name, _ = splat_preview._input(evaluated, splat_preview.WATER)
+    owner, name, _ = splat_preview._input(evaluated, splat_colors.WATER)
     found["slider"] = owner.value if name == "value" else owner[name]
     return found
 

@@ -152,7 +152,7 @@ def uploads():
 
 def settings():
     """The properties drive the nodes that renders and points use."""
-    from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+    from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_colors, splat_preview
 
     obj = splats.new_splat_object("reef", random_splats(100, 16), scene.collection)
     own = display.display_of(obj)
@@ -164,4 +164,4 @@ def settings():
         owner, path, _ = splat_preview._input(obj, name)
         return owner.value if path == "value" else owner[path]
 
-    assert read(splat_preview.SH_DEGREE) == 1 and read(splat_preview.DENSITY) == 50
+    assert read(splat_colors.SH_DEGREE) == 1 and read(splat_colors.DENSITY) == 50

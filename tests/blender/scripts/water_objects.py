@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import labels, splats, water
-from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_colors, splat_preview
 from mathutils import Euler, Matrix
 from pictures import linked, load_splats, new_camera, pinhole_camera, random_splats, render_pixel_centres
 
@@ -145,7 +145,7 @@ def save_copy_and_remove(folder):
     assert np.allclose(water.water_of(obj).beta_D, (0.4, 0.2, 0.1)) and water.water_of(obj).display
 
     def amount(obj):
-        owner, path, _ = splat_preview._input(obj, splat_preview.WATER)
+        owner, path, _ = splat_preview._input(obj, splat_colors.WATER)
         return owner.value if path == "value" else owner[path]
 
     bpy.ops.wm.save_as_mainfile(filepath=folder + "/water.blend")
