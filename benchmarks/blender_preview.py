@@ -25,7 +25,7 @@ import torch
 
 from benchmarks.common import PICTURES, RESULTS, WEBP_QUALITY, processor, write_results
 from benchmarks.formats import make_splats
-from demo.run import blender_with_extension
+from demo.extension import blender_with_extension
 from swag_engine.experiments.evaluate_run import load_newest
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder

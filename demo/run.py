@@ -6,9 +6,7 @@ The bpy package is the Blender that runs here, without a window; each step is th
 sidebar calls. Everything is written to demo/output.
 """
 
-import importlib
 import json
-import os
 import shutil
 import sys
 import tempfile
@@ -19,8 +17,11 @@ import cv2
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from demo.extension import blender_with_extension
+
 OUTPUT = ROOT / "demo" / "output"
-EXTENSION = "bl_ext.user_default.swag_splatting"
 # What two cores train in a minute; twice as much brings nothing on 21 photographs.
 ITERATIONS, WIDTH, MAX_GAUSSIANS = 1500, 640, 50_000
 # One sample looks at the middle of each pixel, as the trainer does, and blends exactly: there is no noise.
@@ -85,20 +86,6 @@ Done in {time.monotonic() - started:.0f} s: {len(trained.data.points)} Gaussians
       glTF with KHR_gaussian_splatting: drop it into sandbox.babylonjs.com or another viewer that knows the extension
   {OUTPUT / "run"}
       the training run: its settings, its figures (metrics.jsonl), its checkpoints""")
-
-
-def blender_with_extension(user: Path):
-    """The bpy module with this working tree enabled as an extension; `user`: a folder for Blender's user files."""
-    os.environ["BLENDER_USER_RESOURCES"] = str(user)
-    extensions = user / "extensions" / "user_default"
-    extensions.mkdir(parents=True)
-    (extensions / "swag_splatting").symlink_to(ROOT, target_is_directory=True)
-    import bpy
-
-    addon_utils = importlib.import_module("addon_utils")  # on the path once bpy is there
-    addon_utils.enable("bl_pkg")
-    addon_utils.enable(EXTENSION, default_set=True)
-    return bpy
 
 
 def compare(photograph: Path, render: Path, scene_folder: Path, without_water: bool) -> str:

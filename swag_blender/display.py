@@ -14,7 +14,7 @@ _STYLES = [
     ("POINTS", "Points", "A colored point for each splat, which any graphics card draws fast"),
 ]
 if splat_preview.HAS_NATIVE:
-    text = "Blender's own drawing, also in Solid and Wireframe shading, whose lamps make it darker"
+    text = "Blender's own drawing: with noise, and dark in Solid shading"
     _STYLES.append(("NATIVE", "Blender's Splats", text))
 
 
@@ -26,7 +26,7 @@ class SwagDisplay(PropertyGroup):
         str,
         EnumProperty(
             name="Display As",
-            description="What viewports show in Solid shading, and before Blender 5.3 in Material Preview",
+            description="What viewports show, except in Rendered shading",
             items=_STYLES,
             update=lambda self, context: change(self.id_data),
         ),
@@ -85,8 +85,7 @@ def apply(obj: bpy.types.Object) -> None:
     """Show a splat object as its settings say; for a new object, and after a change."""
     display = display_of(obj)
     drawn_here = display.style == "SPLATS"
-    # Of an object that is displayed as bounds viewports draw nothing but a box; in Rendered shading, and for native
-    # splats in Material Preview, it makes no difference.
+    # Viewports draw nothing but a box of an object that is displayed as bounds; renders are not affected.
     obj.display_type = "BOUNDS" if drawn_here else "TEXTURED"
     splat_preview.set_input(obj, splat_preview.POINTS_IN_VIEWPORT, display.style == "POINTS")
     if not drawn_here:

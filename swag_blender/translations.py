@@ -243,8 +243,8 @@ GERMAN = {
         "Die eigenen Formen der Erweiterung rendern: ohne Rauschen, wie trainiert, wenn so eingerichtet, und langsamer"
     ),
     "Blender's Splats": "Blenders Splats",
-    "Blender's own drawing, also in Solid and Wireframe shading, whose lamps make it darker": (
-        "Blenders eigene Darstellung, auch in Solid und Drahtgitter, deren Lampen sie dunkler machen"
+    "Blender's own drawing: with noise, and dark in Solid shading": (
+        "Blenders eigene Darstellung: mit Rauschen, und dunkel in der Schattierung Solid"
     ),
     "Threshold": "Schwelle",
     "Upright": "Aufrecht",
@@ -550,9 +550,7 @@ GERMAN = {
     "Photos or Video without Cameras": "Fotos oder Video ohne Kameras",
     "Points": "Punkte",
     "The splats as trained, with view-dependent colors": "Die Splats wie trainiert, mit blickabhängigen Farben",
-    "What viewports show in Solid shading, and before Blender 5.3 in Material Preview": (
-        "Was Ansichten in Solid zeigen, und vor Blender 5.3 in der Materialvorschau"
-    ),
+    "What viewports show, except in Rendered shading": "Was Viewports zeigen, außer in der Schattierung Gerendert",
     "Add Crop Box": "Ausschnitt hinzufügen",
     "Add a box around the splats that limits what is shown, rendered and exported; move, rotate and scale it": (
         "Einen Kasten um die Splats legen, der begrenzt, was gezeigt, gerendert und exportiert wird; er lässt sich"

@@ -33,6 +33,7 @@ DEVELOP = "Develop in Viewport"
 GAINS, CONTRAST = "Gains", "Contrast"
 RESTORED_ROWS = ("Restored to Red", "Restored to Green", "Restored to Blue")
 RESTORED_CONTRAST = "Restored Contrast"
+BLEND_DISPLAY = "Blend Display Values"
 _FOR_SHAPES = "For Shapes"
 _MAX_DEGREE = 3
 _ROWS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -48,7 +49,8 @@ def colored(tree: bpy.types.NodeTree, inputs: Mapping[str, Field], for_shapes: b
     """
     group: Any = add(tree, "GeometryNodeGroup", {"node_tree": node_group()})
     for socket in group.inputs:
-        if socket.name in inputs:
+        # Shapes have a material that blends sRGB values as such.
+        if socket.name in inputs and not (for_shapes and socket.name == BLEND_DISPLAY):
             tree.links.new(inputs[socket.name].socket, socket)
     group.inputs[_FOR_SHAPES].default_value = for_shapes
     return Field(group.outputs["Geometry"])
@@ -63,6 +65,7 @@ def node_group() -> bpy.types.NodeTree:
     add_socket(tree, "Geometry", "Geometry")
     add_inputs(tree)
     add_input(tree, _FOR_SHAPES, "Bool", "Compute all colors for the active camera", False)
+    add_input(tree, BLEND_DISPLAY, "Bool", "Have Blender take the sRGB values for light", False)
     inputs = by_name(add(tree, "NodeGroupInput").outputs)
     in_viewport = Field(add(tree, "GeometryNodeIsViewport").outputs[0])
     geometry = _drawn(tree, inputs, in_viewport)
@@ -71,6 +74,7 @@ def node_group() -> bpy.types.NodeTree:
     tints = add(tree, "GeometryNodeAttributeStatistic", Geometry=geometry, Attribute=tint)
     for_camera = inputs[_FOR_SHAPES]
     for reason in (
+        inputs[BLEND_DISPLAY],
         inputs[SH_DEGREE].math("LESS_THAN", _MAX_DEGREE),
         inputs[WATER].math("GREATER_THAN", 0.0),
         developed,
@@ -78,6 +82,8 @@ def node_group() -> bpy.types.NodeTree:
     ):
         for_camera = for_camera.math("MAXIMUM", reason)
     color = _color(tree, inputs, developed)
+    # Blender converts the colors of its splats from sRGB to light.
+    color = switch(tree, inputs[BLEND_DISPLAY], color, by_channel(tree, to_display, color), "VECTOR")
     add(tree, "NodeGroupOutput", Geometry=switch(tree, for_camera, geometry, _with_color(tree, geometry, color)))
     arranged(tree)
     return tree

@@ -17,7 +17,8 @@ An own shape is one of:
   with the distance d of the ray from the centre: the largest value of the 3D Gaussian along the ray.
 - in the viewport ("Points in Viewport"): colored points, smaller for fainter splats, fast for any number.
 
-Both groups give viewports the points alone unless an input asks for more: swag_blender/viewport draws the splats there.
+Both groups give viewports the points without anything to draw unless an input asks for more: swag_blender/viewport
+draws the splats there, as trained and without noise.
 
 Training blends sRGB values. Two ways to blend the own shapes:
 - linear light (default): colors are converted from sRGB and blended as light, as Cycles and EEVEE do with everything.
@@ -37,6 +38,7 @@ from ..blender_types import present
 from . import point_material, splat_colors, splat_shapes
 from .build import Field, add, add_input, add_socket, alpha, arranged, attribute, by_name, new_tree, stored, switch
 from .formulas import by_channel, to_light
+from .splat_colors import BLEND_DISPLAY
 from .water_shader import background_node
 
 NAME = "SWAG Splat Preview"
@@ -46,7 +48,6 @@ HAS_NATIVE = "type" in bpy.types.PointCloud.bl_rna.properties
 BACKGROUND_KEY = "swag_background"
 """Property of a splat object: the sRGB background color of its training."""
 
-BLEND_DISPLAY = "Blend Display Values"
 PIXEL_SIZE = "Pixel Size"
 FACE_CAMERA = "Face Camera"
 POINTS_IN_VIEWPORT = "Points in Viewport"
@@ -241,15 +242,13 @@ def node_group(native: bool) -> bpy.types.NodeTree:
     _add_inputs(tree)
     inputs = by_name(add(tree, "NodeGroupInput").outputs)
     in_viewport = Field(add(tree, "GeometryNodeIsViewport").outputs[0])
+    plain = splat_shapes.no_shape(tree, _as_points(tree, inputs["Geometry"]))
+    colored = splat_colors.colored(tree, inputs, for_shapes=True)
     if native:
-        plain = inputs["Geometry"]
         rendered = in_rendered = splat_colors.colored(tree, inputs, for_shapes=False)
     else:
-        inputs["Geometry"] = _as_points(tree, inputs["Geometry"])
-        plain = splat_shapes.no_shape(tree, inputs["Geometry"])
-        in_rendered, rendered = _shapes(tree, inputs, splat_colors.colored(tree, inputs, for_shapes=True))
-    points = _points(tree, splat_colors.colored(tree, inputs, for_shapes=True))
-    shown = switch(tree, inputs[POINTS_IN_VIEWPORT], plain, points)
+        in_rendered, rendered = _shapes(tree, inputs, _as_points(tree, colored))
+    shown = switch(tree, inputs[POINTS_IN_VIEWPORT], plain, _points(tree, colored))
     shown = switch(tree, inputs[RENDERED_IN_VIEWPORT], shown, in_rendered)
     add(tree, "NodeGroupOutput", Geometry=switch(tree, in_viewport, rendered, shown))
     arranged(tree)

@@ -26,11 +26,11 @@ def _draw() -> None:
     """Draw the splats of the viewport's scene; Blender calls this after it has drawn the viewport's objects."""
     global _drawing, _failed
     context = bpy.context
-    _follow_shading()
+    _follow_rendered_shading()
     objects = drawn_objects(present(context.view_layer))
     if not objects and not any(map(is_drawn, bpy.data.objects)):
         _drawing = None
-    if not objects or _is_drawn_by_blender(present(context.area)) or _failed:
+    if not objects or _is_rendered(present(context.area)) or _failed:
         return
     try:
         if _drawing is None:
@@ -52,23 +52,19 @@ def _tick() -> float | None:
     return TICK_SECONDS
 
 
-def _follow_shading() -> None:
-    """Have the nodes give viewports what renders draw while one has such a shading, and only then."""
+def _follow_rendered_shading() -> None:
+    """Have the nodes give viewports what renders draw while one is in Rendered shading, and only then."""
     windows = present(bpy.context.window_manager).windows
-    rendered = any(_is_drawn_by_blender(area) for window in windows for area in window.screen.areas)
+    rendered = any(_is_rendered(area) for window in windows for area in window.screen.areas)
     if rendered != _shapes_shown and not bpy.app.timers.is_registered(_switch_shapes):
         # Nothing may be changed while Blender draws.
         bpy.app.timers.register(_switch_shapes, first_interval=0.0)
 
 
-def _is_drawn_by_blender(area: bpy.types.Area) -> bool:
-    """Whether an area is a 3D viewport where Cycles or EEVEE draw what the nodes give.
-
-    In Solid shading Blender's own drawing of splats multiplies their colors by its lamps, so that they come out dark.
-    """
+def _is_rendered(area: bpy.types.Area) -> bool:
+    """Whether an area is a 3D viewport in Rendered shading."""
     space = area.spaces.active
-    by_blender = {"RENDERED", "MATERIAL"} if splat_preview.HAS_NATIVE else {"RENDERED"}
-    return isinstance(space, bpy.types.SpaceView3D) and space.shading.type in by_blender
+    return isinstance(space, bpy.types.SpaceView3D) and space.shading.type == "RENDERED"
 
 
 def _switch_shapes() -> None:

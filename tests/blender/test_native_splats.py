@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.blender.conftest import packages
-from tests.blender.splat_pictures import apply_water, heap
+from tests.blender.splat_pictures import apply_water, heap, psnr, render_by_engine
 
 
 @pytest.fixture
@@ -101,3 +101,14 @@ def test_splats_that_blender_imported_get_the_panel(native, tmp_path):
         tmp_path / "heap.ply", Splats(*(arrays[n] for n in ("positions", "rotations", "scales", "opacities", "sh")))
     )
     assert native.run("native_splats.imported_by_blender", tmp_path / "heap.ply") == len(arrays["positions"])
+
+
+def test_viewports_draw_what_the_engine_renders(native, tmp_path):
+    """The extension's own drawing, without noise and in display values, which native splats are not."""
+    arrays = heap()
+    np.savez(tmp_path / "heap.npz", **arrays)
+    native.run("native_splats.own_drawing", tmp_path, 160, 100, 150.0)
+    color = render_by_engine(arrays, 160, 100, 150.0)[0].clip(0, 1)
+    drawn = np.load(tmp_path / "drawn.npy")
+    print(psnr(drawn, color))
+    assert psnr(drawn, color) > 42

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import types
 
 import bpy
 import numpy as np
@@ -241,3 +242,45 @@ def imported_by_blender(path):
     obj.swag_display.exact = True
     assert not splat_preview.is_native(obj)
     return count
+
+
+def own_drawing(folder, width, height, focal):
+    """Draw heap.npz as a viewport does, into a picture of its own; writes display values as drawn.npy."""
+    import gpu
+    from bl_ext.user_default.swag_splatting.swag_blender.viewport.drawing import ViewportDrawing
+
+    gpu.init()
+    bpy.ops.wm.read_homefile(use_empty=False)
+    for obj in list(bpy.data.objects):
+        bpy.data.objects.remove(obj)
+    root = pinhole_camera(width, height, focal)
+    obj = splats.new_splat_object("heap", load_splats(folder + "/heap.npz"), bpy.context.scene.collection, root)
+    splat_preview.remember_training(obj, 1 / focal, [0, 0, 0])
+    bpy.context.view_layer.update()
+    camera = bpy.context.scene.camera
+    projection = camera.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), x=width, y=height)
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    space = area.spaces.active
+    space.shading.background_type, space.shading.background_color = "VIEWPORT", (0, 0, 0)
+
+    class Context:
+        """The context of a viewport of that size and view."""
+
+        region = types.SimpleNamespace(width=width, height=height, as_pointer=lambda: 1)
+        region_data = types.SimpleNamespace(
+            window_matrix=projection, view_matrix=camera.matrix_world.inverted(), use_clip_planes=False, clip_planes=[]
+        )
+        space_data = space
+
+        def __getattr__(self, name):
+            return getattr(bpy.context, name)
+
+    picture = gpu.types.GPUOffScreen(width, height, format="RGBA16F")
+    with bpy.context.temp_override(window=window, area=area), picture.bind():
+        framebuffer = gpu.state.active_framebuffer_get()
+        framebuffer.clear(color=(0, 0, 0, 1), depth=1.0)
+        ViewportDrawing().draw(Context(), [obj])
+        drawn = framebuffer.read_color(0, 0, width, height, 4, 0, "FLOAT").to_list()
+    # Blender shows its overlays with this gamma.
+    np.save(folder + "/drawn.npy", np.maximum(np.array(drawn)[::-1, :, :3], 0) ** (1 / 2.2))
