@@ -153,11 +153,12 @@ def press_pause(paused):
 
 
 def idle_after_training(folder):
-    """Names of threads and seconds of processor time in a second after a training."""
+    """Names of threads that a training has left, and seconds of processor time in a second after it."""
     swag.scene_folder = folder
+    earlier = threading.enumerate()
     bpy.ops.swag.train()
     time.sleep(0.2)
-    threads = [thread.name for thread in threading.enumerate() if thread is not threading.main_thread()]
+    threads = [thread.name for thread in threading.enumerate() if thread not in earlier]
     before = time.process_time()
     time.sleep(1.0)
     return {"threads": threads, "processor seconds": time.process_time() - before}
