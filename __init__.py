@@ -3,6 +3,7 @@
 from . import operators
 from .swag_blender import (
     assets,
+    background,
     color_chart,
     colors,
     commands,
@@ -59,6 +60,7 @@ _MODULES = (
     film_panel,
     maps_panel,
     water,
+    background,
     colors,
     restored_photos,
     color_chart,

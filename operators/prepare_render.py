@@ -5,7 +5,7 @@ from typing import Annotated
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty
 
-from ..swag_blender import splats
+from ..swag_blender import background, splats
 from ..swag_blender.blender_types import OperatorResult, present, with_properties
 from ..swag_blender.render_setup import SAMPLES, eevee_warning, prepare_render
 from ..swag_blender.sidebar import draw_wrapped
@@ -16,7 +16,7 @@ DIALOG_WIDTH = 420
 
 @with_properties
 class SWAG_OT_prepare_render(bpy.types.Operator):
-    """Set up Cycles or EEVEE for splats: transparency, colors, the background of the training, image size"""
+    """Set up Cycles or EEVEE for splats: transparency, colors, the background of the run, image size"""
 
     bl_idname = "swag.prepare_render"
     bl_label = "Set Up Render"
@@ -41,6 +41,22 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
             "photos; other objects get wrong colors. Off: blend linear light, right beside other objects",
         ),
     ]
+    world: Annotated[
+        str,
+        EnumProperty(
+            name="World",
+            description="What is behind the splats. Default: a world of your own is kept",
+            items=[
+                (
+                    "RUN",
+                    "Background of the Run",
+                    "Open water or the background color of the run, as in films; your own world stays in the file",
+                ),
+                ("KEEP", "Keep", "Leave the world of the scene as it is"),
+            ],
+            options={"SKIP_SAVE"},
+        ),
+    ]
     samples: Annotated[
         int,
         IntProperty(
@@ -63,6 +79,7 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask first; Blender calls this for buttons."""
+        self.world = self._world(context)
         return present(context.window_manager).invoke_props_dialog(self, width=DIALOG_WIDTH)
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -71,6 +88,8 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
         layout.use_property_split = True
         for name in ("engine", "samples", "display_values"):
             layout.prop(self, name)
+        if background.is_known(present(context.scene)):
+            layout.prop(self, "world")
         warning = self._warning(context)
         if warning:
             scale = present(context.preferences).system.ui_scale
@@ -78,11 +97,18 @@ class SWAG_OT_prepare_render(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Set up the scene."""
-        prepare_render(present(context.scene), self.display_values, self.engine, self.samples)
+        keep_world = self._world(context) == "KEEP"
+        prepare_render(present(context.scene), self.display_values, self.engine, self.samples, keep_world)
         warning = self._warning(context)
         if warning:
             self.report({"WARNING"}, warning)
         return {"FINISHED"}
+
+    def _world(self, context: bpy.types.Context) -> str:
+        """The user's choice of the world; before it, the world of the user's own is kept."""
+        if self.properties.is_property_set("world"):
+            return self.world
+        return "KEEP" if background.has_users_world(present(context.scene)) else "RUN"
 
     def _warning(self, context: bpy.types.Context) -> str:
         return eevee_warning(present(context.scene), self.samples) if self.engine == "EEVEE" else ""

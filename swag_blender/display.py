@@ -64,6 +64,16 @@ class SwagDisplay(PropertyGroup):
             update=lambda self, context: change(self.id_data),
         ),
     ]
+    background: Annotated[
+        bool,
+        BoolProperty(
+            name="Background",
+            description="Viewports show what is behind the splats in films: open water, or the background color of the "
+            "run. Off: the viewport's own background",
+            default=True,
+            update=lambda self, context: self.id_data.update_tag(),
+        ),
+    ]
     crop: Annotated[
         bpy.types.Object | None,
         PointerProperty(

@@ -2,7 +2,7 @@
 
 import bpy
 
-from . import labels, splats, viewport
+from . import background, labels, splats, viewport
 from .blender_types import present
 from .display import display_of
 from .nodes import splat_preview
@@ -43,6 +43,8 @@ class SWAG_PT_display(SwagPanel):
             splat_preview.draw_input(column, obj, splat_preview.FACE_CAMERA)
         if labels.CONFIDENCE in splats.pointcloud_of(obj).attributes:
             column.prop(labels.labels_of(obj), "uncertain")
+        if background.find([obj], None) is not None:
+            column.prop(display_of(obj), "background")
         drawing = viewport.drawing()
         if drawing is not None and drawing.store.notice:
             draw_wrapped(layout, drawing.store.notice, present(context.region).width, icon="INFO")

@@ -20,7 +20,7 @@ from ..swag_engine.formats.ply import write_ply
 from ..swag_engine.formats.run_folder import write_json
 from ..swag_engine.splats.splats import concatenate
 from ..swag_engine.splats.transform import transformed
-from . import colors, splats, water
+from . import background, colors, splats, water
 from .blender_types import present, with_properties
 from .cameras import camera_of, render_size
 from .engine_process import Engine
@@ -119,8 +119,8 @@ def film_request(context: bpy.types.Context, folder: Path) -> dict[str, Any]:
     if not objects:
         raise InputError("There are no splats to film: show some in the viewport and enable them in renders.")
     # The frame of the first object is that of its run, in which its water is known.
-    with_water = water.find(scene, context.active_object)
-    objects.sort(key=lambda obj: obj != with_water)
+    first = background.find(objects, context.active_object)
+    objects.sort(key=lambda obj: obj != first)
     source, render = objects[0], scene.render
     out = output_folder(scene, source)
     splats_file, cameras_file = folder / "splats.ply", out / "cameras.json"
@@ -157,9 +157,7 @@ def film_request(context: bpy.types.Context, folder: Path) -> dict[str, Any]:
     run = _run_of(source)
     if run is not None and list(run.glob("checkpoint-*.safetensors")):
         return request | {"run": str(run)}
-    request["background"] = [
-        min(max(float(value), 0.0), 1.0) for value in source.get(splat_preview.BACKGROUND_KEY, (0, 0, 0))
-    ]
+    request["background"] = background.color_behind(source) or (0.0, 0.0, 0.0)
     if (values := water.water_of(source)) is not None:
         write_json(folder / "water.json", values.to_json())
         request["water"] = str(folder / "water.json")

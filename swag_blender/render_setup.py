@@ -5,7 +5,7 @@ from typing import Any
 import bpy
 import gpu
 
-from . import colors, scene_import, water
+from . import background, colors, scene_import
 from .cameras import render_size
 from .nodes import splat_preview
 
@@ -18,7 +18,13 @@ EEVEE_SECONDS = 5e-5
 same for 2 000 and for 20 000 splats."""
 
 
-def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str, samples: int = SAMPLES) -> None:
+def prepare_render(
+    scene: bpy.types.Scene,
+    display_values: bool,
+    engine: str,
+    samples: int = SAMPLES,
+    keep_world: bool = False,
+) -> None:
     """Set up render engine, world, development and image size of a scene, so that its splats look as in the engine.
 
     Args:
@@ -26,11 +32,13 @@ def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str, sa
         display_values: whether to blend sRGB values and not linear light (see nodes/splat_preview.py).
         engine: "CYCLES" or "EEVEE".
         samples: samples of a pixel, for both engines.
+        keep_world: whether to leave the scene's world as it is.
     """
     splat_preview.prepare_render(scene, display_values, engine)
     own: Any = scene
     own.cycles.samples = own.eevee.taa_render_samples = samples
-    water.set_world(scene, display_values)
+    if not keep_world:
+        background.set_world(scene, display_values)
     colors.set_up_render(scene, display_values)
     if scene.camera and scene.camera.get(scene_import.SIZE_KEY) is not None:
         scene_import.look_through(scene, scene.camera)

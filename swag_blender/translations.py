@@ -478,8 +478,26 @@ GERMAN = {
     "Select the splats of this label; with Shift in addition to the selection": (
         "Die Splats dieses Etiketts wählen; mit Umschalt zusätzlich zur Auswahl"
     ),
-    ("Set up Cycles or EEVEE for splats: transparency, colors, the background of the training, image size"): (
-        "Cycles oder EEVEE für Splats vorbereiten: Transparenz, Farben, der Hintergrund des Trainings, Bildgröße"
+    "Set up Cycles or EEVEE for splats: transparency, colors, the background of the run, image size": (
+        "Cycles oder EEVEE für Splats vorbereiten: Transparenz, Farben, der Hintergrund des Laufs, Bildgröße"
+    ),
+    "World": "Welt",
+    "What is behind the splats. Default: a world of your own is kept": (
+        "Was hinter den Splats ist. Standard: eine eigene Welt bleibt"
+    ),
+    "Background of the Run": "Hintergrund des Laufs",
+    "Open water or the background color of the run, as in films; your own world stays in the file": (
+        "Offenes Wasser oder die Hintergrundfarbe des Laufs, wie in Filmen; die eigene Welt bleibt in der Datei"
+    ),
+    "Keep": "Behalten",
+    "Leave the world of the scene as it is": "Die Welt der Szene lassen, wie sie ist",
+    "Background": "Hintergrund",
+    (
+        "Viewports show what is behind the splats in films: open water, or the background color of the run. Off: the "
+        "viewport's own background"
+    ): (
+        "Viewports zeigen, was in Filmen hinter den Splats ist: offenes Wasser oder die Hintergrundfarbe des Laufs. "
+        "Aus: der Hintergrund des Viewports selbst"
     ),
     "Show the selected objects through the water of the splats, by nodes in their materials": (
         "Die gewählten Objekte durch das Wasser der Splats zeigen, durch Knoten in ihren Materialien"

@@ -24,7 +24,7 @@ def remember_water(obj: bpy.types.Object, water: dict[str, Any] | None, metres_p
     Args:
         obj: a splat object.
         water: the contents of water.json; None for none. The table of a water network has no coefficients for the
-            nodes and counts as none.
+            nodes: the splats are shown without it, over black, as the engine renders them without water.
         metres_per_unit: of the run, for water per metre.
 
     Raises:
@@ -36,6 +36,8 @@ def remember_water(obj: bpy.types.Object, water: dict[str, Any] | None, metres_p
     else:
         values = WaterValues()
         obj.pop(KEY, None)
+        if water is not None:  # a network, whose background goes with its water
+            obj[splat_preview.BACKGROUND_KEY] = (0.0, 0.0, 0.0)
     for name, value in values.inputs().items():
         splat_preview.set_input(obj, name, value)
     follow_slider(obj)
@@ -67,12 +69,6 @@ def find(scene: bpy.types.Scene, active: bpy.types.Object | None) -> bpy.types.O
 def node_group(obj: bpy.types.Object) -> bpy.types.NodeTree:
     """The shader nodes of the water of a splat object that has one."""
     return water_shader.node_group(obj, obj.users_scene[0], present(water_of(obj)))
-
-
-def set_world(scene: bpy.types.Scene, display_values: bool) -> None:
-    """Make the scene's world the background light of its splats' water, where they have one."""
-    if (obj := find(scene, None)) is not None:
-        water_shader.set_world(scene, node_group(obj), display_values)
 
 
 def objects_with_materials(context: bpy.types.Context) -> list[bpy.types.Object]:

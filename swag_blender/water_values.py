@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..swag_engine.base.errors import InputError
-from ..swag_engine.formats.water import DAMAGED
+from ..swag_engine.formats.water import DAMAGED, has_background_light
 
 Triple = tuple[float, float, float]
 ATTENUATION, BACKSCATTER, OF_DISPLAY = "Attenuation", "Backscatter", "Of Display Values"
@@ -63,6 +63,11 @@ class WaterValues:
             "light": light,
             "per": "unit",
         }
+
+    @property
+    def has_background_light(self) -> bool:
+        """Whether the water adds light, so that open water is behind the splats."""
+        return has_background_light(self.background)
 
     def inputs(self) -> dict[str, Triple | bool]:
         """The values by the names of the node groups' inputs."""

@@ -32,21 +32,19 @@ from collections.abc import Sequence
 from typing import Any, cast
 
 import bpy
-from mathutils import Color
 
 from ..blender_types import present
 from . import point_material, splat_colors, splat_shapes
 from .build import Field, add, add_input, add_socket, alpha, arranged, attribute, by_name, new_tree, stored, switch
 from .formulas import by_channel, to_light
 from .splat_colors import BLEND_DISPLAY
-from .water_shader import background_node
 
 NAME = "SWAG Splat Preview"
 NATIVE = "SWAG Native Splats"
 HAS_NATIVE = "type" in bpy.types.PointCloud.bl_rna.properties
 """Whether this Blender draws splats itself: from 5.3."""
 BACKGROUND_KEY = "swag_background"
-"""Property of a splat object: the sRGB background color of its training."""
+"""Property of a splat object: the sRGB background color of its training (see background.py)."""
 
 PIXEL_SIZE = "Pixel Size"
 FACE_CAMERA = "Face Camera"
@@ -190,7 +188,7 @@ def pixel_size_of(obj: bpy.types.Object) -> float:
 
 
 def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str = "CYCLES") -> None:
-    """Set up Cycles or EEVEE so that renders show splats completely, in their own colors, with their background.
+    """Set up Cycles or EEVEE so that renders show splats completely and in their own colors.
 
     Args:
         scene: its splat objects are set to the same way of blending.
@@ -213,15 +211,6 @@ def prepare_render(scene: bpy.types.Scene, display_values: bool, engine: str = "
         if display_values or read_inputs(obj).get(BLEND_DISPLAY):
             use_shapes(obj, display_values)
         set_input(obj, BLEND_DISPLAY, display_values)
-    stored_colors = (obj.get(BACKGROUND_KEY) for obj in scene.objects)
-    background = next((color for color in stored_colors if color is not None), None)
-    if background is not None:
-        inputs: Any = background_node(scene).inputs
-        for link in inputs["Color"].links:
-            inputs["Color"].id_data.links.remove(link)
-        color = Color(background)
-        inputs["Color"].default_value = (*(color if display_values else color.from_srgb_to_scene_linear())[:], 1.0)
-        inputs["Strength"].default_value = 1.0
 
 
 def node_group(native: bool) -> bpy.types.NodeTree:

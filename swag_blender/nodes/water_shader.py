@@ -1,4 +1,4 @@
-"""Shader nodes of a fitted water, for ordinary objects and for the world.
+"""Shader nodes of a fitted water, for ordinary objects and for the world (world.py).
 
 Each splat object has a node group that holds its water; the group of the asset library has it as inputs. Drivers set
 the amount (the slider `scene.swag.water`) and the rotation and scale of the splats' own space, so that both can be
@@ -25,8 +25,8 @@ Channel = Literal["ROT_X", "ROT_Y", "ROT_Z", "SCALE_AVG"]
 NAME = "SWAG Water"
 GROUP_KEY = "swag_water_group"
 """Property of a splat object: the node group of its water."""
-SAMPLE_MAP_COLUMNS = 64
-"""Columns of the map by which Cycles samples the background light."""
+LIGHT, DISPLAY_VALUES = "Background Light", "Background Light sRGB"
+"""Outputs of a group: what the camera sees without any surface, as linear light and as sRGB values."""
 MIDDLE_GREY = 0.21404114
 """Linear light of the sRGB value 0.5."""
 _COLOR_INPUTS = {"Color", "Base Color", "Emission Color", "Specular Tint", "Sheen Tint"}
@@ -127,37 +127,6 @@ def has_water(material: bpy.types.Material) -> bool:
     return material.node_tree is not None and NAME in material.node_tree.nodes
 
 
-def set_world(scene: bpy.types.Scene, group: bpy.types.NodeTree, display_values: bool) -> None:
-    """Make the scene's world the background light of the group, as linear light or as sRGB values."""
-    background = background_node(scene)
-    tree = cast(bpy.types.NodeTree, background.id_data)
-    water: Any = tree.nodes.get(NAME) or tree.nodes.new("ShaderNodeGroup")
-    water.name = water.label = NAME
-    water.node_tree = group
-    water.location = background.location.x - 260, background.location.y
-    tree.links.new(
-        water.outputs["Background Light sRGB" if display_values else "Background Light"], background.inputs["Color"]
-    )
-    cast(Any, background.inputs["Strength"]).default_value = 1.0
-    # Cycles evaluates the nodes once for each pixel of its map of the world, which takes minutes at its own size. The
-    # background light changes slowly with direction.
-    settings: Any = getattr(scene.world, "cycles", None)
-    if settings is not None:  # Blender without Cycles
-        settings.sampling_method, settings.sample_map_resolution = "MANUAL", SAMPLE_MAP_COLUMNS
-
-
-def background_node(scene: bpy.types.Scene) -> bpy.types.Node:
-    """The Background node of the scene's world; world and node are made if they are missing."""
-    world = scene.world = scene.world or bpy.data.worlds.new("World")
-    world.use_nodes = True
-    tree = present(world.node_tree)
-    node = next((n for n in tree.nodes if n.bl_idname == "ShaderNodeBackground"), None)
-    if node is None:
-        node = tree.nodes.new("ShaderNodeBackground")
-        add(tree, "ShaderNodeOutputWorld", Surface=Field(node.outputs[0]))
-    return node
-
-
 def _new_group(obj: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.NodeTree:
     tree = new_tree(f"{NAME} {obj.name}", "ShaderNodeTree")
 
@@ -178,7 +147,7 @@ def _new_group(obj: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.NodeT
 def _build(tree: bpy.types.NodeTree, figure: Callable[[str, bool], Field]) -> None:
     """Make the nodes of the group; figure(name, is_vector) gives each figure of the water."""
     add_socket(tree, "Color", "Color").description = "Light of the surface without water"
-    for name in ("Color", "Transmission", "Backscatter", "Background Light", "Background Light sRGB"):
+    for name in ("Color", "Transmission", "Backscatter", LIGHT, DISPLAY_VALUES):
         add_socket(tree, name, "Color", "OUTPUT")
     amount, turn, length = figure("Amount", False), figure("Splats Rotation", True), figure("Splats Scale", False)
     inputs = {name: figure(name, isinstance(value, tuple)) for name, value in WaterValues().inputs().items()}
@@ -209,8 +178,8 @@ def _build(tree: bpy.types.NodeTree, figure: Callable[[str, bool], Field]) -> No
         "Color": mixed(own, seen(own), of_camera),
         "Transmission": mixed(white, transmission, of_camera),
         "Backscatter": black * of_camera,
-        "Background Light": mixed(background, by_channel(tree, to_light, background), water.display),
-        "Background Light sRGB": mixed(by_channel(tree, to_display, background), background, water.display),
+        LIGHT: mixed(background, by_channel(tree, to_light, background), water.display),
+        DISPLAY_VALUES: mixed(by_channel(tree, to_display, background), background, water.display),
     }
     output = tree.nodes.new("NodeGroupOutput")
     for name, field in results.items():

@@ -7,6 +7,7 @@ is then laid over the viewport. While nothing changes the picture is laid over a
 import time
 import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, cast
 
 import bpy
@@ -16,7 +17,7 @@ from gpu_extras.batch import batch_for_shader
 from mathutils import Color
 
 from ...swag_engine.splats.development import NO_DEVELOPMENT
-from .. import colors, display, water
+from .. import background, colors, display, water
 from ..blender_types import present
 from ..crop_box import world_to_box
 from ..nodes import splat_preview
@@ -80,9 +81,10 @@ class ViewportDrawing:
             self._lay_over(view, framebuffer)
             return
         table = np.stack([one.texels() for one in texels]) if texels else np.zeros((1, OBJECT_TEXELS, 4), np.float32)
-        key = (view.matrices, view.size, table.tobytes(), self.store.version, view.orders, zlib.crc32(depth))
+        behind = _behind(context, shown)
+        key = (view.matrices, view.size, table.tobytes(), behind, self.store.version, view.orders, zlib.crc32(depth))
         if key != view.picture_key:
-            self._draw_picture(view, table, depth)
+            self._draw_picture(view, table, behind, depth)
             view.picture_key = key
         self._lay_over(view, framebuffer)
 
@@ -129,7 +131,7 @@ class ViewportDrawing:
             view.order, view.order_count = self.store.order_texture(order), len(order)
             view.orders += 1
 
-    def _draw_picture(self, view: "_View", table: np.ndarray, depth: Any) -> None:
+    def _draw_picture(self, view: "_View", table: np.ndarray, behind: "_Behind | None", depth: Any) -> None:
         store, shaders = self.store, self._shaders
         objects = new_texture(table, (OBJECT_TEXELS, len(table)), "RGBA32F")
         scene_depth = gpu.types.GPUTexture(view.size, format="R32F", data=depth)
@@ -149,12 +151,12 @@ class ViewportDrawing:
             gpu.state.color_mask_set(True, True, True, True)
             gpu.state.depth_mask_set(False)
             gpu.state.depth_test_set("LESS_EQUAL")
-            in_water = np.flatnonzero(table[:, 6, 3] > 0)
-            if len(in_water):
+            if behind is not None:
                 shaders.background.bind()
                 shaders.background.uniform_block("view", block)
                 shaders.background.uniform_sampler("objects", objects)
-                shaders.background.uniform_int("water_object", int(in_water[0]))
+                shaders.background.uniform_int("water_object", behind.number)
+                shaders.background.uniform_float("color", behind.color)
                 self._quads["background"].draw(shaders.background)
             if view.order_count:
                 gpu.state.blend_set("ALPHA_PREMULT")
@@ -184,6 +186,19 @@ class ViewportDrawing:
             composite.uniform_sampler("picture", view.picture.texture_color)
             self._quads["composite"].draw(composite)
             gpu.state.blend_set("NONE")
+
+
+@dataclass(frozen=True)
+class _Behind:
+    """What is behind the splats of a viewport.
+
+    Attributes:
+        number: of the splat object that it is from, among those that are shown.
+        color: display values and 1, or zeros where the object's open water is behind the splats.
+    """
+
+    number: int
+    color: tuple[float, float, float, float]
 
 
 class _View:
@@ -288,6 +303,18 @@ def _object_texels(context: bpy.types.Context, shown: Sequence[Placement]) -> li
             )
         )
     return made
+
+
+def _behind(context: bpy.types.Context, shown: Sequence[Placement]) -> _Behind | None:
+    """What is behind these splats; None where that is unknown and the viewport's own background stays."""
+    objects = [one.obj for one in shown]
+    obj = background.find((o for o in objects if display.display_of(o).background), context.active_object)
+    if obj is None:
+        return None
+    color = background.color_behind(obj)
+    if color is None:
+        return _Behind(objects.index(obj), (0.0,) * 4) if background.has_open_water(obj) else None
+    return _Behind(objects.index(obj), (*color, 1.0))
 
 
 def _background_color(context: bpy.types.Context) -> tuple[float, float, float]:

@@ -200,6 +200,10 @@ void main() { gl_FragDepth = texture(depths, place).r; }
 """
 _BACKGROUND_FRAGMENT = """
 void main() {
+  if (color.a > 0.5) {
+    blended = color;
+    return;
+  }
   /* The view's ray of this pixel, in the space of the object whose water it is. */
   vec2 at = place * 2.0 - 1.0;
   vec3 ray = view.layout_.w != 0 ? vec3(0.0, 0.0, -1.0)
@@ -243,7 +247,7 @@ void main() {
 
 
 class Shaders:
-    """The four shaders, compiled: splats, scene depth, background light of the water, composite."""
+    """The four shaders, compiled: splats, scene depth, what is behind the splats, composite."""
 
     def __init__(self) -> None:
         self.splats = _compile(
@@ -263,7 +267,7 @@ class Shaders:
             samplers=("objects",),
             library=_WATER,
             has_view=True,
-            constants=(("INT", "water_object"),),
+            constants=(("INT", "water_object"), ("VEC4", "color")),
             depth="1.0",
         )
         self.composite = _compile(

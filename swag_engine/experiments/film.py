@@ -22,7 +22,7 @@ from ..formats.exr import write_exr, write_light_exr
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder, read_json
 from ..formats.survey_folder import COARSE, SurveyFolder
-from ..formats.water import DAMAGED
+from ..formats.water import DAMAGED, has_background_light
 from ..gaussians.cloud import GaussianCloud
 from ..kernels.backends import device_for
 from ..rendering.model import SceneModel
@@ -162,7 +162,9 @@ def read_medium(path: Path) -> Medium:
             raise ValueError("another unit or light")
         # The inverse of softplus, log(exp(x) - 1), without its overflow.
         attenuation, backscatter = (beta + torch.log(-torch.expm1(-beta)) for beta in (beta_D, beta_B))
-        return Medium(attenuation, backscatter, background_sh.reshape(9, 3), 1.0, water["light"])
+        background_sh = background_sh.reshape(9, 3)
+        light = background_sh if has_background_light(background_sh.tolist()) else None
+        return Medium(attenuation, backscatter, light, 1.0, water["light"])
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise InputError(DAMAGED) from error
 

@@ -18,6 +18,8 @@ from ..splats.transform import C0, sh_basis, sh_rotation
 
 BLOCK = 8192
 """Splats computed at a time: each is compared with every camera."""
+NO_BACKGROUND_LIGHT = -100.0
+"""Raw SH coefficient of degree 0 whose sigmoid is 0 in float32: the background light of water that only attenuates."""
 DAMAGED = "water.json does not hold the coefficients of a water; train the run again."
 ThroughWater = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Function of display colors (N, 3), ranges (N, 1) and directions (N, 3) that returns the display colors seen through
@@ -60,6 +62,11 @@ def bake_water(
         sh[part] = slope[:, None] * splats.sh[part]
         sh[part, 0] += (seen - 0.5 + slope * (0.5 - own)) / C0
     return replace(splats, sh=sh)
+
+
+def has_background_light(background_sh: Sequence[Sequence[float]]) -> bool:
+    """Return whether water adds light, by its raw SH coefficients (9, 3); water that only attenuates adds none."""
+    return max(background_sh[0]) > NO_BACKGROUND_LIGHT / 2
 
 
 def transform_water(

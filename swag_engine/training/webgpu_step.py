@@ -15,6 +15,7 @@ from ..base.timing import part
 from ..effects.beam import MOST_LOG_GAIN
 from ..effects.exposure import Exposure
 from ..effects.vignetting import LEAST_GAIN, MOST_GAIN, Vignetting
+from ..formats.water import NO_BACKGROUND_LIGHT
 from ..gaussians.cloud import LOG_SCALE_LIMITS
 from ..kernels.backends import KERNELS, automatic_backend
 from ..kernels.protocol import TooManyPairs
@@ -37,7 +38,7 @@ from ..rendering.native_image import NativeImage
 from ..rendering.render import DAZZLING, FARTHEST, background_color
 from ..scene.cameras import Camera
 from ..settings.settings import TrainSettings
-from ..water.medium import MAX_DEGREE, NO_BACKGROUND_LIGHT, Medium
+from ..water.medium import MAX_DEGREE, Medium
 from ..water.network import WaterNetwork
 from .densification import strategy_of
 from .effect_selection import EffectSelection

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
+from ..formats.water import NO_BACKGROUND_LIGHT
 from ..kernels.backends import kernels_for
 from ..kernels.reference.harmonics import C0
 from ..kernels.reference.kernels import background_light
@@ -39,8 +40,6 @@ BRIGHTEST = 1.2
 """Largest display value of a color without water: exp(beta_D r) multiplies noise in far colors."""
 SETTINGS = ("unit_range", "light")
 """Fields of a medium that are not learned."""
-NO_BACKGROUND_LIGHT = -100.0
-"""Raw SH coefficient of degree 0 whose sigmoid is 0 in float32."""
 
 
 @dataclass
