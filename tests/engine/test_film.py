@@ -268,6 +268,14 @@ def test_splats_without_a_run_take_water_and_background_from_files(tmp_path):
     loaded = film_model(tmp_path / "splats.ply", None, tmp_path / "water.json", (0.1, 0.2, 0.6))
     seen = render(loaded.cloud, front(), medium=loaded.effects.medium).color
     assert (seen - render(model.cloud, front(), medium=medium).color).abs().max() < 1e-3
+    # Water that only attenuates has the background color behind it, at any amount.
+    medium.background_sh = medium.backscatter = None
+    (tmp_path / "water.json").write_text(json.dumps(medium.to_json()))
+    loaded = film_model(tmp_path / "splats.ply", None, tmp_path / "water.json", (0.1, 0.2, 0.6))
+    for amount in (0.0, 0.3, 1.0):
+        seen = render(loaded.cloud, front(), medium=loaded.effects.medium, amount=amount).color
+        wanted = render(model.cloud, front(), medium=medium, amount=amount).color
+        assert (seen - wanted).abs().max() < 1e-3 and (seen[0, 0] - torch.tensor([0.1, 0.2, 0.6])).abs().max() < 1e-3
     (tmp_path / "water.json").write_text(json.dumps({"beta_D": [1]}))
     with pytest.raises(InputError, match="coefficients"):
         film_model(tmp_path / "splats.ply", None, tmp_path / "water.json")

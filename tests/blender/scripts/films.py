@@ -186,7 +186,7 @@ def request_of_scene(out):
     medium: dict[str, Any] = {
         "beta_D": [0.5, 0.2, 0.1],
         "beta_B": [0.3, 0.2, 0.1],
-        "background_sh": [[0.1] * 3] * 9,
+        "background_sh": [[-100] * 3] + [[0.0] * 3] * 8,
         "light": "srgb",
     }
     water.remember_water(obj, medium | {"per": "unit"}, 0.0)

@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import splats
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
+from bl_ext.user_default.swag_splatting.swag_blender.render_setup import prepare_render
 from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
 from mathutils import Matrix
 from pictures import (
@@ -116,7 +117,7 @@ def render_background(color):
     splat_preview.remember_training(obj, 0.01, color)
     found = {}
     for display in (True, False):
-        splat_preview.prepare_render(scene, display)
+        prepare_render(scene, display, "CYCLES")
         assert render_pixel_centres()[..., 3].max() == 0
         found["display" if display else "light"] = render_pixel_centres(transparent=False)[0, 0, :3].tolist()
     return found
