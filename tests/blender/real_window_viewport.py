@@ -113,7 +113,23 @@ def steps():
     water.remember_water(obj, json.loads((OUT / "water.json").read_text()), 0.0)
     bpy.context.scene.swag.water = 1.0
     yield from picture("water", obj)
+    for name, amount in (("water_0", 0.0), ("water_.001", 0.001)):
+        bpy.context.scene.swag.water = amount
+        yield from picture(name, obj)
+    water.remember_water(obj, json.loads((OUT / "attenuation.json").read_text()), 0.0)
+    obj["swag_background"] = (0.3, 0.5, 0.6)
+    for name, amount in (("attenuation_0", 0.0), ("attenuation_.001", 0.001), ("attenuation_1", 1.0)):
+        bpy.context.scene.swag.water = amount
+        yield from picture(name, obj)
     bpy.context.scene.swag.water = 0.0
+    water.remember_water(obj, None, 0.0)
+    obj["swag_development"] = json.dumps({"auto": json.loads((OUT / "development.json").read_text())})
+    yield from picture("color_developed", obj)
+    del obj["swag_development"]
+    obj.swag_display.background = False
+    yield from picture("color_off", obj)
+    obj.swag_display.background = True
+    del obj["swag_background"]
 
     labels = module("labels")
     count = len(obj.data.points)

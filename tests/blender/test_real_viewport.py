@@ -27,6 +27,7 @@ def viewport_pictures(request, real_blender, extension_zip, missing):
     folder = new_folder(real_blender, extension_zip, "viewport")
     write_ply(folder / "splats.ply", cloud())
     (folder / "water.json").write_text(json.dumps(WATER))
+    (folder / "attenuation.json").write_text(json.dumps(ATTENUATION))
     (folder / "development.json").write_text(json.dumps(DEVELOPMENT.to_json()))
     report = in_window(
         "real_window_viewport.py", real_blender, folder, "--gpu-backend", request.param.lower(), size=(600, 450)
@@ -37,11 +38,15 @@ def viewport_pictures(request, real_blender, extension_zip, missing):
 
 BACKGROUND = np.array([0.05, 0.1, 0.2])
 """Linear light of the viewport's background in real_window_viewport.py."""
+COLOR = (0.3, 0.5, 0.6)
+"""sRGB color behind the splats that the run has there."""
 WATER = {
     "beta_D": [0.09, 0.04, 0.03], "beta_B": [0.07, 0.05, 0.06],
     "background_sh": [[-2.0, 1.0, 2.0], *np.random.default_rng(4).normal(size=(8, 3)).round(3).tolist()],
     "light": "linear", "per": "unit",
 }  # fmt: skip
+ATTENUATION = WATER | {"background_sh": [[-100.0] * 3, *[[0.0] * 3] * 8]}
+"""Water that adds no light."""
 
 DEVELOPMENT = Development(0.6, (1.2, 1.0, 0.8), 1.1, ((1.1, -0.1, 0.0), (0.0, 1.0, 0.0), (0.0, -0.1, 1.1)), knee=0.7)
 
@@ -61,18 +66,21 @@ def cloud():
 
 
 def engine_picture(
-    report, name, keep=None, water=False, degree=3, change=lambda colors: colors, develop=None, pixel_size=0.0
-):
+    report, name, keep=None, water=None, amount=1.0, color=None, degree=3, change=lambda colors: colors, develop=None,
+    pixel_size=0.0,
+):  # fmt: skip
     """The engine's picture (H, W, 3) of the cloud for the matrices of a viewport's picture.
 
     Args:
         report: of real_window_viewport.py.
         name: of the picture.
         keep: mask (4000,) of the splats to draw; None for all.
-        water: whether it is seen through WATER.
+        water: that it is seen through, as in water.json; None for none. Its open water is behind the splats.
+        amount: fraction of the water.
+        color: sRGB color behind the splats in place of open water and of the viewport's own background.
         degree: of spherical harmonics.
         change: applied to the display values (N, 3) of the splats.
-        develop: Development of the picture, without the background.
+        develop: Development of the picture, without the viewport's own background.
         pixel_size: 1 / focal length of the training images, pixels.
     """
     splats, shown = cloud(), report["pictures"][name]
@@ -91,10 +99,11 @@ def engine_picture(
     ranges = np.linalg.norm(rays, axis=1, keepdims=True)
     basis = sh_basis(rays / ranges, degree)
     colors = change(np.maximum(0.5 + np.einsum("nk,nkc->nc", basis, splats.sh[:, : basis.shape[1]]), 0))
-    background = linear_to_srgb(BACKGROUND)
+    background = linear_to_srgb(BACKGROUND) if color is None else np.array(color)
     if water:
-        lights = open_water(rays / ranges)
-        transmission, gained = np.exp(-ranges * WATER["beta_D"]), 1 - np.exp(-ranges * WATER["beta_B"])
+        lights = amount * open_water(rays / ranges, water)
+        path = ranges * amount
+        transmission, gained = np.exp(-path * water["beta_D"]), 1 - np.exp(-path * water["beta_B"])
         colors = linear_to_srgb(srgb_to_linear(colors) * transmission + lights * gained)
     kernels = KERNELS["cpu"]
     tensor = lambda values: torch.tensor(np.asarray(values), dtype=torch.float32)  # noqa: E731
@@ -110,14 +119,15 @@ def engine_picture(
         projected = replace(projected, conics=widened(projected.conics, blur - 0.3))
     image, alpha = kernels.blend(projected, opacities, colors, tensor(background), width, height)
     image, alpha = image.numpy(), alpha.numpy()[..., None]
-    if water:
+    if water and color is None:
         v, u = np.mgrid[:height, :width] + 0.5
         directions = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1) @ to_view[:3, :3]
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        behind = linear_to_srgb(open_water(directions.reshape(-1, 3))).reshape(height, width, 3)
+        behind = linear_to_srgb(amount * open_water(directions.reshape(-1, 3), water)).reshape(height, width, 3)
         image = image + (1 - alpha) * (behind - background)
     if develop is not None:
-        through = (1 - alpha) * background
+        through = (1 - alpha) * (background if color is None else 0)
+        alpha = alpha if color is None else np.ones_like(alpha)
         image = through + alpha * develop.apply((image - through).clip(0) / np.maximum(alpha, 1e-4))
     return np.clip(image, 0, 1)
 
@@ -130,9 +140,9 @@ def widened(conics, variances):
     return torch.stack([yy, -xy, xx], 1).div((xx * yy - xy * xy)[:, None]).float()
 
 
-def open_water(directions):
-    """Background light (N, 3) along unit directions (N, 3)."""
-    return 1 / (1 + np.exp(-sh_basis(directions, 2) @ np.array(WATER["background_sh"])))
+def open_water(directions, water):
+    """Background light (N, 3) of a water along unit directions (N, 3)."""
+    return 1 / (1 + np.exp(-sh_basis(directions, 2) @ np.array(water["background_sh"])))
 
 
 @pytest.mark.parametrize(
@@ -140,11 +150,33 @@ def open_water(directions):
 )
 def test_viewport_shows_the_engines_picture(viewport_pictures, name):
     report, pictures = viewport_pictures
-    shown, wanted = pictures[name], engine_picture(report, name, water=name == "water")
+    shown, wanted = pictures[name], engine_picture(report, name, water=WATER if name == "water" else None)
     inside = (slice(30, -5), slice(5, -5))  # without the rounded corners of the region
     assert np.ptp(wanted[inside]) > 0.5
     found = psnr(shown[inside], wanted[inside])
     assert found > 38, found
+
+
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [
+        ("water_0", {"water": WATER, "amount": 0.0}),
+        ("water_.001", {"water": WATER, "amount": 0.001}),
+        ("attenuation_0", {"water": ATTENUATION, "amount": 0.0, "color": COLOR}),
+        ("attenuation_.001", {"water": ATTENUATION, "amount": 0.001, "color": COLOR}),
+        ("attenuation_1", {"water": ATTENUATION, "color": COLOR}),
+        ("color_developed", {"color": COLOR, "develop": DEVELOPMENT}),
+        ("color_off", {}),
+    ],
+)
+def test_viewport_has_the_background_of_the_run(viewport_pictures, name, how):
+    """Open water or the color of the run, at every amount of water, with and without development."""
+    report, pictures = viewport_pictures
+    inside = (slice(30, -5), slice(5, -5))
+    wanted = engine_picture(report, name, **how)[inside]
+    assert psnr(pictures[name][inside], wanted) > 38
+    corner = pictures[name][inside][5, 5]
+    assert np.abs(corner - wanted[5, 5]).max() < 0.02, corner
 
 
 def test_selection_development_and_degree_change_the_colors(viewport_pictures):
