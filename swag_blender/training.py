@@ -15,6 +15,7 @@ from ..swag_engine.splats.splats import Splats
 from . import kept_through_undo, splats, water
 from .blender_types import present
 from .job import chosen_scene
+from .nodes import splat_preview
 from .properties import swag_of
 from .runs import free_run_folder, remember_training, show_splats, shown_splats
 
@@ -40,7 +41,7 @@ class Training:
             swag.run_folder = str(free_run_folder(Path(swag.run_path)))
         self._scene, self._run = scene.name, swag.run_path
         kept_through_undo.keep(scene)
-        self._preview: tuple[Future[Splats], dict[str, Any] | None] | None = None
+        self._preview: tuple[Future[Splats], dict[str, Any]] | None = None
         self._cloud = 0
         self.request: dict[str, Any] = {
             "request": "train",
@@ -57,7 +58,7 @@ class Training:
         A thread reads them: reading takes longer than all other work on a preview, and would block the window.
         """
         if self._preview is None:
-            self._preview = _reader.submit(read_ply, Path(event["path"])), event.get("water")
+            self._preview = _reader.submit(read_ply, Path(event["path"])), event
 
     def show_preview(self, context: bpy.types.Context) -> None:
         """Show the splats of the preview in the scene once they are read.
@@ -67,13 +68,15 @@ class Training:
         """
         if self._preview is None or not self._preview[0].done():
             return
-        (reading, values), self._preview = self._preview, None
+        (reading, event), self._preview = self._preview, None
         # A window that was busy reads late: the run has ended and its preview file is gone.
         with contextlib.suppress(InputError):
             scene = bpy.data.scenes.get(self._scene)
             if scene and not self._is_undone(scene):
                 obj = show_splats(scene, reading.result(), self._run, self._images)
-                water.remember_water(obj, values, 0.0)
+                if "background" in event:
+                    obj[splat_preview.BACKGROUND_KEY] = event["background"]
+                water.remember_water(obj, event.get("water"), 0.0)
                 self._remember_step(obj)
 
     def show_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:

@@ -532,8 +532,8 @@ class Trainer:
         state = self.state
         write_ply(self.run.preview, state.free_cloud.to_splats(sh_degree=0))
         water = state.effects.medium.to_json() if state.effects.medium else None  # per scene unit
-        path = str(self.run.preview)
-        self.on_event({"event": "preview", "path": path, "iteration": state.iteration, "water": water})
+        shown = {"path": str(self.run.preview), "water": water, "background": self._background()}
+        self.on_event({"event": "preview", "iteration": state.iteration} | shown)
 
     @torch.no_grad()
     def _scores_on_device(self, images: Sequence[TrainingImage]) -> list[ViewScore]:

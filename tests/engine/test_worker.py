@@ -93,7 +93,7 @@ def test_inspect_train_cancel_and_export(worker, tiny_scene, tmp_path):
     settings = {"iterations": 100_000, "width": 64, "max_gaussians": 400, "sh_degree": 0}
     worker.send(request="train", scene=str(tiny_scene), out=str(run), settings=settings)
     preview = worker.until("preview", "error", "result")
-    assert preview["event"] == "preview" and Path(preview["path"]).exists()
+    assert preview["event"] == "preview" and Path(preview["path"]).exists() and len(preview["background"]) == 3
     worker.send(request="cancel")
     result = worker.until("result", "error")
     assert result["interrupted"] and Path(result["ply"]).exists()

@@ -122,7 +122,7 @@ def undo_previews(folder):
 
     def show(size):
         write_ply(Path(preview), random_splats(size, 1))
-        training.read_preview({"path": preview})
+        training.read_preview({"path": preview, "background": [0.25, 0.5, size / 100]})
         training._preview[0].result()
         training.show_preview(context)
         context.view_layer.update()
@@ -134,6 +134,7 @@ def undo_previews(folder):
 
     show(30)
     show(50)
+    assert [list(obj["swag_background"]) for obj in bpy.data.objects if "swag_run" in obj] == [[0.25, 0.5, 0.5]]
     found = {"before": state()}
     undone = 0
     while undone < 6 and bpy.data.objects["Empty"].location.x > 0:
