@@ -65,7 +65,7 @@ def is_users(world: bpy.types.World | None, colors: Iterable[Sequence[float]]) -
         return True
     greys = [[grey] * 3 for grey in DEFAULT_GREYS]
     if not world.use_nodes:
-        return not _is_one_of(world.color[:], greys)
+        return world.node_tree is not None or not _is_one_of(world.color[:], greys)
     if shown_water(world):
         return False
     node = _background_node(world)
@@ -77,13 +77,14 @@ def is_users(world: bpy.types.World | None, colors: Iterable[Sequence[float]]) -
 
 
 def shown_water(world: bpy.types.World | None) -> str:
-    """Output of a water's node group that a world shows as it is, water_shader.LIGHT or DISPLAY_VALUES; "" for none."""
-    node = None if world is None else _background_node(world)
+    """Output of a water's node group that a world of this file shows, water_shader.LIGHT or DISPLAY_VALUES; else ""."""
+    node = None if world is None or world.library is not None else _background_node(world)
     if node is None or not node.inputs["Color"].is_linked:
         return ""
     source: Any = present(present(node.inputs["Color"].links)[0].from_socket)
     group = getattr(source.node, "node_tree", None)
-    return source.name if group is not None and group.name.startswith(water_shader.NAME) else ""
+    is_water = group is not None and group.name.startswith(water_shader.NAME)
+    return source.name if is_water and source.name in (water_shader.LIGHT, water_shader.DISPLAY_VALUES) else ""
 
 
 def _replaceable(scene: bpy.types.Scene, colors: Iterable[Sequence[float]]) -> bpy.types.Node:

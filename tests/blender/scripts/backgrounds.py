@@ -160,6 +160,15 @@ def worlds_of_users():
         world.use_nodes, world.color = False, (0.2, 0.3, 0.4)
         set_up()
         assert scene.world == world and not world.use_nodes
+        world = scene.world = bpy.data.worlds.new("nodes switched off")
+        world.use_nodes = True
+        world.node_tree.nodes.clear()
+        world.use_nodes = False
+        set_up()
+        assert scene.world == world and not world.use_nodes
+        world = scene.world = bpy.data.worlds.new("default without nodes")
+        set_up()
+        assert scene.world == world and has_run_color()
     scene.world = bpy.data.worlds.new("plain")
     bpy.data.objects.remove(obj)
     splats.new_splat_object("file", random_splats(1, 1), scene.collection)
