@@ -9,10 +9,9 @@ from collections.abc import Iterable
 from typing import Any
 
 import bpy
-from mathutils import Color
 
 from . import splats, water
-from .nodes import water_shader, world
+from .nodes import world
 from .nodes.splat_preview import BACKGROUND_KEY
 from .water_values import Triple
 
@@ -55,10 +54,9 @@ def set_world(scene: bpy.types.Scene, display_values: bool) -> None:
         return
     color = color_behind(obj)
     if color is not None:
-        world.show_color(scene, color if display_values else _light(color))
+        world.show_color(scene, color, display_values)
     elif has_open_water(obj):
-        output = water_shader.DISPLAY_VALUES if display_values else water_shader.LIGHT
-        world.show_open_water(scene, water.node_group(obj), output)
+        world.show_open_water(scene, water.node_group(obj), display_values)
 
 
 def is_known(scene: bpy.types.Scene) -> bool:
@@ -68,26 +66,25 @@ def is_known(scene: bpy.types.Scene) -> bool:
 
 def has_users_world(scene: bpy.types.Scene) -> bool:
     """Whether the world of a scene is the user's own, which is kept unless they say otherwise."""
-    behind = [color for obj in scene.objects if (color := color_behind(obj)) is not None]
-    return world.is_users(scene.world, [*behind, *map(_light, behind)])
+    return world.is_users(scene.world, [color for obj in scene.objects if (color := color_behind(obj)) is not None])
+
+
+def update_worlds() -> None:
+    """Give worlds that `set_world` made what is behind the splats now: a run may have changed."""
+    for scene in bpy.data.scenes:
+        display_values = world.holds_display_values(scene.world)
+        if display_values is not None:
+            set_world(scene, display_values)
 
 
 def _source(scene: bpy.types.Scene) -> bpy.types.Object | None:
     return find((obj for obj in scene.objects if splats.is_splats(obj) and not obj.hide_render), None)
 
 
-def _light(color: Triple) -> Triple:
-    red, green, blue = Color(color).from_srgb_to_scene_linear()[:]
-    return red, green, blue
-
-
 @bpy.app.handlers.persistent
 def _after_load(*_: Any) -> None:
     """Mend worlds of files of earlier versions, which show open water where the background color should be."""
-    for scene in bpy.data.scenes:
-        output, obj = world.shown_water(scene.world), _source(scene)
-        if output and obj is not None and color_behind(obj) is not None:
-            set_world(scene, output == water_shader.DISPLAY_VALUES)
+    update_worlds()
 
 
 def register() -> None:

@@ -8,7 +8,7 @@ import bpy
 from ..swag_engine.formats.run_folder import RunFolder
 from ..swag_engine.formats.survey_folder import SurveyFolder
 from ..swag_engine.splats.splats import Splats
-from . import colors, scene_import, splats, water
+from . import background, colors, scene_import, splats, water
 from .nodes import splat_preview
 
 RUN_KEY = "swag_run"
@@ -52,6 +52,7 @@ def remember_training(obj: bpy.types.Object, run: RunFolder, metrics: dict[str, 
     splat_preview.remember_training(obj, pixel_size, metrics["background"])
     water.remember_water(obj, run.read_water(), settings.metres_per_unit)
     colors.remember_developments(obj, run.read_developments())
+    background.update_worlds()
 
 
 def shown_splats(scene: bpy.types.Scene, run: str) -> bpy.types.Object | None:

@@ -26,7 +26,7 @@ from ..swag_engine.formats.survey_detail import finest_level, refine
 from ..swag_engine.formats.survey_folder import Box, Survey, SurveyFolder
 from ..swag_engine.formats.survey_tiles import Tile, Tiles
 from ..swag_engine.splats.splats import Splats, concatenate
-from . import colors, crop_box, framing, labels, scene_import, splats, water
+from . import background, colors, crop_box, framing, labels, scene_import, splats, water
 from .blender_types import present, with_properties
 from .nodes import splat_preview
 from .properties import swag_of
@@ -369,6 +369,7 @@ def _know_survey(obj: bpy.types.Object, folder: SurveyFolder, survey: Survey, ti
     splat_preview.remember_training(obj, width, tiles.background)
     water.remember_water(obj, folder.coarse.read_water(), survey.settings.metres_per_unit)
     colors.remember_developments(obj, folder.coarse.read_developments())
+    background.update_worlds()
     if labels.attribute(obj, labels.LABEL) is not None:
         named = (folder.merged / labels.TABLE).is_file()
         labels.read_labels(obj, str(folder.merged if named else folder.coarse.path))

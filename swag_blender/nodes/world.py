@@ -5,6 +5,7 @@ from typing import Any, cast
 
 import bpy
 import numpy as np
+from mathutils import Color
 
 from ..blender_types import present
 from . import water_shader
@@ -12,7 +13,7 @@ from . import water_shader
 NAME = "SWAG Background"
 """Name of the world that takes the place of one of the user's."""
 COLOR_KEY = "swag_background"
-"""Property of a world: the color that it was given here."""
+"""Property of a world: the color that it was given here, and 1 for sRGB values or 0 for linear light."""
 DEFAULT_GREYS = (0.05, 0.050876)
 """Colors of Blender's own new worlds: of a script, and of its startup file."""
 SAMPLE_MAP_COLUMNS = 64
@@ -20,31 +21,27 @@ SAMPLE_MAP_COLUMNS = 64
 _ROUNDING = 1e-5
 
 
-def show_color(scene: bpy.types.Scene, color: Sequence[float]) -> None:
-    """Show a color (3,), in the values of the render, behind all that is in a scene."""
+def show_color(scene: bpy.types.Scene, color: Sequence[float], display_values: bool) -> None:
+    """Show an sRGB color (3,) behind all that is in a scene, as sRGB values or as linear light."""
     node = _replaceable(scene, [color])
+    color = in_render(color, display_values)
     socket: Any = node.inputs["Color"]
     for link in socket.links:
         cast(bpy.types.NodeTree, node.id_data).links.remove(link)
     socket.default_value = (*color, 1.0)
-    cast(Any, scene.world)[COLOR_KEY] = list(color)
+    cast(Any, scene.world)[COLOR_KEY] = [*color, float(display_values)]
 
 
-def show_open_water(scene: bpy.types.Scene, group: bpy.types.NodeTree, output: str) -> None:
-    """Show open water behind all that is in a scene.
-
-    Args:
-        scene: the scene.
-        group: node group of the water.
-        output: its output, water_shader.LIGHT or DISPLAY_VALUES.
-    """
+def show_open_water(scene: bpy.types.Scene, group: bpy.types.NodeTree, display_values: bool) -> None:
+    """Show the open water of a node group behind all that is in a scene, as sRGB values or as linear light."""
     node = _replaceable(scene, [])
     tree = cast(bpy.types.NodeTree, node.id_data)
     water: Any = tree.nodes.get(water_shader.NAME) or tree.nodes.new("ShaderNodeGroup")
     water.name = water.label = water_shader.NAME
     water.node_tree = group
     water.location = node.location.x - 260, node.location.y
-    tree.links.new(water.outputs[output], node.inputs["Color"])
+    output = water.outputs[water_shader.DISPLAY_VALUES if display_values else water_shader.LIGHT]
+    tree.links.new(output, node.inputs["Color"])
     # Cycles evaluates the nodes once for each pixel of its map of the world, which takes minutes at its own size. The
     # background light changes slowly with direction.
     settings: Any = getattr(scene.world, "cycles", None)
@@ -57,7 +54,7 @@ def is_users(world: bpy.types.World | None, colors: Iterable[Sequence[float]]) -
 
     Args:
         world: of a scene; None for none.
-        colors: colors (3,) that earlier versions may have given it, without noting that.
+        colors: sRGB colors (3,) that earlier versions may have given it, without noting that.
     """
     if world is None:
         return False
@@ -66,25 +63,33 @@ def is_users(world: bpy.types.World | None, colors: Iterable[Sequence[float]]) -
     greys = [[grey] * 3 for grey in DEFAULT_GREYS]
     if not world.use_nodes:
         return world.node_tree is not None or not _is_one_of(world.color[:], greys)
-    if shown_water(world):
+    if holds_display_values(world) is not None:
         return False
     node = _background_node(world)
     if node is None or node.inputs["Color"].is_linked:
         return True
-    noted = world.get(COLOR_KEY)
-    own = [] if noted is None else [noted]
-    return not _is_one_of(cast(Any, node.inputs["Color"]).default_value[:3], [*greys, *own, *colors])
+    own = [in_render(color, display_values) for color in colors for display_values in (False, True)]
+    return not _is_one_of(cast(Any, node.inputs["Color"]).default_value[:3], greys + own)
 
 
-def shown_water(world: bpy.types.World | None) -> str:
-    """Output of a water's node group that a world of this file shows, water_shader.LIGHT or DISPLAY_VALUES; else ""."""
+def holds_display_values(world: bpy.types.World | None) -> bool | None:
+    """Whether a world that was made here, and not changed since, holds sRGB values; None for all other worlds."""
     node = None if world is None or world.library is not None else _background_node(world)
-    if node is None or not node.inputs["Color"].is_linked:
-        return ""
-    source: Any = present(present(node.inputs["Color"].links)[0].from_socket)
+    if world is None or node is None:
+        return None
+    socket: Any = node.inputs["Color"]
+    if not socket.is_linked:
+        *color, display_values = world.get(COLOR_KEY, [-1.0] * 4)
+        return bool(display_values) if _is_one_of(socket.default_value[:3], [color]) else None
+    source = socket.links[0].from_socket
     group = getattr(source.node, "node_tree", None)
     is_water = group is not None and group.name.startswith(water_shader.NAME)
-    return source.name if is_water and source.name in (water_shader.LIGHT, water_shader.DISPLAY_VALUES) else ""
+    return {water_shader.LIGHT: False, water_shader.DISPLAY_VALUES: True}.get(source.name) if is_water else None
+
+
+def in_render(color: Sequence[float], display_values: bool) -> list[float]:
+    """An sRGB color (3,) as renders hold it: as sRGB values, or as linear light."""
+    return [*color] if display_values else [*Color(color).from_srgb_to_scene_linear()[:]]
 
 
 def _replaceable(scene: bpy.types.Scene, colors: Iterable[Sequence[float]]) -> bpy.types.Node:

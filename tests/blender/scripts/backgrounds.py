@@ -55,6 +55,11 @@ def render_by_eevee(run, images, amount, out):
     scene.swag.water = amount
     bpy.ops.swag.prepare_render(engine="EEVEE", display_values=True)
     np.save(out, render_pixel_centres(transparent=False)[..., :3])
+    # The world follows when the run has been trained again.
+    color = scene.world.node_tree.nodes["Background"].inputs["Color"]
+    before = color.default_value[:]
+    color.default_value, scene.world["swag_background"] = (1, 0, 0, 1), (1.0, 0.0, 0.0, 1.0)
+    assert bpy.ops.swag.open_run(directory=run) == {"FINISHED"} and color.default_value[:] == before
 
 
 def film_without_run(run, images, amounts, out):
