@@ -8,6 +8,8 @@ import pytest
 
 from tests.blender.splat_pictures import psnr
 
+ENGINE = {"SWAG_ENGINE_PYTHON": sys.executable}
+"""Environment of Blender, whose own Python may lack the engine's packages."""
 AMOUNTS = (0.0, 0.001, 0.3, 1.0)
 OFF = "lamp=off,exposure=off,caustics=off,vignetting=off"
 RUNS = {
@@ -61,7 +63,7 @@ def test_renders_have_the_background_of_the_engine(blender, run, tiny_scene, tmp
     wanted, alpha = engine_pictures(run, tiny_scene, tmp_path)
     empty = alpha == 0
     assert empty.mean() > 0.01
-    developments = blender.run("backgrounds.render_run", run, tiny_scene, AMOUNTS, tmp_path / "found.npz")
+    developments = blender.run("backgrounds.render_run", run, tiny_scene, AMOUNTS, tmp_path / "found.npz", **ENGINE)
     found = np.load(tmp_path / "found.npz")
     for amount, picture, values in zip(AMOUNTS, wanted, developments, strict=True):
         plain = found[f"none {amount}"]
@@ -79,10 +81,9 @@ def test_eevee_and_films_have_the_background_of_water_that_only_attenuates(blend
     """The film is that of splats whose run is gone: with it, a film is the engine's image of the run."""
     wanted, alpha = engine_pictures(run, tiny_scene, tmp_path)
     assert wanted[0][alpha == 0].mean() > 0.2
-    blender.run("backgrounds.render_by_eevee", run, tiny_scene, AMOUNTS[1], tmp_path / "eevee.npy")
+    blender.run("backgrounds.render_by_eevee", run, tiny_scene, AMOUNTS[1], tmp_path / "eevee.npy", **ENGINE)
     assert psnr(np.load(tmp_path / "eevee.npy"), wanted[1]) > 55
-    engine = {"SWAG_ENGINE_PYTHON": sys.executable}
-    blender.run("backgrounds.film_without_run", run, tiny_scene, AMOUNTS, tmp_path / "film", **engine)
+    blender.run("backgrounds.film_without_run", run, tiny_scene, AMOUNTS, tmp_path / "film", **ENGINE)
     for number, picture in enumerate(wanted, 1):
         frame = cv2.imread(str(tmp_path / "film" / f"{number:04d}.png"))[..., ::-1] / 255
         assert psnr(frame, picture.clip(0, 1)) > 45, number
