@@ -1332,6 +1332,28 @@ def blender_preview() -> str:
 
 
 @table
+def native_splats() -> str:
+    """PSNR, time and memory of the splats that Blender draws, and of the extension's own."""
+    figures = results("native_splats")["ways"]
+    ways = {
+        "own drawing in Solid": "viewport, the extension's drawing",
+        "native Solid": "viewport, Blender's Splats, Solid",
+        "native Material Preview": "viewport, Blender's Splats, Material Preview",
+        "native EEVEE": "EEVEE",
+        "native Cycles": "Cycles",
+        "shapes in Cycles, light": "Cycles, Exact Shapes",
+        "shapes in Cycles, display values": "Cycles, As Trained",
+    }
+    scenes = ("demo, without water", "demo, with water", "one", "two", "many")
+    rows = []
+    for way, words in ways.items():
+        found = figures[way]
+        time = f"{found['demo, without water']['processor_seconds']:.1f} s"
+        rows.append([words, *(f"{found[name]['psnr']:.1f} dB" for name in scenes), time, f"{found['peak MB']} MB"])
+    return markdown(["drawn by", "without water", "with water", "one", "two", "300", "time", "memory"], rows)
+
+
+@table
 def blender_load() -> str:
     """Time of a million splats in Blender."""
     document = results("blender_preview")["into blender"]
