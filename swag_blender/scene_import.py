@@ -29,6 +29,8 @@ SIZE_KEY = "swag_size"
 """Property of a camera: image width, image height, pixel width / pixel height."""
 SENSOR_WIDTH = 36.0
 """Sensor width of the cameras in mm; any value works, because the focal length is computed from it."""
+DEFAULT_CUBE = "Cube"
+"""Name of the cube in Blender's startup file."""
 OPENCV_TO_BLENDER = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))
 """OpenCV camera axes (x right, y down, z forward) to Blender's (x right, y up, z backward)."""
 
@@ -75,10 +77,10 @@ def add_to_scene(scene_name: str, result: dict[str, Any]) -> tuple[bpy.types.Obj
     if not bpy.app.background:
         for window in present(bpy.context.window_manager).windows:
             if window.scene == scene:
-                show_colors(window.screen)
                 framing.frame_viewports(window, root.children_recursive)
     found, *doubts = choose(scene, result).splitlines()
-    return root, " ".join((f"{found}.", *doubts))
+    present(scene.view_layers[0]).update()  # world matrices of new objects
+    return root, " ".join(filter(None, (f"{found}.", cube_note(scene, root), *doubts)))
 
 
 def import_scene(result: dict[str, Any], scene: bpy.types.Scene) -> bpy.types.Object:
@@ -142,16 +144,15 @@ def look_through(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
     render.pixel_aspect_x, render.pixel_aspect_y = max(pixel_aspect, 1.0), max(1.0 / pixel_aspect, 1.0)
 
 
-def show_colors(screen: bpy.types.Screen) -> None:
-    """Change solid 3D viewports to Material Preview without outlines of the selection.
-
-    Solid shading draws point clouds grey, and the outline is drawn around every point.
-    """
-    for area in screen.areas:
-        space = area.spaces.active
-        if isinstance(space, bpy.types.SpaceView3D) and space.shading.type == "SOLID":
-            space.shading.type = "MATERIAL"
-            space.overlay.show_outline_selected = False
+def cube_note(scene: bpy.types.Scene, root: bpy.types.Object) -> str:
+    """A sentence where Blender's default cube stands inside an imported scene, "" elsewhere; the cube is not changed."""
+    cube = scene.objects.get(DEFAULT_CUBE)
+    if cube is None or not isinstance(cube.data, bpy.types.Mesh) or not cube.visible_get():
+        return ""
+    low, high = framing.world_box(root.children_recursive)
+    corners = np.array([cube.matrix_world @ Vector(corner) for corner in cube.bound_box])
+    apart = (corners.max(axis=0) < low).any() or (corners.min(axis=0) > high).any()
+    return "" if apart else "The default cube hides part of the scene: select it and press X to delete or H to hide it."
 
 
 def find_root(obj: bpy.types.Object | None) -> bpy.types.Object | None:

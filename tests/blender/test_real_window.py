@@ -78,7 +78,7 @@ def test_find_cameras_of_photos_that_are_chosen_in_the_file_browser(real_blender
     found = report["found"]
     assert not found["failed"] and found["folder"] == "/gui/test/data/photos_scene"
     assert found["lines"][0].startswith("6 of 6 photos have a camera") and found["message"].startswith("6 of 6")
-    assert found["cameras"] == 6 and found["points"] > 100 and found["shading"] == "MATERIAL"
+    assert found["cameras"] == 6 and found["points"] > 100 and found["shading"] == "SOLID"
     assert all(found["in view"]) and found["size of the scene in the view"] > 0.2
 
 
@@ -89,7 +89,7 @@ def test_dialogs_undo_and_failures_in_the_window(real_blender, folder, shared_py
     )  # fmt: skip
     assert report["dialog closed"] == ""
     assert report["import failed"]["shading"] == "SOLID" and "no/such/folder" in report["import failed"]["message"]
-    assert report["imported"]["shading"] == "MATERIAL"
+    assert report["imported"]["shading"] == "SOLID"
     assert "Select two objects" in report["one selected"]
     assert report["scaled"]["shown"] == "2 m" and abs(report["scaled"]["metres apart"] - 2) < 1e-4
     kept = report["undone"]

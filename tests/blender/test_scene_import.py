@@ -171,3 +171,11 @@ def test_an_import_decodes_no_image(blender, tmp_path):
         cameras.append(camera(image.name, 1920, 1080, 1500.0, 1500.0, 960.0, 540.0, str(image)))
     found = blender.run("scene_objects.decoded_images", write_result(tmp_path, cameras, np.zeros((10, 3))))
     assert found == {"images": 20, "decoded": 0}
+
+
+def test_the_default_cube_in_a_scene_is_pointed_out_and_left_alone(blender, tmp_path):
+    points = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+    found = blender.run("scene_objects.beside_the_default_cube", write_result(tmp_path, CAMERAS, points))
+    assert "The default cube hides part of the scene" in found["inside"]
+    assert found["kept"] == [0, 0, 0, 1, 1, 1, False, False]
+    assert found["hidden"] == found["apart"] == ""

@@ -152,3 +152,20 @@ def decoded_images(path):
     import_result(path)
     images = [camera.background_images[0].image for camera in bpy.data.cameras]
     return {"images": len(images), "decoded": sum(image.has_data for image in images)}
+
+
+def beside_the_default_cube(path):
+    """What an import says about the default cube: inside the scene, hidden, and far away; and the cube afterwards."""
+    cube = bpy.data.objects.get("Cube") or bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
+    if not len(cube.data.vertices):
+        cube.data.from_pydata([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], [], [])
+        scene.collection.objects.link(cube)
+    result = {"images": 1, "registered": 1, "summary": {"cameras": [], "drift": None}, "warnings": []}
+    result |= json.loads(Path(path).read_text())
+    root, inside = scene_import.add_to_scene(scene.name, result)
+    kept = [*cube.matrix_world.translation, *cube.scale, cube.hide_viewport, cube.hide_get()]
+    cube.hide_viewport = True
+    hidden = scene_import.cube_note(scene, root)
+    cube.hide_viewport, cube.location.x = False, 1000
+    bpy.context.view_layer.update()
+    return {"inside": inside, "kept": kept, "hidden": hidden, "apart": scene_import.cube_note(scene, root)}
