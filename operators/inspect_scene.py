@@ -19,12 +19,15 @@ class SWAG_OT_inspect_scene(SceneJob):
         """The request with a folder for the engine's arrays."""
         swag.found = ""
         self._arrays = tempfile.TemporaryDirectory()
-        return {"request": "inspect", "arrays": self._arrays.name}
+        settings = swag.train_settings()
+        self._asked = swag.sizes_question(settings)
+        return {"request": "inspect", "arrays": self._arrays.name, "settings": settings}
 
     def take(self, swag: SwagScene, event: dict[str, Any]) -> str:
         """Show what was found."""
         self._arrays.cleanup()
         swag.found = scene_import.describe(event)
+        swag.keep_sizes(self._asked, event.get("sizes", {}))
         return f"{swag.found.splitlines()[0]}."
 
 

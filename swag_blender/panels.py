@@ -121,8 +121,11 @@ class SWAG_PT_train(SwagPanel):
         else:
             for name in SIZES:
                 column.prop(swag, name)
-            if not swag.forecast_lines():
-                draw_wrapped(layout, "Typical numbers; Forecast gives those for these photos.", width, icon="INFO")
+            if not swag.known_size:
+                draw_wrapped(
+                    layout, "Typical numbers: the photos set them when training starts. Check shows them.", width,
+                    icon="INFO",
+                )  # fmt: skip
         row = layout.row(align=True)
         row.scale_y = 1.4
         set_button(row.operator("swag.train", text="Train", icon="PLAY"), resume=False)

@@ -32,6 +32,8 @@ from .setting_property import setting_property
 SETTINGS = tuple(name for name, _, _ in settings_of(TrainSettings))
 IN_TIME = "time"
 """Quality that stands for a time budget."""
+SIZED_BY = (*SIZES, "recipe", "effects", "sh_degree", "backend")
+"""Settings that the sizes of all qualities depend on."""
 OWN_WATER = "own"
 """Water type that stands for the user's own attenuation."""
 WATER_TYPES = {
@@ -188,6 +190,10 @@ class SwagScene(PropertyGroup):
         str, StringProperty(description="Forecast of each quality and the settings it was made for, as JSON")
     ]
 
+    sizes: Annotated[
+        str, StringProperty(description="Sizes that each quality gives the photos and what they depend on, as JSON")
+    ]
+
     water: Annotated[
         float,
         FloatProperty(
@@ -256,13 +262,34 @@ class SwagScene(PropertyGroup):
         }
         return {name: changed[name] if name in changed else getattr(self, name) for name in SETTINGS}
 
+    def shown_settings(self) -> dict[str, Any]:
+        """The settings for a training: with the sizes that the panel shows, where they are those of the photos."""
+        shown = {name: getattr(self, name) for name in SIZES} if self.known_size else {}
+        return self.train_settings() | shown
+
     @property
     def size(self) -> Size:
-        """Size that the quality gives these photos where a forecast knows it, else its typical size."""
-        known = self._forecast_presets().get(self.preset)
-        if known:
-            return Size(*(known[name] for name in SIZES))
-        return PRESETS.get(self.preset, PRESETS[TrainSettings.preset])
+        """Size that the quality gives these photos where it is known, else its typical size."""
+        return self.known_size or PRESETS.get(self.preset, PRESETS[TrainSettings.preset])
+
+    @property
+    def known_size(self) -> Size | None:
+        """Size that the engine found for the quality, these photos and settings on this machine; None before that."""
+        kept = json.loads(self.sizes) if self.sizes else {}
+        known = (
+            kept["presets"].get(self.preset)
+            if kept.get("question") == self.sizes_question(self.train_settings())
+            else None
+        )
+        return Size(*(known[name] for name in SIZES)) if known else None
+
+    def sizes_question(self, settings: dict[str, Any]) -> str:
+        """What the sizes of all qualities depend on, as text: the images, and some of the settings for the engine."""
+        return json.dumps([self.scene_path, {name: settings[name] for name in SIZED_BY}])
+
+    def keep_sizes(self, question: str, presets: dict[str, dict[str, Any]]) -> None:
+        """Store the sizes of each quality, and the question that they answer."""
+        self.sizes = json.dumps({"question": question, "presets": presets})
 
     def _forecast_presets(self) -> dict[str, dict[str, Any]]:
         """What the forecast for the present settings says of each quality; empty without one."""
@@ -279,6 +306,8 @@ class SwagScene(PropertyGroup):
     def keep_forecast(self, question: str, presets: dict[str, dict[str, Any]]) -> None:
         """Store a forecast: the presets of its `result` event, and its question."""
         self.forecast = json.dumps({"question": question, "presets": presets})
+        asked = json.loads(question)[1]
+        self.keep_sizes(self.sizes_question(asked), presets)
 
     def forecast_lines(self) -> list[tuple[str, str, str, str]]:
         """Name, time, PSNR and memory of each quality; empty without a forecast for the present settings."""

@@ -16,6 +16,7 @@ from mathutils import Matrix, Vector
 from mathutils.kdtree import KDTree
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.settings.settings import TrainSettings
 from . import framing
 from .blender_types import present
 from .georeference import apply_georeference
@@ -54,6 +55,7 @@ def choose(scene: bpy.types.Scene, result: dict[str, Any]) -> str:
     """Make the folder of an `inspect` result the scene's chosen images; returns its description."""
     swag = swag_of(scene)
     swag.scene_folder, swag.found = result["scene"], describe(result)
+    swag.keep_sizes(swag.sizes_question(TrainSettings().to_json()), result.get("sizes", {}))
     return swag.found
 
 
@@ -145,7 +147,7 @@ def look_through(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
 
 
 def cube_note(scene: bpy.types.Scene, root: bpy.types.Object) -> str:
-    """A sentence where Blender's default cube stands inside an imported scene, "" elsewhere; the cube is not changed."""
+    """A sentence where Blender's default cube stands inside an imported scene, else ""; the cube is not changed."""
     cube = scene.objects.get(DEFAULT_CUBE)
     if cube is None or not isinstance(cube.data, bpy.types.Mesh) or not cube.visible_get():
         return ""

@@ -48,7 +48,7 @@ class Training:
             "scene": self._images,
             "out": self._run,
             # A run continues with the settings it was started with.
-            "settings": {} if resume else swag.train_settings(),
+            "settings": {} if resume else swag.shown_settings(),
             "resume": resume,
         }
 

@@ -524,8 +524,8 @@ GERMAN = {
     "Train 3D Gaussians on the photos; Cancel stops and keeps the result so far": (
         "3D-Gaußglocken mit den Fotos trainieren; Abbrechen hält an und behält das bisherige Ergebnis"
     ),
-    "Typical numbers; Forecast gives those for these photos.": (
-        "Typische Zahlen; Vorhersagen gibt die für diese Fotos."
+    "Typical numbers: the photos set them when training starts. Check shows them.": (
+        "Typische Zahlen: Die Fotos bestimmen sie, wenn das Training beginnt. Prüfen zeigt sie."
     ),
     "Train for some seconds and forecast the time, PSNR and memory of each quality on this machine": (
         "Einige Sekunden trainieren und Zeit, PSNR und Speicher jeder Güte auf diesem Rechner vorhersagen"

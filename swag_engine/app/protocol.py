@@ -25,10 +25,12 @@ class InspectRequest:
     Attributes:
         scene: Folder of the scene.
         arrays: Folder for the arrays of the answer.
+        settings: Settings of the next run, whose sizes are part of the answer.
     """
 
     scene: Path
     arrays: Path
+    settings: TrainSettings = field(default_factory=TrainSettings)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from ..base import threads  # noqa: F401
 from ..base.errors import InputError
 from ..base.strict_json import to_json
+from ..settings.settings import TrainSettings
 from .answers import missing_package
 from .interrupts import interrupts
 from .map_requests import make_map
@@ -47,6 +48,8 @@ from .protocol import (
 if TYPE_CHECKING:
     from ..scene.colmap import Scene
 
+DEFAULTS = TrainSettings()
+"""Settings of a run that nobody has changed."""
 DISPLAY_WIDTH = 640
 """Width in pixels of undistorted copies, which are shown behind cameras and not trained on."""
 PAUSE_POLL_SECONDS = 0.2
@@ -162,7 +165,7 @@ class Worker:
             InputError: As the request's function does.
         """
         if isinstance(request, InspectRequest):
-            return inspect(request.scene, request.arrays)
+            return inspect(request.scene, request.arrays, request.settings)
         if isinstance(request, SfmRequest):
             with interrupts.deferred():
                 return self.find_cameras(request)
@@ -354,12 +357,13 @@ def shortage(error: Exception) -> str:
     return TOO_LITTLE if is_shortage(error) else ""
 
 
-def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
+def inspect(scene_folder: Path, arrays: Path, settings: TrainSettings = DEFAULTS) -> dict[str, Any]:
     """Describe a scene, and write its points to points_xyz.npy (P, 3) float32 and points_rgb.npy (P, 3) uint8.
 
     Args:
         scene_folder: Folder of the scene.
         arrays: Folder for the two files.
+        settings: Settings of the next run.
 
     Returns:
         The `result` event.
@@ -372,6 +376,7 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
     from ..base.files import atomic_path
     from ..scene.colmap import load_scene
     from ..scene.inspect import inspect_scene
+    from ..training.pacing.preset_size import sizes_of_presets
 
     scene = load_scene(scene_folder)
     paths = {"positions": arrays / "points_xyz.npy", "colors": arrays / "points_rgb.npy"}
@@ -395,6 +400,9 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
         for view, path in zip(scene.views, pinhole_images(scene), strict=True)
     ]
     summary = inspect_scene(scene)
+    sizes: dict[str, dict[str, int]] = {}
+    with suppress(InputError):  # a photo that cannot be read: training names it
+        sizes = sizes_of_presets(scene, settings)
     return {
         "event": "result",
         "request": "inspect",
@@ -406,6 +414,7 @@ def inspect(scene_folder: Path, arrays: Path) -> dict[str, Any]:
         "scale": summary["scale"],
         "cameras": cameras,
         "summary": summary,
+        "sizes": sizes,
         "warnings": summary["warnings"],
     }
 

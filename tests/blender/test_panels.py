@@ -4,9 +4,12 @@ import sys
 
 import pytest
 
+from swag_engine.scene.colmap import load_scene
 from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.jerlov import JERLOV
+from swag_engine.settings.presets import PRESETS
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.training.pacing.preset_size import fit_preset
 
 
 def test_the_plan_is_a_list_of_effects_that_the_user_can_overrule(blender, fake_engine, tmp_path):
@@ -137,3 +140,19 @@ def test_every_choice_of_the_engines_plan_is_valid(blender, tiny_scene):
     for choice in ("ON", "OFF"):
         settings = TrainSettings.from_json(found[choice])
         assert settings.effects.count(f"={choice.lower()}") == len(found["reasons"])
+
+
+@pytest.mark.main_version
+def test_the_numbers_shown_before_a_training_are_those_of_its_run(blender, tiny_scene, tmp_path):
+    found = blender.run(
+        "panels.sizes_before_and_in_the_run", tiny_scene, tmp_path / "run", SWAG_ENGINE_PYTHON=sys.executable
+    )
+    scene = load_scene(tiny_scene)
+    assert found["unknown"]
+    for name in ("draft", "standard"):
+        assert found[name]["known"] and found[name]["shown"] == found[name]["asked"]
+    standard = fit_preset(scene, TrainSettings(preset="standard")).size.numbers()
+    assert found["standard"]["shown"] == standard != PRESETS["standard"].numbers()
+    own = found["own"]
+    assert own["known"] and own["shown"]["width"] == 40 and own["shown"]["iterations"] == 20
+    assert own["config"] == own["shown"]

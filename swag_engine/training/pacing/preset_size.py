@@ -119,6 +119,28 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
     return replace(settings, **found.numbers())
 
 
+def sizes_of_presets(scene: Scene, settings: TrainSettings, speed: Speed | None = None) -> dict[str, dict[str, int]]:
+    """Return the sizes that a run of each preset has, as training chooses them where memory suffices.
+
+    Args:
+        scene: The scene.
+        settings: What the user chose; its preset and time budget do not matter.
+        speed: Speed of the machine on the scene; None to measure it where it matters.
+
+    Returns:
+        The numbers of SIZES by the name of the preset.
+
+    Raises:
+        InputError: If a photo cannot be read.
+    """
+    sizes = {}
+    for name in PRESETS:
+        asked = replace(settings, preset=name, time_budget="")
+        sized, _ = limit_gaussians(scene, fit_preset(scene, asked, speed))
+        sizes[name] = sized.size.numbers()
+    return sizes
+
+
 def limit_gaussians(scene: Scene, settings: TrainSettings) -> tuple[TrainSettings, str]:
     """Lower a number of Gaussians that is larger than the photos have pixels of the surface.
 

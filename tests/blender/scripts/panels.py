@@ -1,5 +1,6 @@
 """The sidebar's data: plan, forecast, settings in the .blend, progress; and the menu of all operators."""
 
+import json
 import threading
 import time
 import types
@@ -301,3 +302,23 @@ def pictures():
         effect_pictures.picture_of(name)  # 0 without a window
     loaded = [list(effect_pictures._pictures[name].image_size) for name in names]
     return [loaded, max(path.stat().st_size for path in files)]
+
+
+def sizes_before_and_in_the_run(scene, folder):
+    """For each choice of a user: the numbers in the panel, and those in config.json of the run."""
+    swag.scene_folder = scene
+    found = {"unknown": swag.known_size is None}
+    for name, chosen in (("draft", {}), ("standard", {}), ("own", {"width": 40, "iterations": 20})):
+        swag.preset = "standard" if name == "own" else name
+        for setting, number in chosen.items():
+            setattr(swag, setting, number)
+        bpy.ops.swag.inspect_scene()
+        shown = {setting: getattr(swag, setting) for setting in ("iterations", "width", "max_gaussians")}
+        request = swag.shown_settings()
+        found[name] = {"known": swag.known_size is not None, "shown": shown, "asked": {k: request[k] for k in shown}}
+        if name == "own":
+            swag.run_folder = folder
+            bpy.ops.swag.train()
+            settings = json.loads((Path(swag.run_path) / "config.json").read_text())["settings"]
+            found[name]["config"] = {k: settings[k] for k in shown}
+    return found
