@@ -524,6 +524,9 @@ GERMAN = {
     "Train 3D Gaussians on the photos; Cancel stops and keeps the result so far": (
         "3D-Gaußglocken mit den Fotos trainieren; Abbrechen hält an und behält das bisherige Ergebnis"
     ),
+    "Sizes that each quality gives the photos and what they depend on, as JSON": (
+        "Größen, die jede Güte den Fotos gibt, und wovon sie abhängen, als JSON"
+    ),
     "Typical numbers: the photos set them when training starts. Check shows them.": (
         "Typische Zahlen: Die Fotos bestimmen sie, wenn das Training beginnt. Prüfen zeigt sie."
     ),
