@@ -34,7 +34,7 @@ class SWAG_OT_look_up_engine(Job):
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Describe the packages."""
         left = max(0, event["bytes"] - event["present"])
-        remember_download(context, left)
+        remember_download(context, left, event["bytes"])
         return (
             f"torch {event['torch']} and {event['packages'] - 1} other packages, {event['bytes'] / 1e6:.0f} MB; "
             f"{left / 1e6:.0f} MB of them are to be downloaded."

@@ -64,9 +64,15 @@ def environment_python() -> Path:
 def environment_is_whole() -> bool:
     """Whether the installation was completed: make_environment.py writes installed.json last.
 
-    The environment's Python is a link that is broken once the Blender that made it was removed.
+    The environment's Python is a link: it is broken once the Blender that made it was removed, and finds no packages
+    once a system's update put another version of Python in its place.
     """
-    return (environment_folder() / "installed.json").is_file() and environment_python().exists()
+    try:
+        installed = json.loads((environment_folder() / "installed.json").read_text(encoding="utf-8"))
+        version = installed["doctor"]["python"].split(".")[:2]
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+    return version == [str(number) for number in sys.version_info[:2]] and environment_python().exists()
 
 
 @functools.cache

@@ -11,7 +11,7 @@ from ..swag_engine.base.errors import InputError
 from . import EXTENSION, engine_process
 from .engine_process import Engine
 from .job import no_job_runs
-from .preferences import preferences
+from .preferences import package_index, preferences
 from .properties import status_of
 
 
@@ -35,7 +35,7 @@ def start_installer(look_only: bool) -> Engine:
     task = {
         "folder": bpy.utils.extension_path_user(EXTENSION, path="engine", create=True),
         "root": str(engine_process.ROOT),
-        "index": own.package_index,
+        "index": package_index(),
         "wheels": wheels,
         "look_only": look_only,
     }
@@ -53,9 +53,10 @@ def can_install(operator: type[bpy.types.Operator], context: bpy.types.Context) 
     return True
 
 
-def remember_download(context: bpy.types.Context, size: int) -> None:
-    """Store how many bytes Install Engine would download, for `expected_download`."""
-    status_of(context).download_mb = max(1, round(size / 1e6))
+def remember_download(context: bpy.types.Context, left: int, total: int) -> None:
+    """Store how many bytes Install Engine would download, and those of all packages, for `expected_download`."""
+    status_of(context).download_mb = max(1, round(left / 1e6))
+    status_of(context).packages_mb = max(1, round(total / 1e6))
 
 
 def remember_doctor(context: bpy.types.Context, found: dict[str, Any]) -> None:
@@ -80,4 +81,7 @@ def remove_environment(context: bpy.types.Context) -> None:
         raise InputError(
             f"{folder} could not be removed: {error.strerror}. Close the programs that use it and try again."
         ) from error
-    status_of(context).doctor = ""
+    status = status_of(context)
+    status.doctor = ""
+    # How the last job ended is about an engine that is gone.
+    status.last_job, status.message, status.failed = "", "", False

@@ -5,15 +5,17 @@ FOLDER/install.log); it stops when stdin closes or `{"request": "cancel"}` arriv
 imports only the standard library.
 
 pip reports which wheels are needed and their addresses. This script downloads them, so that their size is known first
-and an interrupted download continues where it stopped; pip then installs from files. `FOLDER/installed.json` is written
-last: without it the environment is incomplete.
+and an interrupted download continues where it stopped; pip then installs from files, into an environment without other
+packages. `FOLDER/installed.json` is written last: without it the environment is incomplete.
 """
 
 import contextlib
+import errno
 import hashlib
 import http.client
 import json
 import os
+import platform
 import re
 import shutil
 import ssl
@@ -35,6 +37,37 @@ ATTEMPTS = 3
 """How often a download is tried."""
 OPTIONAL = ("wgpu",)
 """Packages that are installed where there are wheels of them: graphics cards of any make, three megabytes."""
+KEPT = ("downloads", "install.log")
+"""What of an environment stays when it is made anew."""
+PROBE = """
+import importlib.metadata, os, sys
+assert all(file.locate().exists() for file in importlib.metadata.files("pip") or [None])
+print(*sys.version_info[:2], os.path.realpath(sys.prefix))
+"""
+"""Program that prints the version and the folder of a Python; it fails where pip or a file of it is missing."""
+REMEDIES = (
+    (
+        r"No space left|not enough space|Errno 28|WinError 112|Disk quota exceeded",
+        "The disk is full: free space on the disk of {folder}.",
+    ),
+    (
+        r"ProxyError|[Cc]annot connect to proxy|Tunnel connection failed|Proxy Authentication",
+        "The proxy refuses the connection: check the proxy in the system's settings (or the variable HTTPS_PROXY).",
+    ),
+    (
+        r"CERTIFICATE_VERIFY_FAILED|SSLError",
+        "The server's certificate is not accepted: check the date of this computer, and whether a proxy or virus "
+        "scanner reads its connections.",
+    ),
+    (
+        r"NewConnectionError|NameResolutionError|ConnectTimeout|ReadTimeout|ConnectionResetError|Connection refused|"
+        r"Name or service not known|Temporary failure in name resolution|getaddrinfo failed|nodename nor servname|"
+        r"[Nn]etwork is unreachable|No route to host|timed out|WinError 100(13|51|60|61|65)",
+        "The server of the packages cannot be reached: check the internet connection.",
+    ),
+    (r"Permission denied|Errno 13|WinError 5\b", "A file may not be written: check who may write to {folder}."),
+)
+"""Patterns in what pip or the system says, each with a sentence of cause and remedy."""
 LOOKED_UP, DOWNLOADED, UNPACKED, ALL = 50, 800, 950, 1000
 """Progress after looking up, downloading, unpacking and checking, in thousandths."""
 
@@ -72,7 +105,10 @@ class Installer:
             self.child.terminate()
 
     def run(self, done: int, text: str, *command: str, errors_in_log: bool = True) -> str:
-        """Run a command; returns its output. Raises RuntimeError with its first error, or last line, if it fails."""
+        """Run a command; returns its output.
+
+        Raises RuntimeError with the cause, or its first error or last line, if it fails.
+        """
         self.progress(done, text)
         self.child = subprocess.Popen(
             command,
@@ -94,8 +130,13 @@ class Installer:
                 raise Cancelled
             errors = [line.removeprefix("ERROR:").strip() for line in output if line.startswith("ERROR:")]
             lines = errors or [line for line in reversed(output) if line] or ["no output"]
-            raise RuntimeError(f"{text} failed: {lines[0].rstrip('.')}.")
+            raise RuntimeError(self.cause("\n".join(output)) or f"{text} failed: {lines[0].rstrip('.')}.")
         return "\n".join(output)
+
+    def cause(self, said: str) -> str:
+        """Sentence of cause and remedy for what a program or the system said; "" for an unknown cause."""
+        found = (sentence for pattern, sentence in REMEDIES if re.search(pattern, said))
+        return next(found, "").format(folder=self.folder)
 
     def pip(self, done: int, text: str, *arguments: str) -> str:
         """Run `pip install` with the environment's Python; as `run`."""
@@ -104,21 +145,20 @@ class Installer:
 
     def work(self) -> dict[str, Any]:
         """Do all steps; returns the contents of the `result` event."""
-        whole = self.folder / "installed.json"
-        if not self.look_only:
-            whole.unlink(missing_ok=True)
-        if not (self.python.exists() and self.python.resolve().exists()):
-            self.run(0, "Making a Python environment", sys.executable, "-m", "venv", "--clear", str(self.folder))
+        made = not self.python_works()
+        if made:
+            self.make_python()
         wheels, sizes = self.look_up()
         total, here = sum(sizes), sum(self.present(wheel, size) for wheel, size in zip(wheels, sizes, strict=True))
         torch = next((w["metadata"]["version"] for w in wheels if w["metadata"]["name"].lower() == "torch"), "?")
         found: dict[str, Any] = {"torch": torch, "packages": len(wheels), "bytes": total, "present": here}
         if self.look_only:
             return found
+        self.check_disk(max(0, total - here) + unpacked_size(total))
         files = self.download_all(wheels, sizes, total)
-        self.pip(
-            DOWNLOADED, f"Unpacking {len(files)} packages", "--no-index", "--no-deps", "--upgrade", *map(str, files)
-        )
+        if not made:  # it may hold packages of an installation that was interrupted, or of another version
+            self.make_python()
+        self.pip(DOWNLOADED, f"Unpacking {len(files)} packages", "--no-index", "--no-deps", *map(str, files))
         doctor = self.run(
             UNPACKED, "Checking the engine", str(self.python), "-m", "swag_engine.app.doctor", errors_in_log=False
         )
@@ -126,9 +166,55 @@ class Installer:
         missing = [name for name, version in found["doctor"]["packages"].items() if version is None]
         if missing or "backends" not in found["doctor"]:
             raise RuntimeError(f"Checking the engine failed: {', '.join(missing) or 'it does not start'}.")
-        self.write(whole, found)
+        self.write(self.folder / "installed.json", found)
         shutil.rmtree(self.downloads, ignore_errors=True)
         return found
+
+    # -- an environment without packages ------------------------------------------------------------------------------
+
+    def python_works(self) -> bool:
+        """Whether the environment has a Python of this version that runs and has pip."""
+        try:
+            found = subprocess.run(
+                [str(self.python), "-I", "-c", PROBE],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                encoding="utf-8",
+            )
+        except OSError:  # it is missing, or a link to a Blender that was removed
+            return False
+        return found.stdout.strip() == " ".join((*map(str, sys.version_info[:2]), os.path.realpath(self.folder)))
+
+    def make_python(self) -> None:
+        """Make the environment anew, without packages; downloads are kept. Raises RuntimeError when it cannot be."""
+        try:
+            import ensurepip  # noqa: F401  # some distributions have it in a package of its own
+            import venv  # noqa: F401
+        except ImportError as error:
+            raise RuntimeError(
+                f"Blender's Python cannot make environments: its module {error.name or 'ensurepip'} is missing. "
+                f"{venv_remedy()}, then press Install Engine again. Blender from blender.org has the module."
+            ) from error
+        # First, so that an environment that is only half removed does not look complete.
+        (self.folder / "installed.json").unlink(missing_ok=True)
+        for path in self.folder.iterdir():
+            if path.is_dir() and not path.is_symlink() and path.name not in KEPT:
+                shutil.rmtree(path)
+            elif path.name not in KEPT:
+                path.unlink()
+        self.run(0, "Making a Python environment", sys.executable, "-m", "venv", str(self.folder))
+        if not self.python_works():
+            raise RuntimeError(f"The Python environment in {self.folder} does not work: use Blender from blender.org.")
+
+    def check_disk(self, needed: int) -> None:
+        """Raise RuntimeError when fewer than `needed` bytes are free on the disk of the environment."""
+        free = shutil.disk_usage(self.folder).free
+        if free < needed:
+            raise RuntimeError(
+                f"The disk is too full: {self.folder} needs {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free. "
+                f"Free {(needed - free) / 1e9:.1f} GB."
+            )
 
     # -- what is needed -----------------------------------------------------------------------------------------------
 
@@ -216,13 +302,15 @@ class Installer:
                 self.download_rest(url, part, before, total)
             except (OSError, http.client.HTTPException) as error:
                 problem = str(error) or type(error).__name__
+                if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+                    break
                 continue
             if not digest or hashlib.sha256(part.read_bytes()).hexdigest() == digest:
                 os.replace(part, path)
                 return path
             part.unlink()
             problem = "its contents do not match the checksum of the index"
-        raise RuntimeError(f"The download of {path.name} failed: {problem}.")
+        raise RuntimeError(f"The download of {path.name} failed: {problem}. {self.cause(problem)}".strip())
 
     def download_rest(self, url: str, part: Path, before: int, total: int) -> None:
         """Append the bytes that a partial file lacks.
@@ -292,6 +380,25 @@ class Installer:
         os.replace(part, path)
 
 
+def unpacked_size(download: int) -> int:
+    """Bytes on disk of all packages whose wheels have `download` bytes, with what Python compiles, estimated.
+
+    Measured: 2.95 GB with CUDA became 5.4 GB, and about 0.5 GB without it 1.6 GB.
+    """
+    return int(0.8e9 + 1.6 * download)
+
+
+def venv_remedy() -> str:
+    """What to install where Python's modules for environments are missing, as exact as this system is known."""
+    try:
+        system = platform.freedesktop_os_release()
+    except OSError:
+        system = {}
+    if "debian" in f"{system.get('ID', '')} {system.get('ID_LIKE', '')}".split():
+        return f"Install the package python{sys.version_info[0]}.{sys.version_info[1]}-venv (python3-venv)"
+    return "Install your system's package with Python's module ensurepip (Debian, Ubuntu: python3-venv)"
+
+
 def part_of(path: Path) -> Path:
     """File that holds the part of `path` written so far."""
     return path.with_name(path.name + ".part")
@@ -321,7 +428,8 @@ def main() -> None:
     except Cancelled:
         fail("The installation was cancelled; Install Engine continues it.")
     except (RuntimeError, OSError, ValueError) as error:
-        fail(f"The engine could not be installed. {error} Install Engine continues where it stopped.")
+        sentence = installer.cause(str(error)) if isinstance(error, OSError) else ""
+        fail(f"The engine could not be installed. {sentence or error} Install Engine continues where it stopped.")
     else:
         send({"event": "result", "request": "install", **found})
 

@@ -1,9 +1,12 @@
 """Preferences of the extension: the engine's Python, the buttons that install it, and what it has."""
 
 import contextlib
+import functools
 import json
+import os
 import platform
 import sys
+from pathlib import Path
 from typing import Annotated, Any, cast
 
 import bpy
@@ -11,6 +14,7 @@ from bpy.props import StringProperty
 
 from . import EXTENSION, assets, engine_process
 from .blender_types import present, set_button, with_properties
+from .make_environment import unpacked_size
 from .properties import status_of
 from .sidebar import draw_job, draw_outcome, draw_wrapped
 
@@ -18,6 +22,8 @@ JOBS = ("Installation", "Look-up", "Engine check")
 """Names of the jobs whose progress the preferences show."""
 MEGABITS = 50
 """Speed of the internet connection that the shown time assumes, Mbit/s."""
+CPU_INDEX = "https://download.pytorch.org/whl/cpu"
+"""PyTorch's package index of builds without CUDA."""
 UNPACK_SECONDS = 0.05
 """Time to unpack a megabyte of packages, assumed: 2.5 minutes for 3 GB."""
 
@@ -93,7 +99,7 @@ class SwagPreferences(bpy.types.AddonPreferences):
         if self.wheels_folder:
             layout.label(text="Installs from your folder of wheels, without internet; about 3 minutes.")
         else:
-            layout.label(text=expected_download(context), icon="IMPORT")
+            draw_wrapped(layout, expected_download(context), width, icon="IMPORT")
         row = layout.row()
         row.scale_y = 1.6
         row.operator("swag.install_engine", icon="IMPORT")
@@ -124,15 +130,39 @@ class SwagPreferences(bpy.types.AddonPreferences):
             set_button(row.operator("swag.node_assets", text="Remove", icon="TRASH"), remove=True)
 
 
+@functools.cache
+def has_nvidia_card() -> bool:
+    """Whether this computer has an NVIDIA card with a driver."""
+    if sys.platform == "win32":
+        return (Path(os.environ.get("SYSTEMROOT", r"C:\Windows")) / "System32" / "nvcuda.dll").exists()
+    cards = (*Path("/proc/driver/nvidia").glob("gpus/*"), *Path("/dev").glob("nvidia[0-9]*"))
+    return bool(cards) or Path("/usr/lib/wsl/lib/libcuda.so.1").exists()  # Linux in Windows has no such files
+
+
+def package_index() -> str:
+    """Address of the additional package index; "" for none.
+
+    The usual build of torch for Linux has CUDA in it, six times the download; those for Windows and macOS do not.
+    """
+    without_cuda = sys.platform == "linux" and not has_nvidia_card()
+    return preferences().package_index or (CPU_INDEX if without_cuda else "")
+
+
 def expected_download(context: bpy.types.Context) -> str:
-    """How much Install Engine downloads, and how long that takes: as looked up, else as usual on this system."""
+    """What Install Engine downloads, its time and its disk space: as looked up, else as usual on this system."""
     looked_up = status_of(context).download_mb
-    # PyTorch's usual build for Linux on x86 has CUDA in it.
-    usual = 3000 if sys.platform == "linux" and platform.machine() == "x86_64" else 500
+    with_cuda = sys.platform == "linux" and platform.machine() == "x86_64" and not package_index()
+    usual = 2950 if with_cuda else 500
     megabytes = looked_up or usual
     minutes = megabytes * 8 / MEGABITS / 60 + megabytes * UNPACK_SECONDS / 60
     size = f"{megabytes / 1000:.1f} GB" if megabytes >= 100 else f"{megabytes} MB"
-    return f"Downloads {'' if looked_up else 'about '}{size}: {max(1, round(minutes))} minutes at {MEGABITS} Mbit/s"
+    all_wheels = (status_of(context).packages_mb or usual) * 1e6
+    after = unpacked_size(int(all_wheels)) / 1e9
+    # The wheels stay until all is unpacked.
+    return (
+        f"Downloads {'' if looked_up else 'about '}{size}: {max(1, round(minutes))} minutes at {MEGABITS} Mbit/s. "
+        f"Takes about {after:.1f} GB of disk, and {after + all_wheels / 1e9:.1f} GB while it installs"
+    )
 
 
 def draw_doctor(layout: bpy.types.UILayout, found: dict[str, Any]) -> None:

@@ -350,6 +350,7 @@ class SwagStatus(PropertyGroup):
     download_mb: Annotated[
         int, IntProperty(description="Megabytes that Install Engine would download; 0 until looked up")
     ]
+    packages_mb: Annotated[int, IntProperty(description="Megabytes of all its packages; 0 until looked up")]
     doctor: Annotated[str, StringProperty(description="What the last check of the engine's Python found, as JSON")]
     curve: Annotated[str, StringProperty(description="PSNR on the validation photos so far, in dB")]
     factor: Annotated[float, FloatProperty(min=0.0, max=1.0, subtype="FACTOR")]
@@ -366,7 +367,7 @@ class SwagStatus(PropertyGroup):
     def begin(self, job: str) -> None:
         """Reset everything for a new job."""
         for name in SwagStatus.__annotations__:
-            if name not in ("doctor", "download_mb"):
+            if name not in ("doctor", "download_mb", "packages_mb"):
                 self.property_unset(name)
         self.job, self.text = job, "Starting"
 

@@ -1,5 +1,6 @@
 """The child process of Install Engine: a folder of wheels, broken downloads, cancelling."""
 
+import errno
 import hashlib
 import http.server
 import json
@@ -8,9 +9,13 @@ import subprocess
 import sys
 import threading
 import time
+import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+
+from swag_blender.make_environment import Installer, unpacked_size
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +33,12 @@ def folder(empty_environment, tmp_path):
 class Installation:
     """The child process; `index` replaces the address of the package index."""
 
-    def __init__(self, root, folder, index="", wheels="", look_only=False):
+    def __init__(self, root, folder, index="", wheels="", look_only=False, python_path="", **variables):
         task = {
             "folder": str(folder), "root": str(root), "index": index, "wheels": str(wheels), "look_only": look_only
         }  # fmt: skip
-        environment = {"PATH": "/usr/bin:/bin", "PIP_CONFIG_FILE": "/dev/null", "PIP_INDEX_URL": index}
+        environment = {"PATH": "/usr/bin:/bin", "PIP_CONFIG_FILE": "/dev/null", "PIP_INDEX_URL": index, **variables}
+        environment |= {"PIP_RETRIES": "0", "PYTHONPATH": str(python_path)}
         self.process = subprocess.Popen(
             [sys.executable, str(root / "swag_blender" / "make_environment.py"), json.dumps(task)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment,
@@ -179,9 +185,133 @@ def test_a_package_that_cannot_be_found_is_reported_in_one_sentence(root, folder
     assert f"for Python 3.11 on this system in {tmp_path / 'empty'}" in failed["message"]
 
 
-def test_a_repeated_installation_is_not_complete_before_its_end(root, folder, wheels, tmp_path):
-    """installed.json of an earlier installation is removed first."""
+def test_a_repeated_installation_that_finds_no_packages_leaves_the_earlier_one(root, folder, wheels, tmp_path):
     (folder / "installed.json").write_text("{}")
     (tmp_path / "empty").mkdir()
     assert Installation(root, folder, wheels=tmp_path / "empty").end()[0]["event"] == "error"
+    assert (folder / "installed.json").exists()
+
+
+@pytest.fixture
+def without_ensurepip(tmp_path):
+    """A folder that makes Python lack ensurepip, as that of Debian without python3-venv does."""
+    (tmp_path / "stub").mkdir()
+    (tmp_path / "stub" / "ensurepip.py").write_text("raise ModuleNotFoundError(name='ensurepip')")
+    return tmp_path / "stub"
+
+
+def test_a_python_without_ensurepip_is_named_with_its_remedy_and_mended_later(
+    root, tmp_path, wheels, without_ensurepip
+):
+    """After the package was installed, Install Engine succeeds, though the folder was half made."""
+    folder = tmp_path / "new"
+    (folder / "downloads").mkdir(parents=True)
+    (folder / "downloads" / "torch.part").write_text("kept")
+    failed, _ = Installation(root, folder, wheels=wheels, python_path=without_ensurepip).end()
+    assert failed["event"] == "error" and "\n" not in failed["message"]
+    assert "its module ensurepip is missing" in failed["message"]
+    assert "python3-venv" in failed["message"] and "press Install Engine again" in failed["message"]
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)  # as Debian leaves it
+    found, _ = Installation(root, folder, wheels=wheels, look_only=True).end()
+    assert found["event"] == "result", found
+    assert (folder / "downloads" / "torch.part").read_text() == "kept"
+
+
+def no_pip(folder):
+    shutil.rmtree(next(folder.glob("lib/*/site-packages/pip")))
+
+
+def part_of_pip(folder):
+    next(folder.glob("lib/*/site-packages/pip/_internal/cli/main.py")).unlink()
+
+
+def no_configuration(folder):
+    (folder / "pyvenv.cfg").unlink()
+
+
+def dead_link(folder):
+    (folder / "bin" / "python").unlink()
+    (folder / "bin" / "python").symlink_to("/no/such/blender/python")
+
+
+def no_python(folder):
+    (folder / "bin" / "python").unlink()
+
+
+def other_version(folder):
+    """As after an update of the system: the link leads to another Python, which does not find the packages."""
+    library = next(folder.glob("lib/python3.*"))
+    library.rename(library.with_name("python3.9"))
+
+
+@pytest.mark.parametrize("damage", [no_pip, part_of_pip, no_configuration, dead_link, no_python, other_version])
+def test_a_damaged_environment_is_made_anew(root, folder, wheels, damage):
+    damage(folder)
+    found, texts = Installation(root, folder, wheels=wheels, look_only=True).end()
+    assert found["event"] == "result", found
+    assert "Making a Python environment" in texts
+
+
+def test_half_installed_packages_are_replaced(root, folder, wheels):
+    """pip takes a package for installed by its METADATA, and cannot remove one without RECORD."""
+    version = next(wheels.glob("torch-*")).name.split("-")[1]
+    site = next(folder.glob("lib/*/site-packages"))
+    (site / f"torch-{version}.dist-info").mkdir()
+    (site / f"torch-{version}.dist-info" / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: torch\nVersion: {version}\n"
+    )
+    done, _ = Installation(root, folder, wheels=wheels).end()
+    assert done["event"] == "result", done
+
+
+def test_a_wheel_that_cannot_be_unpacked_leaves_nothing_that_looks_whole(root, folder, wheels, tmp_path):
+    (folder / "installed.json").write_text("{}")
+    shutil.copytree(wheels, tmp_path / "wheels")
+    broken = next((tmp_path / "wheels").glob("zstandard-*"))
+    with zipfile.ZipFile(broken) as wheel:
+        kept = {name: wheel.read(name) for name in wheel.namelist()}
+    with zipfile.ZipFile(broken, "w") as wheel:
+        for name, content in kept.items():
+            wheel.writestr(name, content if not name.endswith("/WHEEL") else b"Wheel-Version: 9.0\n")
+    failed, _ = Installation(root, folder, wheels=tmp_path / "wheels").end()
+    assert failed["event"] == "error" and "\n" not in failed["message"]
+    assert failed["message"].startswith("The engine could not be installed. Unpacking ")
     assert not (folder / "installed.json").exists()
+
+
+def test_without_network_and_with_a_wrong_proxy_the_cause_is_named(root, folder):
+    """Nothing listens on port 9 of this computer."""
+    nowhere = "http://127.0.0.1:9/simple"
+    failed, _ = Installation(root, folder, nowhere, look_only=True).end()
+    assert "cannot be reached: check the internet connection" in failed["message"]
+    proxy = {"HTTP_PROXY": "http://127.0.0.1:9", "http_proxy": "http://127.0.0.1:9"}
+    failed, _ = Installation(root, folder, "http://packages.invalid/simple", look_only=True, **proxy).end()
+    assert "The proxy" in failed["message"] and "\n" not in failed["message"]
+
+
+@pytest.fixture
+def installer(folder, root):
+    return Installer(str(folder), str(root), "", "", False)
+
+
+def test_too_little_disk_is_told_before_the_download(installer, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=2_000_000_000))
+    with pytest.raises(RuntimeError, match=r"needs 8\.5 GB, and 2\.0 GB are free\. Free 6\.5 GB"):
+        installer.check_disk(2_950_000_000 + unpacked_size(2_950_000_000))
+    installer.check_disk(1_900_000_000)
+
+
+def test_a_full_disk_ends_a_download_at_once_and_keeps_it(installer, monkeypatch):
+    tries = []
+
+    def fill(url, part, before, total):
+        part.write_bytes(b"x" * 10)
+        tries.append(url)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(installer, "download_rest", fill)
+    installer.downloads.mkdir()
+    with pytest.raises(RuntimeError, match="The disk is full: free space on the disk of"):
+        installer.download("http://server/torch-1.whl", "", 0, 10)
+    assert len(tries) == 1
+    assert (installer.downloads / "torch-1.whl.part").stat().st_size == 10
