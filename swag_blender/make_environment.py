@@ -383,9 +383,9 @@ class Installer:
 def unpacked_size(download: int) -> int:
     """Bytes on disk of all packages whose wheels have `download` bytes, with what Python compiles, estimated.
 
-    Measured: 2.95 GB with CUDA became 5.4 GB, and about 0.5 GB without it 1.6 GB.
+    Measured: 2.95 GB with CUDA became 5.4 GB, and 0.41 GB without it 1.6 GB.
     """
-    return int(0.8e9 + 1.6 * download)
+    return int(1e9 + 1.5 * download)
 
 
 def venv_remedy() -> str:

@@ -142,7 +142,7 @@ def has_nvidia_card() -> bool:
 def package_index() -> str:
     """Address of the additional package index; "" for none.
 
-    The usual build of torch for Linux has CUDA in it, six times the download; those for Windows and macOS do not.
+    The usual build of torch for Linux has CUDA in it, seven times the download; those for Windows and macOS do not.
     """
     without_cuda = sys.platform == "linux" and not has_nvidia_card()
     return preferences().package_index or (CPU_INDEX if without_cuda else "")
@@ -152,7 +152,7 @@ def expected_download(context: bpy.types.Context) -> str:
     """What Install Engine downloads, its time and its disk space: as looked up, else as usual on this system."""
     looked_up = status_of(context).download_mb
     with_cuda = sys.platform == "linux" and platform.machine() == "x86_64" and not package_index()
-    usual = 2950 if with_cuda else 500
+    usual = 2950 if with_cuda else 410
     megabytes = looked_up or usual
     minutes = megabytes * 8 / MEGABITS / 60 + megabytes * UNPACK_SECONDS / 60
     size = f"{megabytes / 1000:.1f} GB" if megabytes >= 100 else f"{megabytes} MB"

@@ -16,6 +16,7 @@ def test_the_engine_is_installed_from_wheels_checked_and_removed(blender, wheels
     assert set(json.loads(found["doctor"])["packages"].values()).isdisjoint({None})
     assert found["check"].startswith("The engine is ready: torch ")
     assert found["exists after removal"] is False
+    assert found["outcome after removal"] in (["", "", False], ("", "", False))
     assert "press Install Engine" in found["check after removal"]
 
 
@@ -32,6 +33,11 @@ def test_a_failed_installation_is_reported_in_one_sentence_and_logged(blender, t
 
 def test_an_environment_whose_python_is_gone_is_not_used(blender):
     assert blender.run("install_engine.complete_with_a_dead_link") is False
+
+
+def test_an_environment_of_another_python_is_not_used(blender):
+    assert blender.run("install_engine.complete_with_version", "") is True
+    assert blender.run("install_engine.complete_with_version", "3.9.1") is False
 
 
 def test_a_python_without_the_packages_is_refused_with_their_names(blender, tmp_path):

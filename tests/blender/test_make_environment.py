@@ -38,7 +38,7 @@ class Installation:
             "folder": str(folder), "root": str(root), "index": index, "wheels": str(wheels), "look_only": look_only
         }  # fmt: skip
         environment = {"PATH": "/usr/bin:/bin", "PIP_CONFIG_FILE": "/dev/null", "PIP_INDEX_URL": index, **variables}
-        environment |= {"PIP_RETRIES": "0", "PYTHONPATH": str(python_path)}
+        environment |= {"PIP_RETRIES": "1", "PYTHONPATH": str(python_path)}
         self.process = subprocess.Popen(
             [sys.executable, str(root / "swag_blender" / "make_environment.py"), json.dumps(task)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment,
@@ -296,7 +296,7 @@ def installer(folder, root):
 
 def test_too_little_disk_is_told_before_the_download(installer, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=2_000_000_000))
-    with pytest.raises(RuntimeError, match=r"needs 8\.5 GB, and 2\.0 GB are free\. Free 6\.5 GB"):
+    with pytest.raises(RuntimeError, match=r"needs 8\.4 GB, and 2\.0 GB are free\. Free 6\.4 GB"):
         installer.check_disk(2_950_000_000 + unpacked_size(2_950_000_000))
     installer.check_disk(1_900_000_000)
 

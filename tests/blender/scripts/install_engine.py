@@ -1,5 +1,8 @@
 """Install Engine, Check Engine and Remove Engine in the preferences."""
 
+import json
+import sys
+
 import bpy
 from bl_ext.user_default.swag_splatting.swag_blender import engine_process
 
@@ -27,7 +30,10 @@ def install_check_and_remove(wheels):
     found["python"] = engine_process.engine_python()
     found["doctor"] = status.doctor
     found["check"] = message_of(bpy.ops.swag.check_engine)
-    found["remove"] = message_of(bpy.ops.swag.remove_engine)
+    status.begin("Installation")
+    status.end("An old error", True)
+    bpy.ops.swag.remove_engine()
+    found["outcome after removal"] = (status.last_job, status.message, status.failed)
     found["exists after removal"] = engine_process.environment_folder().exists()
     found["check after removal"] = message_of(bpy.ops.swag.check_engine)
     return found
@@ -51,7 +57,18 @@ def complete_with_a_dead_link():
     python = engine_process.environment_python()
     python.parent.mkdir(parents=True)
     python.symlink_to("/no/such/blender/python")
-    (engine_process.environment_folder() / "installed.json").write_text("{}")
+    installed = {"doctor": {"python": ".".join(map(str, sys.version_info[:3]))}}
+    (engine_process.environment_folder() / "installed.json").write_text(json.dumps(installed))
+    return engine_process.environment_is_whole()
+
+
+def complete_with_version(version):
+    """Whether an environment counts as complete that was installed with a version of Python; "" for Blender's."""
+    python = engine_process.environment_python()
+    python.parent.mkdir(parents=True, exist_ok=True)
+    python.touch()
+    installed = {"doctor": {"python": version or ".".join(map(str, sys.version_info[:3]))}}
+    (engine_process.environment_folder() / "installed.json").write_text(json.dumps(installed))
     return engine_process.environment_is_whole()
 
 
