@@ -284,8 +284,8 @@ def test_without_network_and_with_a_wrong_proxy_the_cause_is_named(root, folder)
     nowhere = "http://127.0.0.1:9/simple"
     failed, _ = Installation(root, folder, nowhere, look_only=True).end()
     assert "cannot be reached: check the internet connection" in failed["message"]
-    proxy = {"HTTP_PROXY": "http://127.0.0.1:9", "http_proxy": "http://127.0.0.1:9"}
-    failed, _ = Installation(root, folder, "http://packages.invalid/simple", look_only=True, **proxy).end()
+    proxy = {"HTTPS_PROXY": "http://127.0.0.1:9", "https_proxy": "http://127.0.0.1:9"}
+    failed, _ = Installation(root, folder, "https://packages.invalid/simple", look_only=True, **proxy).end()
     assert "The proxy" in failed["message"] and "\n" not in failed["message"]
 
 
