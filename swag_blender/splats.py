@@ -2,7 +2,8 @@
 
 Attributes of the point cloud, all on points: `position`; `scale` (linear sigma); `rotation` (quaternion wxyz);
 `radiance:base` (x y z the raw degree-0 coefficient, w the opacity 0..1); `radiance:sh_0` ... (one RGB coefficient
-each); `radius` (mean sigma: for exporters and point display); `swag:NAME` for each extra property (labels, scores).
+each); `radius` (mean sigma: for exporters and point display); `swag:NAME` for each extra property (labels, scores);
+`swag_shaped_at` (the position for which scale, rotation and harmonics are right: see moved_points.py).
 
 The points keep the coordinates of training (the COLMAP world); the object's transform places them in Blender.
 """
@@ -15,6 +16,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.splats.follow_points import follow_points
 from ..swag_engine.splats.splats import Splats, concatenate
 from . import display
 from .blender_types import present
@@ -22,6 +24,8 @@ from .nodes import splat_preview
 from .nodes.splat_colors import BASE
 
 OWN_PREFIX = "swag:"
+SHAPED_AT = "swag_shaped_at"
+"""Attribute with the positions for which sizes, rotations and harmonics are right; operators of Blender move others."""
 FILE_FRAME = Matrix.Rotation(math.radians(-90), 4, "X")
 """Matrix from file to Blender world without an imported scene: a PLY has y down, which viewers show upright."""
 _VALUE_PROPERTIES = ("color", "vector", "value")
@@ -168,7 +172,7 @@ def _is_of_splats(attribute: Any) -> bool:
     """Whether `_fill` writes an attribute of this name and type."""
     name = attribute.name
     own = name.startswith(OWN_PREFIX) and attribute.data_type in {"FLOAT", "INT"}
-    return own or name.startswith("radiance:") or name in ("position", "scale", "rotation", "radius")
+    return own or name.startswith("radiance:") or name in ("position", "scale", "rotation", "radius", SHAPED_AT)
 
 
 def copy_attributes(source: bpy.types.PointCloud, target: bpy.types.PointCloud, chosen: np.ndarray) -> None:
@@ -230,8 +234,8 @@ def read_splats(obj: bpy.types.Object) -> Splats:
 def read_modified_splats(obj: bpy.types.Object, *masks: str) -> tuple[Splats, list[np.ndarray]]:
     """The splats of the object in its own frame with its modifiers applied, except the preview; and masks of them.
 
-    Modifiers that are off in the viewport do not count. A modifier that moves points moves splats; sizes, rotations
-    and colors are those of the attributes.
+    Modifiers that are off in the viewport do not count. Splats turn and scale with points that affine maps moved, and
+    are only shifted by other modifiers.
 
     Args:
         obj: a splat object.
@@ -281,7 +285,45 @@ def find_with(scene: bpy.types.Scene, active: bpy.types.Object | None, key: str)
 
 
 def splats_of(pointcloud: bpy.types.PointCloud) -> Splats:
-    """The splats of a point cloud that has their attributes."""
+    """The splats of a point cloud that has their attributes, turned and scaled with points that were moved."""
+    own = _splats_as_stored(pointcloud)
+    shaped_at = pointcloud.attributes.get(SHAPED_AT)
+    return own if shaped_at is None else follow_points(own, _read(shaped_at, 3))[0]
+
+
+def follow_points_of(pointcloud: bpy.types.PointCloud) -> int:
+    """Write the sizes, rotations and harmonics that follow the points of a point cloud of splats, where they moved.
+
+    Points without size, which came from a point cloud that had no splats, become grey balls of their radius.
+
+    Returns:
+        Number of splats that were moved by no affine map, and are only shifted.
+    """
+    attributes: Any = pointcloud.attributes
+    position = _read(attributes["position"], 3)
+    if SHAPED_AT not in attributes:
+        # Adding an attribute can move the data of others.
+        _write(attributes.new(SHAPED_AT, "FLOAT_VECTOR", "POINT"), position)
+        return 0
+    shaped_at = _read(attributes[SHAPED_AT], 3)
+    if np.array_equal(position, shaped_at):
+        return 0
+    own = _splats_as_stored(pointcloud)
+    foreign = ~own.scales.any(axis=1)
+    own.rotations[foreign] = (1, 0, 0, 0)
+    if "radius" in attributes:
+        own.scales[foreign] = _read(attributes["radius"], 1)[foreign]
+    own.opacities[foreign] = 1
+    shaped_at[foreign] = position[foreign]
+    made, unexplained = follow_points(own, shaped_at)
+    for name, _, values in _attribute_values(made):
+        if name in attributes and not name.startswith(OWN_PREFIX):
+            _write(attributes[name], values)
+    mark_changed(pointcloud)
+    return len(unexplained)
+
+
+def _splats_as_stored(pointcloud: bpy.types.PointCloud) -> Splats:
     attributes = pointcloud.attributes
     base = _read(attributes[BASE], 4)
     sh = [base[:, :3]]
@@ -359,18 +401,8 @@ def _fill(pointcloud: bpy.types.PointCloud, splats: Splats) -> None:
     """Give a point cloud the splats and no other attributes; before Blender 5.2 it has their number of points."""
     if hasattr(pointcloud, "resize"):
         pointcloud.resize(len(splats.positions))
-    base = np.concatenate([splats.sh[:, 0], splats.opacities[:, None]], axis=1)
     attributes: Any = pointcloud.attributes
-    values = [
-        ("position", "FLOAT_VECTOR", splats.positions),
-        ("scale", "FLOAT_VECTOR", splats.scales),
-        ("rotation", "QUATERNION", splats.rotations),
-        (BASE, _base_type(), base),
-        ("radius", "FLOAT", splats.scales.mean(axis=1)),
-    ]
-    values += [(f"radiance:sh_{k - 1}", "FLOAT_VECTOR", splats.sh[:, k]) for k in range(1, splats.sh.shape[1])]
-    for own, value in splats.extras.items():
-        values.append((OWN_PREFIX + own, "INT" if np.issubdtype(value.dtype, np.integer) else "FLOAT", value))
+    values = _attribute_values(splats)
     kept = {attribute for attribute, _, _ in values}
     for name in [a.name for a in attributes if a.name not in kept and not a.is_required]:
         attributes.remove(attributes[name])
@@ -411,6 +443,23 @@ def _make_native(pointcloud: bpy.types.PointCloud) -> None:
     """Have Blender draw the points as splats where it can."""
     if splat_preview.HAS_NATIVE:
         cast(Any, pointcloud).type = "GAUSSIAN_SPLAT"
+
+
+def _attribute_values(splats: Splats) -> list[tuple[str, str, np.ndarray]]:
+    """Name, type and values of each attribute of splats."""
+    base = np.concatenate([splats.sh[:, 0], splats.opacities[:, None]], axis=1)
+    values = [
+        ("position", "FLOAT_VECTOR", splats.positions),
+        ("scale", "FLOAT_VECTOR", splats.scales),
+        ("rotation", "QUATERNION", splats.rotations),
+        (BASE, _base_type(), base),
+        (SHAPED_AT, "FLOAT_VECTOR", splats.positions),
+        ("radius", "FLOAT", splats.scales.mean(axis=1)),
+    ]
+    values += [(f"radiance:sh_{k - 1}", "FLOAT_VECTOR", splats.sh[:, k]) for k in range(1, splats.sh.shape[1])]
+    for own, value in splats.extras.items():
+        values.append((OWN_PREFIX + own, "INT" if np.issubdtype(value.dtype, np.integer) else "FLOAT", value))
+    return values
 
 
 def _value_property(attribute: Any) -> str:

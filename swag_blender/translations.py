@@ -710,6 +710,11 @@ GERMAN = {
     "What splats are selected by": "Wonach Splats ausgewählt werden",
     "Which splats are selected": "Welche Splats ausgewählt werden",
     "Which splats are selected afterwards": "Welche Splats danach ausgewählt sind",
+    "{count} splats of {name} were moved, but their sizes and rotations could not follow: undo this to keep them "
+    "right. To join objects, use Merge in the panel Edit.": (
+        "{count} Splats von {name} wurden bewegt, aber ihre Größen und Drehungen konnten nicht folgen: mit Rückgängig "
+        "bleiben sie richtig. Zum Zusammenfügen von Objekten dient Vereinen im Panel Bearbeiten."
+    ),
     "{selected} of {total} splats selected": "{selected} von {total} Splats ausgewählt",
     "A PNG file for each frame, without loss; a stopped film can be continued": (
         "Eine PNG-Datei je Bild, ohne Verlust; ein angehaltener Film kann fortgesetzt werden"
