@@ -45,6 +45,7 @@ from . import (
     merge_survey,
     node_assets,
     open_camera_page,
+    open_photos,
     open_report,
     open_run,
     open_survey,
@@ -83,7 +84,7 @@ from . import (
 )
 
 _GROUPS = (
-    (find_cameras, import_cameras, inspect_scene, import_scene, open_camera_page),
+    (open_photos, find_cameras, import_cameras, inspect_scene, import_scene, open_camera_page),
     (plan, reset_effects, show_effect),
     (forecast, train, cancel, pause, show_log),
     (open_run, import_splats, open_report, select_run),

@@ -48,7 +48,7 @@ class SWAG_OT_import_cameras(ImportJob):
         str,
         StringProperty(
             name="Scene Folder",
-            description="New folder for copies of the photos and their COLMAP model; empty: beside the file",
+            description="New folder for copies of the photos and their cameras; empty: beside the file",
             options={"SKIP_SAVE"},
         ),
     ]

@@ -21,7 +21,7 @@ class SWAG_OT_import_scene(ImportJob):
 
     directory: Annotated[
         str,
-        StringProperty(name="Folder", description="Folder with the photos and their COLMAP model", subtype="DIR_PATH"),
+        StringProperty(name="Folder", description="Folder with the photos and their cameras", subtype="DIR_PATH"),
     ]
     filter_folder: Annotated[bool, BoolProperty(default=True, options={"HIDDEN"})]
 

@@ -20,7 +20,7 @@ REDRAW_SECONDS = 0.5
 """Shortest time between two redraws of the sidebar: one can take long without a graphics card."""
 PRINT_SECONDS = 1.0
 """Shortest time between two printed lines of progress."""
-NO_PHOTOS = "Choose the folder with the photos and their COLMAP model first"
+NO_PHOTOS = "Choose photos or a video first"
 LOG_NAME = "SWAG Log"
 last_log: list[str] = []
 """Lines that the engine wrote to its log during the last job."""

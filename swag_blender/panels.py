@@ -1,4 +1,4 @@
-"""The panels of the sidebar tab SWAG, in the order of work: Cameras, Train, Result, Labels, Export.
+"""The panels of the sidebar tab SWAG, in the order of work: Photos, Train, Result, Labels, Export.
 
 Further panels are in files of their own; bl_order is 30 for Edit, 35 for Film, 40 for Water and 55 for Maps. Train and
 Result have a closed panel until their stage is reached; the panel that replaces it then is open.
@@ -24,49 +24,26 @@ from .blender_types import present, set_button
 from .properties import IN_TIME, OWN_WATER, status_of, swag_of
 from .sidebar import SwagPanel, draw_job, draw_outcome, draw_wrapped
 
-OF_CAMERAS = ("Import", "Check")
-"""Jobs whose progress the panel Cameras shows."""
-
 
 class SWAG_PT_scene(SwagPanel):
-    """Panel that chooses, checks and imports the photos."""
+    """Panel that takes the photos or the video."""
 
-    bl_label = "Cameras"
+    bl_label = "Photos"
     bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, swag, status = present(self.layout), swag_of(context.scene), status_of(context)
-        width = present(context.region).width
+        layout = present(self.layout)
         if problem := engine_process.engine_problem():
-            draw_wrapped(layout, problem, width, icon="ERROR")
+            draw_wrapped(layout, problem, present(context.region).width, icon="ERROR")
             button = layout.operator("preferences.addon_show", text="Open Preferences", icon="PREFERENCES")
             set_button(button, module=EXTENSION)
-        column = layout.column()
-        column.label(text="Photos with COLMAP Model")
-        column.prop(swag, "scene_folder", text="")
-        row = column.row(align=True)
-        row.operator("swag.inspect_scene", text="Check", icon="VIEWZOOM")
-        button = row.operator("swag.import_scene", text="Import", icon="IMPORT")
-        set_button(button, directory=swag.scene_path)
-        if status.job in OF_CAMERAS:
-            draw_job(layout, context)
-        elif status.failed and status.last_job in OF_CAMERAS:
-            draw_outcome(layout, context)
-        elif swag.scene_folder:
-            for number, line in enumerate(swag.found.splitlines()):
-                draw_wrapped(layout, line, width, icon="ERROR" if number else "NONE")
-            find_cameras.draw_camera_page(layout, context)
-        elif not problem:
-            draw_wrapped(layout, "Choose the folder with the photos, or open a run in Result.", width, icon="INFO")
-        layout.separator()
-        layout.label(text="Photos or Video without Cameras")
-        find_cameras.draw_find_cameras(layout, context)
-        find_cameras.draw_sparse_points(layout, context)
+        find_cameras.draw_photos(layout, context)
+        find_cameras.draw_shown(layout, context)
 
 
 class SWAG_PT_other_cameras(SwagPanel):
-    """Panel that imports cameras which another program has found."""
+    """Panel that imports models and cameras of other programs."""
 
     bl_label = "Cameras of Another Program"
     bl_parent_id = "SWAG_PT_scene"
@@ -74,7 +51,16 @@ class SWAG_PT_other_cameras(SwagPanel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        camera_import.draw_import_cameras(present(self.layout), context)
+        layout, swag = present(self.layout), swag_of(context.scene)
+        column = layout.column(align=True)
+        column.label(text="COLMAP Model with Photos")
+        column.prop(swag, "scene_folder", text="")
+        row = column.row(align=True)
+        row.operator("swag.inspect_scene", text="Check", icon="VIEWZOOM")
+        button = row.operator("swag.import_scene", text="Import", icon="IMPORT")
+        set_button(button, directory=swag.scene_path)
+        layout.label(text="Other Cameras")
+        camera_import.draw_import_cameras(layout, context)
 
 
 class SWAG_PT_train_later(SwagPanel):
@@ -91,7 +77,9 @@ class SWAG_PT_train_later(SwagPanel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        draw_wrapped(present(self.layout), "Choose the photos first.", present(context.region).width, icon="INFO")
+        draw_wrapped(
+            present(self.layout), "Choose photos or a video first.", present(context.region).width, icon="INFO"
+        )
 
 
 class SWAG_PT_train(SwagPanel):

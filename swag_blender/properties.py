@@ -98,7 +98,7 @@ class SwagScene(PropertyGroup):
         str,
         StringProperty(
             name="Photos",
-            description="Folder with the photos and their COLMAP model",
+            description="Folder with the photos and their cameras",
             subtype="DIR_PATH",
         ),
     ]
@@ -130,7 +130,7 @@ class SwagScene(PropertyGroup):
         str,
         StringProperty(
             name="Output Folder",
-            description="Folder that the training writes to; empty: the folder swag_run beside the COLMAP model",
+            description="Folder that the training writes to; empty: the folder swag_run beside the photos",
             subtype="DIR_PATH",
         ),
     ]

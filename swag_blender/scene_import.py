@@ -186,6 +186,22 @@ def sparse_points(root: bpy.types.Object) -> bpy.types.Object | None:
     return None
 
 
+def layer_of_cameras(root: bpy.types.Object, layer: bpy.types.ViewLayer) -> bpy.types.LayerCollection | None:
+    """The cameras of an imported scene in a view layer, to hide them; None where there are none.
+
+    What is hidden there keeps being evaluated, unlike a collection that is hidden in all viewports, whose cameras would
+    lose their places.
+    """
+    camera = next((obj for obj in root.children_recursive if obj.get(SIZE_KEY) is not None), None)
+    if camera is None:
+        return None
+    layers = [present(layer.layer_collection)]
+    for candidate in layers:
+        layers += candidate.children
+    # The scene's own collection cannot be hidden.
+    return next((one for one in layers[1:] if camera.name in one.collection.objects), None)
+
+
 def hide_sparse_points(root: bpy.types.Object | None) -> None:
     """Hide the sparse cloud of an imported scene in viewports, for splats that are shown in its place."""
     if root and (cloud := sparse_points(root)):

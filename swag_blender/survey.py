@@ -51,7 +51,7 @@ class SwagSurvey(PropertyGroup):
         str,
         StringProperty(
             name="Survey",
-            description="Folder of the survey; empty: the folder swag_survey beside the COLMAP model",
+            description="Folder of the survey; empty: the folder swag_survey beside the photos",
             subtype="DIR_PATH",
         ),
     ]

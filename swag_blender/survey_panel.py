@@ -41,7 +41,7 @@ class SWAG_PT_survey(SwagPanel):
         set_button(button, directory=str(folder.path) if folder is not None else "")
         if folder is None and not swag_of(scene).scene_folder:
             draw_wrapped(
-                layout, "Choose the folder of a survey, or in Cameras the photos of a new one.", width, icon="INFO"
+                layout, "Choose the folder of a survey, or in Photos the photos of a new one.", width, icon="INFO"
             )
 
 

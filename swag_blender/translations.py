@@ -12,14 +12,20 @@ GERMAN = {
     "Check": "Prüfen",
     "Find Cameras": "Kameras finden",
     "Find Cameras of These Photos": "Kameras dieser Fotos finden",
-    "Find out from which place each photo was taken, with COLMAP, and import the cameras": (
-        "Mit COLMAP bestimmen, von wo jedes Foto aufgenommen wurde, und die Kameras importieren"
+    "Find out from which place each photo was taken, and import the cameras": (
+        "Bestimmen, von wo jedes Foto aufgenommen wurde, und die Kameras importieren"
+    ),
+    "Choose a folder of photos or a video; from which place each photo was taken is read, or found out": (
+        "Einen Ordner mit Fotos oder ein Video wählen; von wo jedes Foto aufgenommen wurde, wird gelesen oder bestimmt"
+    ),
+    "Choose a folder of photos or a video, or open a run in Result.": (
+        "Einen Ordner mit Fotos oder ein Video wählen, oder unter Ergebnis einen Lauf öffnen."
     ),
     "Photos or Video": "Fotos oder Video",
     "Folder of photos, one of its photos, or a video": "Ordner mit Fotos, eines dieser Fotos oder ein Video",
     "Scene Folder": "Szenenordner",
-    "New folder for copies of the photos and their COLMAP model; empty: beside the photos or video": (
-        "Neuer Ordner für Kopien der Fotos und ihr COLMAP-Modell; leer: neben den Fotos oder dem Video"
+    "New folder for copies of the photos and their cameras; empty: beside the photos or video": (
+        "Neuer Ordner für Kopien der Fotos und ihre Kameras; leer: neben den Fotos oder dem Video"
     ),
     "Sparse Points": "Dünne Punktwolke",
     "Import Cameras": "Kameras importieren",
@@ -38,8 +44,8 @@ GERMAN = {
     "PLY file of points in the coordinates of the cameras; empty: those of the file or the photos": (
         "PLY-Datei mit Punkten in den Koordinaten der Kameras; leer: Punkte der Datei oder der Fotos"
     ),
-    "New folder for copies of the photos and their COLMAP model; empty: beside the file": (
-        "Neuer Ordner für Kopien der Fotos und ihr COLMAP-Modell; leer: neben der Datei"
+    "New folder for copies of the photos and their cameras; empty: beside the file": (
+        "Neuer Ordner für Kopien der Fotos und ihre Kameras; leer: neben der Datei"
     ),
     "Import": "Importieren",
     "Import COLMAP Scene": "COLMAP-Szene importieren",
@@ -358,10 +364,10 @@ GERMAN = {
     "Find splats by words: writes swag:similarity and selects the splats above the threshold": (
         "Splats nach Worten finden: schreibt swag:similarity und wählt die Splats über der Schwelle"
     ),
-    "Folder that the training writes to; empty: the folder swag_run beside the COLMAP model": (
-        "Ordner, in den das Training schreibt; leer: der Ordner swag_run neben dem COLMAP-Modell"
+    "Folder that the training writes to; empty: the folder swag_run beside the photos": (
+        "Ordner, in den das Training schreibt; leer: der Ordner swag_run neben den Fotos"
     ),
-    "Folder with the photos and their COLMAP model": "Ordner mit den Fotos und ihrem COLMAP-Modell",
+    "Folder with the photos and their cameras": "Ordner mit den Fotos und ihren Kameras",
     "Follow the plan again in every effect": "In jedem Effekt wieder dem Plan folgen",
     "Forecast of each quality and the settings it was made for, as JSON": (
         "Vorhersage für jede Güte und die Einstellungen, für die sie gilt, als JSON"
@@ -440,7 +446,8 @@ GERMAN = {
         "Das Training anhalten oder fortsetzen; das Ergebnis ist dasselbe wie ohne Pause"
     ),
     "Photos": "Fotos",
-    "Photos with COLMAP Model": "Fotos mit COLMAP-Modell",
+    "COLMAP Model with Photos": "COLMAP-Modell mit Fotos",
+    "Other Cameras": "Andere Kameras",
     "Placement": "Platzierung",
     "Plan determines from the photos which effects training should model.": (
         "Planen bestimmt aus den Fotos, welche Effekte das Training modellieren soll."
@@ -568,7 +575,6 @@ GERMAN = {
     "Percentage of the splats that viewports show; renders show all": (
         "Anteil der Splats, den Viewports zeigen, in Prozent; Renderbilder zeigen alle"
     ),
-    "Photos or Video without Cameras": "Fotos oder Video ohne Kameras",
     "Points": "Punkte",
     "The splats as trained, with view-dependent colors": "Die Splats wie trainiert, mit blickabhängigen Farben",
     "What viewports show, except in Rendered shading": "Was Viewports zeigen, außer in der Schattierung Gerendert",
@@ -785,13 +791,8 @@ GERMAN = {
     "Blender has no online access.": "Blender hat keinen Online-Zugriff.",
     "Caustics": "Kaustiken",
     "Filled cells": "Volle Felder",
-    "Choose the folder with the photos and their COLMAP model first": (
-        "Zuerst den Ordner mit den Fotos und ihrem COLMAP-Modell wählen"
-    ),
-    "Choose the folder with the photos, or open a run in Result.": (
-        "Den Ordner mit den Fotos wählen, oder unter Ergebnis einen Lauf öffnen."
-    ),
-    "Choose the photos first.": "Zuerst die Fotos wählen.",
+    "Choose photos or a video first": "Zuerst Fotos oder ein Video wählen",
+    "Choose photos or a video first.": "Zuerst Fotos oder ein Video wählen.",
     "Clear coast": "Klare Küste",
     "Clear open ocean": "Klarer offener Ozean",
     "Clearest open ocean": "Klarster offener Ozean",
@@ -1096,12 +1097,12 @@ GERMAN = {
     "Height": "Höhe",
     "Length": "Länge",
     "Survey": "Vermessung",
-    "Folder of the survey; empty: the folder swag_survey beside the COLMAP model": (
-        "Ordner der Vermessung; leer: der Ordner swag_survey neben dem COLMAP-Modell"
+    "Folder of the survey; empty: the folder swag_survey beside the photos": (
+        "Ordner der Vermessung; leer: der Ordner swag_survey neben den Fotos"
     ),
     "Folder of the survey, which has survey.json": "Ordner der Vermessung, in dem survey.json liegt",
     "Choose the folder of a survey first": "Zuerst den Ordner einer Vermessung wählen",
-    "Choose the folder of a survey, or in Cameras the photos of a new one.": (
+    "Choose the folder of a survey, or in Photos the photos of a new one.": (
         "Den Ordner einer Vermessung wählen, oder unter Kameras die Fotos einer neuen."
     ),
     "Photos per Block": "Fotos pro Block",

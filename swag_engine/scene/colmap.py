@@ -18,6 +18,7 @@ from .colmap_binary import PARTS, Features, check_file, copy_without_points, poi
 from .colmap_library import pycolmap
 from .georeference import Georeference, read_georeference
 from .lenses import Lens
+from .model_folders import folders_of_models, model_suffix, scene_of
 from .model_quality import FEW_REGISTERED
 from .split import Split, split_views
 
@@ -143,7 +144,7 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
     model = tables.cameras
     images = [model.image(image_id) for image_id in model.reg_image_ids()]
     names = _image_names(model_folder, images)
-    scene_folder = _scene_folder(folder)
+    scene_folder = scene_of(folder)
     image_folder, paths, image_count = _find_images(scene_folder, list(names.values()), warnings)
 
     lenses = {
@@ -276,12 +277,8 @@ class _Model:
 
 def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, _Model]:
     """Find and read the model with the most registered images; return its folder, too."""
-    folders = []
-    for base in (folder, folder / "sparse", folder / "colmap" / "sparse", folder / "colmap"):
-        if base.is_dir():
-            folders += [base, *sorted(child for child in base.iterdir() if child.is_dir())]
-    folders = list(dict.fromkeys(folders))
-    models = [candidate for candidate in folders if _model_suffix(candidate)]
+    folders = folders_of_models(folder)
+    models = [candidate for candidate in folders if model_suffix(candidate)]
     if not models:
         for candidate in folders:
             for suffix in (".bin", ".txt"):
@@ -306,16 +303,8 @@ def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, _Model]:
     return models[best], read[best]
 
 
-def _model_suffix(folder: Path) -> str | None:
-    """Return .bin or .txt when the folder holds a complete model, binary first as in COLMAP, else None."""
-    for suffix in (".bin", ".txt"):
-        if all((folder / f"{part}{suffix}").is_file() for part in ("cameras", "images", "points3D")):
-            return suffix
-    return None
-
-
 def _read_model(folder: Path) -> _Model:
-    if _model_suffix(folder) == ".bin":
+    if model_suffix(folder) == ".bin":
         return _readable(folder, _read_binary)
     model = _read_with_points(folder)
     items = sorted(model.points3D.items())
@@ -373,7 +362,7 @@ def _read_with_points(folder: Path) -> pycolmap.Reconstruction:
 
     def read(folder: Path) -> pycolmap.Reconstruction:
         model = pycolmap.Reconstruction()
-        if _model_suffix(folder) == ".bin":
+        if model_suffix(folder) == ".bin":
             for part in PARTS:
                 if (folder / f"{part}.bin").is_file():
                     check_file(folder / f"{part}.bin")
@@ -422,7 +411,7 @@ def _image_names(model_folder: Path, images: list[pycolmap.Image]) -> dict[int, 
     pycolmap cuts the names of text models at the first space, so these are read from the file.
     """
     try:
-        if _model_suffix(model_folder) == ".bin":
+        if model_suffix(model_folder) == ".bin":
             names = {image.image_id: image.name for image in images}
         else:
             lines = iter((model_folder / "images.txt").read_text(encoding="utf-8").splitlines())
@@ -493,14 +482,6 @@ def _view(image: pycolmap.Image, name: str, path: Path, lens: Lens, point_indice
 
 
 # Images ---------------------------------------------------------------------------------------------------------------
-
-
-def _scene_folder(folder: Path) -> Path:
-    """Return the scene's folder for a folder of COLMAP within it (sparse/0, colmap/sparse, ...), else the folder."""
-    scene = folder.parent if folder.name.isdecimal() else folder
-    if scene.name.lower() != "sparse":
-        return folder
-    return scene.parent.parent if scene.parent.name.lower() == "colmap" else scene.parent
 
 
 def image_files_below(folder: Path, suffixes: frozenset[str] = IMAGE_SUFFIXES) -> list[Path]:

@@ -30,7 +30,7 @@ def steps():
     status, swag = bpy.context.window_manager.swag, bpy.context.scene.swag
 
     with bpy.context.temp_override(window=window, area=area):
-        bpy.ops.swag.find_cameras("INVOKE_DEFAULT")
+        bpy.ops.swag.open_photos("INVOKE_DEFAULT")
     yield from until(lambda: file_browser() and file_browser()[1].spaces.active.params)
     browser, files = file_browser()
     files.spaces.active.params.directory = os.fsencode(f"{PHOTOS}/")

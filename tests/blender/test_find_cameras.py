@@ -79,7 +79,24 @@ def test_photos_without_a_model_are_offered_to_find_cameras(blender, tmp_path):
     for message in found["messages"]:
         assert "No COLMAP model was found" in message and "Find Cameras" in message
     first, *refused, done = found["drawn"]
-    assert first == [{"operator": "swag.find_cameras", "text": "Find Cameras", "filepath": ""}]
+    assert first == [{"operator": "swag.open_photos", "text": ""}]
     offered = {"operator": "swag.find_cameras", "text": "Find Cameras of These Photos", "filepath": str(no_model)}
-    assert refused == [[offered], [offered]]
-    assert done == [*first, {"prop": "hide_viewport", "text": "Sparse Points"}]
+    for drawn in refused:
+        assert drawn[0] == first[0] and drawn[-1] == offered
+    assert done[0] == first[0] and offered not in done
+    assert [drawn["text"] for drawn in done if "prop" in drawn] == ["Cameras", "Sparse Points"]
+
+
+@pytest.mark.main_version
+def test_cameras_are_imported_where_the_photos_have_them_and_found_where_not(blender, tiny_scene, tmp_path):
+    photos = write_photos(tmp_path / "dive", np.linspace(-0.5, 0.5, 4))
+    inside = [tiny_scene / "images", tiny_scene / "sparse" / "0", next((tiny_scene / "images").iterdir())]
+    done = blender.run("find_cameras.open_photos", photos, [tiny_scene, *inside], SWAG_ENGINE_PYTHON=sys.executable)
+    assert done == [["Find Cameras", f"{photos}_scene"], *[["Import", str(tiny_scene)]] * 4]
+
+
+def test_hidden_cameras_keep_their_places(blender, tiny_scene):
+    found = blender.run("find_cameras.hide_cameras", tiny_scene, SWAG_ENGINE_PYTHON=sys.executable)
+    assert found["visible"] == [False, True, True]
+    before, after = np.array(found["places"])
+    np.testing.assert_allclose(after - before, (5, 0, 0), atol=1e-5)

@@ -81,7 +81,7 @@ def test_no_thread_and_no_timer_is_active_after_a_training(blender, fake_engine,
 
 def test_the_panels_follow_the_work(blender, fake_engine, tmp_path):
     found = blender.run("panels.panels_by_stage", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
-    order = ["Cameras", "Train", "Survey", "Result", "Edit", "Film", "Water", "Labels", "Maps", "Export"]
+    order = ["Photos", "Train", "Survey", "Result", "Edit", "Film", "Water", "Labels", "Maps", "Export"]
     assert list(dict.fromkeys(found["order"])) == order
     # Train and Result appear open when their stage is reached; until then a closed panel has their place.
     assert found["open"] == ["SWAG_PT_scene", "SWAG_PT_train", "SWAG_PT_result"]
@@ -124,7 +124,7 @@ def test_a_reason_is_given_only_where_it_holds(blender, fake_engine, tmp_path):
         assert len(reasons) == (not runs), operator
         assert any("A job is running" in reason for reason in reasons) <= (when == "busy"), operator
         if when == "idle" and name in ("swag.train", "swag.plan", "swag.forecast", "swag.inspect_scene"):
-            assert reasons == ["Choose the folder with the photos and their COLMAP model first"]
+            assert reasons == ["Choose photos or a video first"]
     assert found["busy swag.import_scene"][1] == ["A job is running: wait for its end, or cancel it"]
 
 

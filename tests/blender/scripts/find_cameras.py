@@ -5,6 +5,7 @@ from typing import Any
 
 import bpy
 from bl_ext.user_default.swag_splatting.swag_blender import engine_process, find_cameras, scene_import, web_page
+from panels import context_of_a_sidebar
 
 swag, status = bpy.context.scene.swag, bpy.context.window_manager.swag
 
@@ -72,7 +73,10 @@ def requests(choices):
 
 
 class RecordingLayout:
-    """Stands in for the layout of a panel; its buttons have their text and the properties that are set."""
+    """Stands in for the layout of a panel; its buttons have their text and the properties that are set.
+
+    Labels are left out.
+    """
 
     def __init__(self):
         self.drawn = []
@@ -84,6 +88,14 @@ class RecordingLayout:
     def prop(self, owner, name, text="", **options):
         self.drawn.append({"prop": name, "text": text})
 
+    def label(self, **options):
+        pass
+
+    def row(self, **options):
+        return self
+
+    column = row
+
 
 def buttons(no_model):
     """What the panel offers at first, after Import refused photos without a model, and with a scene with points."""
@@ -91,8 +103,9 @@ def buttons(no_model):
 
     def draw():
         layout: Any = RecordingLayout()
-        find_cameras.draw_find_cameras(layout, bpy.context)
-        find_cameras.draw_sparse_points(layout, bpy.context)
+        context = context_of_a_sidebar()
+        find_cameras.draw_photos(layout, context)
+        find_cameras.draw_shown(layout, context)
         drawn.append(layout.drawn)
 
     draw()
@@ -107,6 +120,31 @@ def buttons(no_model):
     assert find(filepath=str(Path(no_model).with_name("photos"))) == ""
     draw()
     return {"messages": messages, "drawn": drawn}
+
+
+def open_photos(photos, with_cameras):
+    """The jobs that Photos or Video did for photos without cameras and for folders with some; the scenes chosen."""
+    done = []
+    for chosen in (photos, *with_cameras):
+        assert bpy.ops.swag.open_photos(filepath=chosen) == {"FINISHED"}
+        done.append([status.last_job, swag.scene_folder])
+    return done
+
+
+def hide_cameras(scene):
+    """Places of an imported camera in the world before the cameras are hidden, and after the scene was moved."""
+    bpy.ops.swag.import_scene(directory=scene)
+    root, own = scene_import.active_root(bpy.context), bpy.data.objects.new("Own", bpy.data.cameras.new("Own"))
+    bpy.context.scene.collection.objects.link(own)
+    camera = next(obj for obj in root.children_recursive if obj.get(scene_import.SIZE_KEY) is not None)
+    layer = scene_import.layer_of_cameras(root, bpy.context.view_layer)
+    bpy.context.view_layer.update()
+    places = [camera.matrix_world.translation[:]]
+    layer.hide_viewport = True
+    root.location.x += 5
+    bpy.context.view_layer.update()
+    places.append(camera.matrix_world.translation[:])
+    return {"visible": [camera.visible_get(), own.visible_get(), root.visible_get()], "places": places}
 
 
 def open_page():
