@@ -185,7 +185,6 @@ class SWAG_PT_colors(SwagPanel):
 
     bl_label = "Color"
     bl_parent_id = "SWAG_PT_result"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
         """Draw the button that resets; Blender calls this."""

@@ -14,6 +14,7 @@ class SWAG_PT_display(SwagPanel):
 
     bl_label = "Display"
     bl_parent_id = "SWAG_PT_result"
+    bl_order = 20
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod

@@ -27,6 +27,7 @@ class SWAG_PT_film(SwagPanel):
         column.operator("swag.camera_path", icon="CON_FOLLOWPATH")
         if scene_import.roots(scene):
             column.operator("swag.compare_photos", icon="IMAGE_DATA")
+        layout.operator("swag.prepare_render", icon="RESTRICT_RENDER_OFF")
 
         layout.use_property_split = True
         layout.use_property_decorate = False

@@ -1,6 +1,6 @@
 """The panels of the sidebar tab SWAG, in the order of work: Photos, Train, Result, Labels, Export.
 
-Further panels are in files of their own; bl_order is 30 for Edit, 35 for Film, 40 for Water and 55 for Maps. Train and
+Further panels are in files of their own; bl_order is 30 for Edit, 35 for Film and 55 for Maps. Train and
 Result have a closed panel until their stage is reached; the panel that replaces it then is open.
 """
 
@@ -232,7 +232,7 @@ class SWAG_PT_no_result(SwagPanel):
 
 
 class SWAG_PT_result(SwagPanel):
-    """Panel of the runs and their figures, of rendering and of opening files."""
+    """Panel of the runs; below it are those of the water, the colors, the figures, the display and of opening files."""
 
     bl_label = "Result"
     bl_order = 20
@@ -244,10 +244,44 @@ class SWAG_PT_result(SwagPanel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout = present(self.layout)
-        run_list.draw_runs(layout, context)
-        layout.operator("swag.prepare_render", icon="RESTRICT_RENDER_OFF")
-        _draw_open(layout)
+        run_list.draw_runs(present(self.layout), context)
+
+
+class SWAG_PT_quality(SwagPanel):
+    """Panel of the quality of the shown run, in words and in figures."""
+
+    bl_label = "How Good Is It?"
+    bl_parent_id = "SWAG_PT_result"
+    bl_order = 10
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether there is a run."""
+        return run_list.shown_run(context) is not None
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """Draw the word for the quality; Blender calls this."""
+        shown = present(run_list.shown_run(context))
+        if quality := run_list.quality_of_run(run_list.folder_of(shown)):
+            present(self.layout).label(text=quality[0].word)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel; Blender calls this."""
+        run_list.draw_quality(present(self.layout), context)
+
+
+class SWAG_PT_open(SwagPanel):
+    """Panel that opens further runs and splat files."""
+
+    bl_label = "Open Another"
+    bl_parent_id = "SWAG_PT_result"
+    bl_order = 30
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel; Blender calls this."""
+        _draw_open(present(self.layout))
 
 
 def _draw_open(layout: bpy.types.UILayout) -> None:
@@ -328,6 +362,8 @@ _CLASSES = (
     SWAG_PT_train_more,
     SWAG_PT_no_result,
     SWAG_PT_result,
+    SWAG_PT_quality,
+    SWAG_PT_open,
     SWAG_PT_labels,
     SWAG_PT_label,
     SWAG_PT_export,

@@ -1,4 +1,4 @@
-"""The runs of a scene in panels: a list, the figures of one or of two beside each other, their reports."""
+"""The runs of a scene in panels: a list, the quality of one in words, the figures of one or two, their reports."""
 
 import functools
 from collections.abc import Callable
@@ -17,6 +17,7 @@ from . import splats
 from .blender_types import present, set_button, with_properties
 from .effects import NO_WATER
 from .properties import time_text
+from .run_quality import Quality, quality_of
 from .runs import RUN_KEY
 from .sidebar import draw_wrapped
 from .web_page import open_page
@@ -84,16 +85,21 @@ def notes_of(folder: Path) -> list[str]:
     return _read(folder)[1]
 
 
-def _read(folder: Path) -> tuple[dict[str, str], list[str]]:
+def quality_of_run(folder: Path) -> tuple[Quality, float] | None:
+    """The quality of a run and its PSNR on test photos in dB; None where the folder does not tell."""
+    return _read(folder)[2]
+
+
+def _read(folder: Path) -> tuple[dict[str, str], list[str], tuple[Quality, float] | None]:
     run = RunFolder(folder)
     try:
-        return _figures_and_notes(run, run.metrics.stat().st_mtime_ns)
+        return _read_metrics(run, run.metrics.stat().st_mtime_ns)
     except (OSError, InputError):
-        return {}, []
+        return {}, [], None
 
 
 @functools.lru_cache(maxsize=32)
-def _figures_and_notes(run: RunFolder, _changed: int) -> tuple[dict[str, str], list[str]]:
+def _read_metrics(run: RunFolder, _changed: int) -> tuple[dict[str, str], list[str], tuple[Quality, float] | None]:
     metrics = read_json(run.metrics, "")
     _, settings, _ = run.read_config()
     size = settings.sized()
@@ -114,7 +120,8 @@ def _figures_and_notes(run: RunFolder, _changed: int) -> tuple[dict[str, str], l
     }
     notes = metrics.get("notes")
     water = [] if run.water.is_file() else [NO_WATER]
-    return figures, water + [str(note) for note in (notes if isinstance(notes, list) else [])]
+    sentences = water + [str(note) for note in (notes if isinstance(notes, list) else [])]
+    return figures, sentences, quality_of(metrics)
 
 
 def has_report(context: bpy.types.Context) -> bool:
@@ -138,11 +145,9 @@ def open_report(context: bpy.types.Context, folder: str) -> None:
 
 
 def draw_runs(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the list of runs, and the figures of the shown one, beside those of another one where there are two."""
+    """Draw the list of runs where there are several, and what compares two of them."""
     scene = present(context.scene)
-    found, shown, other = runs_in(scene), shown_run(context), compared_run(context)
-    if shown is None:
-        return
+    found, shown = runs_in(scene), shown_run(context)
     if len(found) > 1:
         column = layout.column(align=True)
         for obj in found:
@@ -152,6 +157,18 @@ def draw_runs(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
             row.prop(obj, "hide_viewport", text="", emboss=False)
     if len(found) > 2:
         layout.prop(compare_of(scene), "other")
+    if compared_run(context):
+        layout.prop(compare_of(scene), "beside", toggle=True)
+
+
+def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the quality of the shown run in words, and its figures beside those of another one where there are two."""
+    shown, other = present(shown_run(context)), compared_run(context)
+    if quality := quality_of_run(folder_of(shown)):
+        text = bpy.app.translations.pgettext_iface("{word}: {psnr} dB on photos it never saw.")
+        word = bpy.app.translations.pgettext_iface(quality[0].word)
+        draw_wrapped(layout, text.format(word=word, psnr=f"{quality[1]:.1f}"), present(context.region).width)
+        draw_wrapped(layout, quality[0].meaning, present(context.region).width)
     columns = [figures_of(folder_of(obj)) for obj in (shown, other) if obj]
     width = present(context.region).width
     if not folder_of(shown).is_dir():
@@ -160,10 +177,7 @@ def draw_runs(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         _draw_figures(layout, [folder_of(obj).name for obj in (shown, other) if obj], columns)
     for note in notes_of(folder_of(shown)):
         draw_wrapped(layout, note, width, icon="INFO")
-    row = layout.row(align=True)
-    set_button(row.operator("swag.open_report", icon="URL"), folder=str(folder_of(shown)))
-    if other:
-        row.prop(compare_of(scene), "beside", toggle=True)
+    set_button(layout.operator("swag.open_report", icon="URL"), folder=str(folder_of(shown)))
 
 
 def _draw_figures(layout: bpy.types.UILayout, names: list[str], columns: list[dict[str, str]]) -> None:

@@ -56,6 +56,24 @@ GERMAN = {
     "Follow Plan": "Plan folgen",
     "On": "Ein",
     "Off": "Aus",
+    "How Good Is It?": "Wie gut ist es?",
+    "Excellent": "Sehr gut",
+    "Good": "Gut",
+    "Fair": "Mittel",
+    "Poor": "Schlecht",
+    "{word}: {psnr} dB on photos it never saw.": "{word}: {psnr} dB auf Fotos, die das Training nicht kannte.",
+    "Close to the photos, at the size of the training.": "Nahe an den Fotos, in der Größe des Trainings.",
+    "Open Another": "Weiteres öffnen",
+    "Shapes and colors are those of the photos; fine detail is softer.": (
+        "Formen und Farben entsprechen den Fotos; feine Details sind weicher."
+    ),
+    "Large shapes are right; detail is lost. More photos of places that few show help.": (
+        "Große Formen stimmen; Details fehlen. Mehr Fotos von Stellen, die wenige zeigen, helfen."
+    ),
+    "Check that the photos overlap and that their cameras fit.": (
+        "Prüfen, ob die Fotos sich überlappen und ihre Kameras stimmen."
+    ),
+    "Water Values": "Werte des Wassers",
     "Train": "Trainieren",
     "Continue": "Fortsetzen",
     "Pause": "Anhalten",
@@ -988,7 +1006,6 @@ GERMAN = {
     "Time": "Zeit",
     "Time that the whole run may take": "Zeit, die der ganze Lauf brauchen darf",
     "Train first, or open a run or a splat file.": "Zuerst trainieren, oder einen Lauf oder eine Splat-Datei öffnen.",
-    "Train first, or open a run.": "Zuerst trainieren, oder einen Lauf öffnen.",
     "Training Run": "Trainingslauf",
     "Training needs the engine, a Python of its own. Opening, showing and exporting splats works without it.": (
         "Das Training braucht den Rechenkern, ein eigenes Python. Öffnen, Zeigen und Exportieren von Splats "
@@ -1103,7 +1120,7 @@ GERMAN = {
     "Folder of the survey, which has survey.json": "Ordner der Vermessung, in dem survey.json liegt",
     "Choose the folder of a survey first": "Zuerst den Ordner einer Vermessung wählen",
     "Choose the folder of a survey, or in Photos the photos of a new one.": (
-        "Den Ordner einer Vermessung wählen, oder unter Kameras die Fotos einer neuen."
+        "Den Ordner einer Vermessung wählen, oder unter Fotos die Fotos einer neuen."
     ),
     "Photos per Block": "Fotos pro Block",
     "A block is divided until it has at most this number of photos": (

@@ -107,15 +107,11 @@ class SWAG_PT_water(SwagPanel):
     """Panel of the fitted water: slider, coefficients, water for other objects."""
 
     bl_label = "Water"
-    bl_order = 40
-    bl_options = {"DEFAULT_CLOSED"}
+    bl_parent_id = "SWAG_PT_result"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
         layout, scene = present(self.layout), present(context.scene)
-        if not any(splats.is_splats(obj) for obj in scene.objects):
-            layout.label(text="Train first, or open a run.", icon="INFO")
-            return
         obj = find(scene, context.active_object)
         values = water_of(obj)
         if obj is None or values is None:
@@ -127,6 +123,11 @@ class SWAG_PT_water(SwagPanel):
             )
         else:
             layout.prop(swag_of(scene), "water", slider=True)
+            header, body = layout.panel("swag_water_values", default_closed=True)
+            header.label(text="Water Values")
+            if body is None:
+                return
+            layout = body
             metres = metres_per_unit(obj)
             column = layout.column(align=True)
             column.label(text=f"Red, green, blue per {'metre' if metres else 'scene unit'}:")

@@ -152,11 +152,10 @@ def _summary(scene: Path, metrics: dict[str, Any], state: dict[str, Any], gaussi
         )
     elif metrics:
         lines.append("No test photos: the scene has too few photos to keep some out of training.")
-    notes = (
-        [metrics.get("water") or "No water was modelled: the colors are as photographed.", *metrics.get("notes", [])]
-        if metrics
-        else []
-    )
+    notes = []
+    if metrics:
+        notes = [metrics.get("water") or "No water was modelled: the colors are as photographed."]
+        notes += [*filter(None, [metrics.get("overfitting")]), *metrics.get("notes", [])]
     if metrics.get("interrupted", True):
         notes.append("The run was interrupted; train --resume continues it.")
     return [*map(paragraph_html, lines), *(paragraph_html(note, "note") for note in notes)]

@@ -630,11 +630,10 @@ class Trainer:
             self.run.write_result(splats, inputs.scene.up)
         scores = self._scores(inputs.test, state.cloud)
         test_psnr, test_ssim = mean_score(scores)
-        overfitting = dropout_note(dropped, self.training_psnr, state.psnr)
         guard_note = self.guard.note(state.guarded, state.iteration)
         kernels = KERNELS.get(inputs.settings.backend)
         failure = kernels.failure if isinstance(kernels, WebGpuKernels) else ""
-        self.notes += filter(None, [state.motion.note, overfitting, guard_note, state.relief.note, failure])
+        self.notes += filter(None, [state.motion.note, guard_note, state.relief.note, failure])
         metrics: Event = {
             "test_psnr": test_psnr,
             "test_ssim": test_ssim,
@@ -651,6 +650,7 @@ class Trainer:
             "water": self.selection.water.note,
             "effects": self.selection.switched_on(state),
             "trials": state.trials,
+            "overfitting": dropout_note(dropped, self.training_psnr, state.psnr),
             "notes": self.notes,
             "views": {score.name: {"psnr": score.psnr, "ssim": score.ssim} for score in scores},
         }

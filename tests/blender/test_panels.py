@@ -81,7 +81,7 @@ def test_no_thread_and_no_timer_is_active_after_a_training(blender, fake_engine,
 
 def test_the_panels_follow_the_work(blender, fake_engine, tmp_path):
     found = blender.run("panels.panels_by_stage", tmp_path, SWAG_ENGINE_PYTHON=fake_engine)
-    order = ["Photos", "Train", "Survey", "Result", "Edit", "Film", "Water", "Labels", "Maps", "Export"]
+    order = ["Photos", "Train", "Survey", "Result", "Edit", "Film", "Labels", "Maps", "Export"]
     assert list(dict.fromkeys(found["order"])) == order
     # Train and Result appear open when their stage is reached; until then a closed panel has their place.
     assert found["open"] == ["SWAG_PT_scene", "SWAG_PT_train", "SWAG_PT_result"]
@@ -95,8 +95,12 @@ def test_the_panels_follow_the_work(blender, fake_engine, tmp_path):
     ]
     assert not {"effects", "time_budget", "words", "masks"} & set(planned["SWAG_PT_train_more"])
     assert "SWAG_PT_no_result" not in trained and "SWAG_PT_train_later" not in trained
-    result = trained["SWAG_PT_result"]
-    assert result[result.index("Test PSNR") + 1] == "25.50 dB" and "swag.open_report" in result
+    # After a run water and color come first, and figures are folded away behind a word.
+    assert found["open below Result"] == ["SWAG_PT_water", "SWAG_PT_colors"]
+    assert trained["SWAG_PT_result"] == []
+    quality = trained["SWAG_PT_quality"]
+    assert quality[0] == "Fair: 25.5 dB on photos it never saw."
+    assert quality[quality.index("Test PSNR") + 1] == "25.50 dB" and "swag.open_report" in quality
 
 
 def test_the_sizes_show_the_numbers_of_the_quality(blender):

@@ -47,6 +47,21 @@ def make_run(folder, scene, count=20, **metrics):
     return folder
 
 
+def test_the_quality_of_a_run_is_a_word(blender):
+    cases = {
+        (37.7, 20.4): "Excellent",  # docs/accuracy.md: aqualoc_amphorae
+        (26.5, 19.7): "Good",  # docs/accuracy.md: demo
+        (33.0, 24.0): "Good",  # a high PSNR is no merit where the baseline has it, too
+        (33.0, 31.9): "Poor",
+        (24.0, 20.0): "Fair",
+        (21.9, 12.0): "Poor",
+        (28.4, None): "Good",
+        (None, 20.0): "",
+    }
+    metrics = [{"test_psnr": psnr, "control_psnr": control} for psnr, control in cases]
+    assert blender.run("runs.qualities", metrics) == list(cases.values())
+
+
 @pytest.fixture
 def reef(tmp_path):
     folder = tmp_path / "reef"

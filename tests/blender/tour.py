@@ -63,7 +63,7 @@ def scroll(lines):
 
 def steps():
     install(viewport_samples=16)
-    open_panels("SWAG_PT_effects", "SWAG_PT_water", "SWAG_PT_labels")
+    open_panels("SWAG_PT_effects", "SWAG_PT_labels")
     yield 2.0
     window, area, region = view3d()
     status, swag = bpy.context.window_manager.swag, bpy.context.scene.swag

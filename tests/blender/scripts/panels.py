@@ -11,6 +11,7 @@ import bpy
 from bl_ext.user_default.swag_splatting import operators
 from bl_ext.user_default.swag_splatting.swag_blender import (
     color_chart,
+    colors,
     edit_panel,
     effect_pictures,
     effects,
@@ -204,7 +205,7 @@ class RecordingPanel:
 
 def panel_classes():
     """The panels of the sidebar's tab."""
-    modules = (panels, water, color_chart, edit_panel, film_panel, maps_panel, survey_panel)
+    modules = (panels, water, color_chart, colors, edit_panel, film_panel, maps_panel, survey_panel)
     classes = [cls for module in modules for cls in vars(module).values() if isinstance(cls, type)]
     return [cls for cls in dict.fromkeys(classes) if issubclass(cls, SwagPanel) and cls is not SwagPanel]
 
@@ -231,12 +232,17 @@ def context_of_a_sidebar():
     )  # fmt: skip
 
 
+def is_open_below(cls, parent):
+    return getattr(cls, "bl_parent_id", "") == parent and "DEFAULT_CLOSED" not in getattr(cls, "bl_options", ())
+
+
 def panels_by_stage(folder):
     """Order and closed panels of the tab, and what is drawn before photos are chosen, before and after training."""
     tops = [cls for cls in panel_classes() if not getattr(cls, "bl_parent_id", "")]
     found = {
         "order": [cls.bl_label for cls in sorted(tops, key=lambda cls: cls.bl_order)],
         "open": [cls.__name__ for cls in tops if "DEFAULT_CLOSED" not in getattr(cls, "bl_options", ())],
+        "open below Result": [cls.__name__ for cls in panel_classes() if is_open_below(cls, "SWAG_PT_result")],
         "fresh": draw_all(context_of_a_sidebar()),
     }
     swag.scene_folder = folder

@@ -5,7 +5,15 @@ import shutil
 from pathlib import Path
 
 import bpy
-from bl_ext.user_default.swag_splatting.swag_blender import labels, open_run, run_list, scene_import, splats, water
+from bl_ext.user_default.swag_splatting.swag_blender import (
+    labels,
+    open_run,
+    run_list,
+    run_quality,
+    scene_import,
+    splats,
+    water,
+)
 from files import import_splats, refusal
 from mathutils import Vector
 
@@ -33,6 +41,12 @@ def state_of(obj):
         "plan": [line.name for line in swag.plan.lines],
         "folders": [Path(swag.scene_folder).name, Path(swag.run_folder).name, swag.plan_is_stale],
     }
+
+
+def qualities(cases):
+    """Words for the qualities of metrics, "" where there is none."""
+    found = map(run_quality.quality_of, cases)
+    return [quality[0].word if quality else "" for quality in found]
 
 
 def open_folder_and_file(run):

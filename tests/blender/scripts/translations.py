@@ -9,6 +9,7 @@ from bl_ext.user_default.swag_splatting.swag_blender import (
     effects,
     job,
     run_list,
+    run_quality,
     survey_map,
 )
 from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_figures import FIGURES
@@ -59,6 +60,7 @@ def shown_words():
     found |= {name.replace("_", " ").capitalize() for name in EFFECTS}
     found |= {figure.label for figures in FIGURES.values() for figure in figures.values()}
     found |= {sentence for _, sentence in effects.STATES.values()} | {effects.NO_WATER, effects.WATER_UNKNOWN}
+    found |= {text for one in run_quality.QUALITIES for text in (one.word, one.meaning)}
     found |= {
         *effect_pictures.COLUMNS,
         *run_list.LABELS.values(),
