@@ -23,8 +23,12 @@ class PointTool(ViewportTool):
         view = view_of(region)
         pictured = view.matrix.tobytes() + bytes(f"{view.width} {view.height}", "ascii")
         if self._picker is None or pictured != self._pictured:
-            self._picker, self._pictured = Picker(splat_objects(context), view), pictured
+            self._picker, self._pictured = Picker(self.objects(context), view), pictured
         return self._picker.at(position)
+
+    def objects(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        """The objects whose splats are found."""
+        return splat_objects(context)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -1,4 +1,4 @@
-"""Tools that select splats by a region that the user draws in a 3D viewport: box, lasso, circle."""
+"""Tools that select splats by a region that the user draws in a 3D viewport: box, lasso, circle, brush."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -165,8 +165,22 @@ class LassoSelection(RegionSelection):
         return np.concatenate([path, path[:1]])
 
 
-@with_properties
 class CircleSelection(RegionSelection):
+    """Tool that selects the splats in a circle around the first point of the path, up to the last."""
+
+    hint = "Drag from the middle of a circle; Shift: extend, Ctrl: subtract, Escape: cancel"
+
+    def contains(self, pixels: np.ndarray, path: np.ndarray) -> np.ndarray:
+        """Pixels in the circle."""
+        return in_stroke(pixels, path[:1], float(np.linalg.norm(path[-1] - path[0])))
+
+    def outline(self, path: np.ndarray) -> np.ndarray:
+        """The circle."""
+        return unit_circle() * np.linalg.norm(path[-1] - path[0]) + path[0]
+
+
+@with_properties
+class BrushSelection(RegionSelection):
     """Tool that selects the splats that a circle touches on its way."""
 
     # Without REGISTER: several strokes are one step, which one path could not repeat.
@@ -174,7 +188,7 @@ class CircleSelection(RegionSelection):
     hint = "Paint over splats; wheel: size, Shift: extend, Ctrl: subtract, Escape or Enter: finish"
 
     radius: Annotated[
-        int, IntProperty(name="Radius", description="Radius of the circle", default=25, min=1, subtype="PIXEL")
+        int, IntProperty(name="Radius", description="Radius of the brush", default=25, min=1, subtype="PIXEL")
     ]
 
     def contains(self, pixels: np.ndarray, path: np.ndarray) -> np.ndarray:
@@ -208,6 +222,8 @@ class CircleSelection(RegionSelection):
             self._stroke_mode = "EXTEND" if mode == "SET" else mode
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
             self.captured = None
+            if not self.wait_for_input:
+                return self.on_escape(context)
         elif event.type in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}:
             if self.captured:
                 self._paint(context, position, self._stroke_mode)

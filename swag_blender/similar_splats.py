@@ -24,6 +24,8 @@ LENGTHS = {"SIZE": 99.0, "CAMERA": 95.0, "OTHERS": 99.0}
 """Kinds with a length as threshold, and the percentile of the splats at which it starts."""
 NEIGHBORS = 6
 """A splat is apart from the others by the distance within which it has fewer others than this."""
+GAP_SIZES = 4.0
+"""Longest step between connected splats, in medians of their largest standard deviation: two touch within 2 x 2."""
 SAMPLE = 500
 """Splats from which the usual distance to others is estimated."""
 
@@ -84,6 +86,64 @@ def apart(positions: np.ndarray, distance: float) -> np.ndarray:
     alone = np.empty(len(keys), bool)
     alone[order] = count - 1 < NEIGHBORS
     return alone
+
+
+def connected(positions: np.ndarray, start: int, distance: float) -> np.ndarray:
+    """Mask (N,) bool of the points that a chain of points reaches from the point `start`.
+
+    Points are neighbors where they are in the same cube with edges of `distance`, or in cubes that touch.
+
+    Args:
+        positions: (N, 3).
+        start: index of the first point.
+        distance: longest step, roughly.
+    """
+    cube = np.floor((positions - positions.min(axis=0)) / max(distance, 1e-9)).astype(np.int64) + 1
+    if (cube.max(axis=0) + 2 >= 2**20).any():  # the cubes are too small to be numbered, and to hold two points
+        return np.arange(len(positions)) == start
+    steps = np.array([2**42, 2**21, 1])
+    around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3) @ steps
+    keys, of_point = np.unique(cube @ steps, return_inverse=True)
+    reached = np.zeros(len(keys), bool)
+    newest = of_point.ravel()[[start]]
+    while len(newest):
+        reached[newest] = True
+        wanted = np.unique(keys[newest][:, None] + around)
+        found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        found = found[keys[found] == wanted]
+        newest = found[~reached[found]]
+    return reached[of_point.ravel()]
+
+
+def flood(
+    obj: bpy.types.Object, start: int, tolerance: float, distance: float, same_label: bool
+) -> tuple[np.ndarray, float]:
+    """Find the splats that are connected with one of them by splats of similar color.
+
+    Args:
+        obj: a splat object.
+        start: index of a drawn splat.
+        tolerance: largest difference, 0..1, from the mean color around the splat, weighted by opacity.
+        distance: longest step between splats in Blender units; 0: GAP_SIZES of their sizes.
+        same_label: whether splats of other labels end it.
+
+    Returns:
+        Mask (N,) bool; the distance that was used.
+    """
+    positions, drawn = splat_selection.world_positions(obj), labels.drawn(obj)
+    if not distance:
+        distance = GAP_SIZES * float(np.median(splat_selection.world_sizes(obj).max(axis=1)[drawn]))
+    near = drawn & (np.linalg.norm(positions - positions[start], axis=1) <= distance)
+    color = np.average(splat_selection.colors(obj)[near], axis=0, weights=splat_selection.opacities(obj)[near] + 1e-6)
+    fits = drawn & similar_colors(obj, color.tolist(), tolerance)
+    numbers = labels.attribute(obj, labels.LABEL)
+    if same_label and numbers is not None:
+        fits &= numbers == numbers[start]
+    fits[start] = True
+    rows = np.flatnonzero(fits)
+    found = np.zeros(len(positions), bool)
+    found[rows[connected(positions[rows], int(np.searchsorted(rows, start)), distance)]] = True
+    return found, distance
 
 
 def usual_distance(positions: np.ndarray) -> float:

@@ -671,7 +671,51 @@ GERMAN = {
     "Point at the splats to read them; click: place the 3D cursor and report, Escape: end": (
         "Auf Splats zeigen, um sie abzulesen; Klick: 3D-Cursor setzen und melden, Escape: beenden"
     ),
-    "Radius of the circle": "Radius des Kreises",
+    "Radius of the brush": "Radius des Pinsels",
+    "Radius of the sphere": "Radius der Kugel",
+    "Brush": "Pinsel",
+    "Sphere": "Kugel",
+    "Flood": "Füllen",
+    "Select Brush": "Mit Pinsel auswählen",
+    "Select Sphere": "Kugel auswählen",
+    "Select Flood": "Füllend auswählen",
+    "Select Splats Box": "Splats auswählen: Rechteck",
+    "Select Splats Circle": "Splats auswählen: Kreis",
+    "Select Splats Lasso": "Splats auswählen: Lasso",
+    "Select Splats Brush": "Splats auswählen: Pinsel",
+    "Select Splats Sphere": "Splats auswählen: Kugel",
+    "Select Splats Flood": "Splats auswählen: Füllen",
+    "Select splats by dragging a circle from its middle in the viewport; Shift adds, Ctrl removes": (
+        "Splats auswählen, indem man in der Ansicht einen Kreis von seiner Mitte aus zieht; Umschalt fügt hinzu, Strg "
+        "entfernt"
+    ),
+    "Select splats by painting with a brush in the viewport; the mouse wheel changes its size": (
+        "Splats auswählen, indem man sie in der Ansicht mit einem Pinsel übermalt; das Mausrad ändert seine Größe"
+    ),
+    "Select the splats in a sphere around the one that you click; a drag or the wheel changes its size": (
+        "Die Splats in einer Kugel um den angeklickten auswählen; Ziehen oder das Mausrad ändert ihre Größe"
+    ),
+    "Select the connected splats of similar color and the same label around the one that you click": (
+        "Die Splats ähnlicher Farbe und gleichen Labels auswählen, die mit dem angeklickten zusammenhängen"
+    ),
+    "Click a splat; wheel or drag: radius, Shift: extend, Ctrl: subtract, Escape: cancel": (
+        "Einen Splat anklicken; Mausrad oder Ziehen: Radius, Umschalt: hinzufügen, Strg: entfernen, Escape: abbrechen"
+    ),
+    "Click a splat to select those of its color around it; Shift: extend, Ctrl: subtract, Escape: cancel": (
+        "Einen Splat anklicken, um die seiner Farbe um ihn auszuwählen; Umschalt: hinzufügen, Strg: entfernen, Escape: "
+        "abbrechen"
+    ),
+    "Drag from the middle of a circle; Shift: extend, Ctrl: subtract, Escape: cancel": (
+        "Von der Mitte eines Kreises aus ziehen; Umschalt: hinzufügen, Strg: entfernen, Escape: abbrechen"
+    ),
+    "Tolerance": "Toleranz",
+    "Largest difference from the color around the splat": "Größter Unterschied zur Farbe um den Splat",
+    "Gap": "Lücke",
+    "Longest gap between connected splats; 0: by their sizes": (
+        "Größte Lücke zwischen zusammenhängenden Splats; 0: nach ihren Größen"
+    ),
+    "Same Label": "Gleiches Label",
+    "Select only splats with the label of the splat": "Nur Splats mit dem Label des Splats auswählen",
     "Read Point": "Punkt ablesen",
     "Select All Splats": "Alle Splats auswählen",
     "Select Box": "Rechteck auswählen",
@@ -688,14 +732,11 @@ GERMAN = {
         "Auch Splats hinter anderen auswählen; hinter fast allem, was man sieht, liegen Splats"
     ),
     "Select splats below the threshold": "Splats unter der Schwelle auswählen",
-    "Select splats by dragging a box in the viewport; Shift adds to the selection, Ctrl removes from it": (
+    "Select splats by dragging a box in the viewport; Shift adds, Ctrl removes": (
         "Splats auswählen, indem im Viewport ein Rechteck gezogen wird; Umschalt erweitert die Auswahl, Strg zieht ab"
     ),
-    "Select splats by drawing around them in the viewport; Shift adds to the selection, Ctrl removes from it": (
+    "Select splats by drawing around them in the viewport; Shift adds, Ctrl removes": (
         "Splats auswählen, indem man sie im Viewport umfährt; Umschalt erweitert die Auswahl, Strg zieht ab"
-    ),
-    "Select splats by painting with a circle in the viewport; the mouse wheel changes its size": (
-        "Splats auswählen, indem man im Viewport mit einem Kreis malt; das Mausrad ändert seine Größe"
     ),
     "Select splats by their size, opacity, color, label or distance; the threshold can be changed afterwards": (
         "Splats nach Größe, Deckkraft, Farbe, Etikett oder Abstand auswählen; die Schwelle lässt sich danach ändern"

@@ -1,17 +1,18 @@
 """Base class of tools that the user works with in a 3D viewport by the pointer, and what they draw over it."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import blf
 import bpy
 import gpu
 import numpy as np
+from bpy.props import BoolProperty
 from bpy_extras import view3d_utils
 from gpu_extras.batch import batch_for_shader
 from mathutils import Vector
 
-from .blender_types import OperatorResult, present
+from .blender_types import OperatorResult, present, with_properties
 from .visibility import View
 
 LINE_COLOR, SHADOW_COLOR = (1.0, 0.55, 0.1, 1.0), (0.0, 0.0, 0.0, 0.7)
@@ -95,13 +96,24 @@ _handlers: list[Any] = []
 """Draw handlers of the tools that are in use."""
 
 
+@with_properties
 class ViewportTool(bpy.types.Operator):
     """Operator that the user works with by the pointer in a 3D viewport until it ends.
 
-    It gives `hint` (for the status bar) and `on_event`, and may give `on_escape`. Events outside the viewport, and
+    It gives `hint` (for the status bar) and `on_event`, and may give `on_escape`. A press of the left mouse button ends
+    no selection tool: Blender must not free an operator while it is called. Events outside the viewport, and
     those that `on_event` passes through, reach Blender: the view can be turned and the sidebar used meanwhile.
     """
 
+    wait_for_input: Annotated[
+        bool,
+        BoolProperty(
+            name="Wait for Input",
+            description="Wait for a click; otherwise the event that calls the tool is its first, as in the toolbar",
+            default=True,
+            options={"HIDDEN", "SKIP_SAVE"},
+        ),
+    ]
     hint: str
     cursor: Any = "CROSSHAIR"
     captured: bpy.types.Region | None
@@ -136,6 +148,8 @@ class ViewportTool(bpy.types.Operator):
         present(context.window_manager).modal_handler_add(self)
         present(context.window).cursor_modal_set(self.cursor)
         present(context.workspace).status_text_set(bpy.app.translations.pgettext_iface(self.hint))
+        if not self.wait_for_input:
+            self.modal(context, event)  # a press, which ends no tool
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:

@@ -88,12 +88,46 @@ def steps():
     yield from drag(region, [(x - 60, y - 40), (x, y), (x + 20, y + 30)], "ctrl")
     yield 1.0
     report["without inner box"] = selected()
-    use("select_circle")
+    use("select_brush")
     yield 0.3
     press("Escape")
     yield 0.5
     report["after escape"] = len(selected())
     report["tools in use"] = len(module("viewport_tool")._handlers)
+
+    # The tools of the toolbar, each with one press of the pointer.
+    def choose(tool):
+        with bpy.context.temp_override(**override):
+            bpy.ops.wm.tool_set_by_id(name=f"swag.tool_{tool}")
+
+    report["tools"] = {}
+    for tool, points, key in (
+        ("box", [(x - 120, y - 80), (x, y), (x + 60, y + 90)], None),
+        ("box", [(x - 60, y - 40), (x, y), (x + 20, y + 30)], "ctrl"),
+        ("circle", [(x, y), (x + 50, y), (x + 100, y)], None),
+        ("brush", [(x - 80, y), (x, y), (x + 80, y)], None),
+        ("sphere", [pixels[0], pixels[0] + (40, 0), pixels[0] + (90, 0)], None),
+        ("flood", [pixels[0], pixels[0]], None),
+    ):
+        choose(tool)
+        yield 0.5
+        before = selected()
+        yield from drag(region, [(int(px), int(py)) for px, py in points], key)
+        yield 1.0
+        report["tools"][f"{tool} {key or ''}".strip()] = selected()
+        if tool == "sphere":
+            with bpy.context.temp_override(**override):
+                bpy.ops.ed.undo()
+            yield 0.5
+            report["undone"] = selected() == before
+    report["handlers"] = len(module("viewport_tool")._handlers)
+    choose("box")
+    yield from drag(region, [(x - 120, y - 80), (x, y), (x + 60, y + 90)])
+    yield 0.5
+    yield from drag(region, [(x - 60, y - 40), (x, y), (x + 20, y + 30)], "ctrl")
+    yield 1.0
+    photograph("tools.png")
+    space.show_region_toolbar = False
 
     use("delete_splats")
     yield 1.5

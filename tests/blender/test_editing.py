@@ -13,6 +13,16 @@ def test_box_lasso_and_circle_select_what_they_enclose(blender):
     blender.run("editing.select_in_views")
 
 
+def test_sphere_and_flood_select_around_a_splat(blender):
+    blender.run("editing.select_around_points")
+
+
+def test_the_selection_tools_are_a_group_of_the_toolbar(blender):
+    found = blender.run("editing.toolbar")
+    names = ("box", "circle", "lasso", "brush", "sphere", "flood")
+    assert found == {"groups": [[f"swag.tool_{name}" for name in names]], "without icon": []}
+
+
 def test_what_is_behind_the_viewer_or_clipped_is_not_selected(blender):
     blender.run("editing.select_in_perspective")
 

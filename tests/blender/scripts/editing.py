@@ -1,6 +1,7 @@
 """Editing splats: selecting in views and by properties, hiding, deleting, undo, the crop box, floaters, reading."""
 
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -75,7 +76,7 @@ def select_in_views():
     # At pixels (100, 50), (150, 50), (100, 75), (50, 25) of the view from above.
     obj = new_object(splats_at([(-1, -1, 0), (0, -1, 0), (-1, -0.5, 0), (-2, -1.5, 0)]), location=(1, 1, 0))
     view = {"matrix": orthographic(), "size": SIZE}
-    box, circle, lasso = bpy.ops.swag.select_box, bpy.ops.swag.select_circle, bpy.ops.swag.select_lasso
+    box, brush, lasso = bpy.ops.swag.select_box, bpy.ops.swag.select_brush, bpy.ops.swag.select_lasso
     assert box(path=path((160, 40), (90, 60)), **view) == {"FINISHED"} and selected(obj) == [0, 1]
     box(path=path((90, 70), (110, 80)), mode="EXTEND", **view)
     assert selected(obj) == [0, 1, 2]
@@ -86,11 +87,14 @@ def select_in_views():
     # Around the first and third, but not the second, though it is in the lasso's bounding box.
     lasso(path=path((90, 40), (160, 40), (110, 55), (110, 90), (90, 90)), **view)
     assert selected(obj) == [0, 2]
-    circle(path=path((50, 30), (60, 25)), radius=6, **view)
+    brush(path=path((50, 30), (60, 25)), radius=6, **view)
     assert selected(obj) == [3]
     # The middle of a stroke counts, not only its ends.
-    circle(path=path((90, 51), (200, 51)), radius=3, **view)
+    brush(path=path((90, 51), (200, 51)), radius=3, **view)
     assert selected(obj) == [0, 1]
+    # A circle has its middle where the path starts, and its edge where it ends.
+    bpy.ops.swag.select_circle(path=path((98, 48), (300, 300), (98, 78)), **view)
+    assert selected(obj) == [0, 2]
     assert_refused(box, "Give path, matrix and size", path=path((1, 1)))
 
     # All selected objects, and no others.
@@ -102,6 +106,59 @@ def select_in_views():
     other.hide_set(True)
     bpy.ops.swag.select_all_splats(action="DESELECT")
     assert selected(obj) == [] and selected(other) == [0]
+
+
+def select_around_points():
+    """A sphere takes what is near a point in space, a flood what a chain of similar splats connects."""
+    line = [(0.1 * i, 0, 0) for i in range(40)]  # 0 to 3.9
+    made = splats_at([*line, *[(0.1 * i, 2, 0) for i in range(10)]], label=[1] * 35 + [2] * 15)
+    made.sh[:, 0] = (1.5, -1.5, -1.5)
+    made.sh[20:, 0] = (1.2, -1.2, -1.2)
+    made.sh[25:28, 0] = (-1.5, 1.5, -1.5)  # green
+    obj = new_object(made, location=(5, 0, 0))
+    obj.scale = (2, 2, 2)
+    bpy.context.view_layer.update()
+    sphere, flood = bpy.ops.swag.select_sphere, bpy.ops.swag.select_flood
+    sphere(point=(5, 0, 0), radius=1.05)
+    assert selected(obj) == [0, 1, 2, 3, 4, 5]
+    sphere(point=(5, 0, 0), radius=0.45, mode="SUBTRACT")
+    assert selected(obj) == [3, 4, 5]
+    sphere(point=(5, 4, 0), radius=0.1, mode="EXTEND")
+    assert selected(obj) == [3, 4, 5, 40]
+    flood(point=(5, 0, 0.1), distance=0.3, tolerance=0.2)
+    assert selected(obj) == list(range(25))  # green ends it
+    flood(point=(5, 0, 0.1), distance=0.3, tolerance=0.02)
+    assert selected(obj) == list(range(20))
+    flood(point=(5, 0, 0.1), distance=0.3, tolerance=1)
+    assert selected(obj) == list(range(35))  # another label ends it
+    flood(point=(5, 0, 0.1), distance=0.3, tolerance=1, same_label=False)
+    assert selected(obj) == list(range(40))  # a gap ends it
+    # Without a distance the sizes of the splats give it: 4 times 0.05, in an object that is scaled by 2.
+    flood(point=(5, 4, 0), tolerance=1)
+    assert selected(obj) == list(range(40, 50))
+    assert np.isclose(similar_splats.flood(obj, 40, 1.0, 0.0, True)[1], 0.4)
+    # What is hidden neither starts nor continues it.
+    labels.select(obj, np.arange(50) == 10)
+    bpy.ops.swag.hide_splats()
+    flood(point=(5, 0, 0), distance=0.3, tolerance=0.2)
+    assert selected(obj) == list(range(10))
+    bpy.ops.swag.select_all_splats(action="SELECT")
+    bpy.ops.swag.hide_splats()
+    assert_refused(flood, "All splats are hidden", point=(5, 0, 0))
+
+
+def toolbar():
+    """Names of the tools of the toolbar in object mode that are ours, by groups; icons that Blender does not have."""
+    from bl_ui.space_toolsystem_common import ToolSelectPanelHelper
+
+    panel: Any = ToolSelectPanelHelper._tool_class_from_space_type("VIEW_3D")
+    groups = [group for group in panel._tools["OBJECT"] if isinstance(group, tuple) and not hasattr(group, "idname")]
+    tools = [[tool for tool in group if tool and tool.idname.startswith("swag.")] for group in groups]
+    folder = Path(bpy.utils.system_resource("DATAFILES"), "icons")
+    return {
+        "groups": [[tool.idname for tool in group] for group in tools if group],
+        "without icon": [tool.icon for group in tools for tool in group if not (folder / f"{tool.icon}.dat").exists()],
+    }
 
 
 def select_in_perspective():

@@ -10,6 +10,7 @@ from bl_ext.user_default.swag_splatting.swag_blender import (
     job,
     run_list,
     run_quality,
+    selection_tools,
     survey_map,
 )
 from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_figures import FIGURES
@@ -60,6 +61,7 @@ def shown_words():
     found |= {name.replace("_", " ").capitalize() for name in EFFECTS}
     found |= {figure.label for figures in FIGURES.values() for figure in figures.values()}
     found |= {sentence for _, sentence in effects.STATES.values()} | {effects.NO_WATER, effects.WATER_UNKNOWN}
+    found |= {text for tool in selection_tools.TOOLS for text in (tool.bl_label, tool.bl_description)}
     found |= {text for one in run_quality.QUALITIES for text in (one.word, one.meaning)}
     found |= {
         *effect_pictures.COLUMNS,
