@@ -4,6 +4,7 @@ from . import operators
 from .swag_blender import (
     assets,
     background,
+    clean_up,
     color_chart,
     colors,
     commands,
@@ -63,6 +64,7 @@ _MODULES = (
     selection_tools,
     film_panel,
     maps_panel,
+    clean_up,
     water,
     background,
     colors,

@@ -8,8 +8,8 @@ from bpy.types import PropertyGroup
 
 from . import labels, splats
 from .blender_types import present, set_button, with_properties
-from .properties import status_of
-from .sidebar import SwagPanel, draw_job, draw_outcome
+from .clean_up import draw_clean_up, draw_score, proposed_objects
+from .sidebar import SwagPanel
 from .similar_splats import KINDS
 from .splat_selection import edited_objects, selected_count
 
@@ -46,6 +46,7 @@ class SWAG_PT_edit(SwagPanel):
         objects = edited_objects(context)
         total = sum(splats.count(obj) for obj in objects)
         text = bpy.app.translations.pgettext_iface("{selected} of {total} splats selected")
+        draw_clean_up(layout, context)
         layout.label(text=text.format(selected=sum(map(selected_count, objects)), total=total))
         column = layout.column(align=True)
         row = column.row(align=True)
@@ -66,12 +67,8 @@ class SWAG_PT_edit(SwagPanel):
             set_button(grid.operator("swag.select_by", text=label), kind=kind)
         column = layout.column(align=True)
         column.operator("swag.find_floaters", icon="VIEWZOOM")
-        column.operator("swag.score_selection", icon="IMAGE_DATA")
-        status = status_of(context)
-        if status.job == "PSNR":
-            draw_job(layout, context)
-        elif status.last_job == "PSNR":
-            draw_outcome(layout, context)
+        if not proposed_objects(context):  # there it stands above
+            draw_score(column, context)
         row = layout.row(align=True)
         row.operator("swag.delete_splats", text="Delete", icon="TRASH")
         set_button(row.operator("swag.hide_splats", text="Hide", icon="HIDE_ON"), unselected=False)

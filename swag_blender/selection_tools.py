@@ -7,8 +7,8 @@ from gpu_extras.presets import draw_circle_2d
 
 from .blender_types import present
 
-AFTER = "builtin.cursor"
-"""The tool of Blender below which the group stands."""
+AFTER = "builtin.select_box"
+"""A tool of Blender; the group stands at the end of its section of the toolbar."""
 
 
 def _keymap(operator: str) -> Any:

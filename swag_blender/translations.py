@@ -74,6 +74,25 @@ GERMAN = {
         "Prüfen, ob die Fotos sich überlappen und ihre Kameras stimmen."
     ),
     "Water Values": "Werte des Wassers",
+    "Clean Up": "Aufräumen",
+    "Finish Clean Up": "Aufräumen beenden",
+    "Select floaters, blobs in open water and the fuzzy border, and compute what removing them costs": (
+        "Schwebende Splats, Flecken im freien Wasser und den unscharfen Rand auswählen und berechnen, was das "
+        "Entfernen kostet"
+    ),
+    "Delete the selected splats, or keep them, and end the proposal of Clean Up": (
+        "Die ausgewählten Splats löschen oder behalten und den Vorschlag von Aufräumen beenden"
+    ),
+    "Delete the selected splats instead of deselecting them": (
+        "Die ausgewählten Splats löschen, statt ihre Auswahl aufzuheben"
+    ),
+    "Press Clean Up first": "Zuerst Aufräumen drücken",
+    "Floaters": "Schwebende Splats",
+    "Splats in front of the surfaces that the photos show": "Splats vor den Oberflächen, die die Fotos zeigen",
+    "Open Water": "Freies Wasser",
+    "Splats that stand for the haze of open water": "Splats, die für den Dunst freien Wassers stehen",
+    "Fuzzy Border": "Unscharfer Rand",
+    "Large, faint splats where few photos look": "Große, blasse Splats, wohin wenige Fotos blicken",
     "Train": "Trainieren",
     "Continue": "Fortsetzen",
     "Pause": "Anhalten",

@@ -101,13 +101,14 @@ def steps():
             bpy.ops.wm.tool_set_by_id(name=f"swag.tool_{tool}")
 
     report["tools"] = {}
+    near = pixels[np.linalg.norm(pixels - (x, y), axis=1).argmin()]
     for tool, points, key in (
         ("box", [(x - 120, y - 80), (x, y), (x + 60, y + 90)], None),
         ("box", [(x - 60, y - 40), (x, y), (x + 20, y + 30)], "ctrl"),
         ("circle", [(x, y), (x + 50, y), (x + 100, y)], None),
         ("brush", [(x - 80, y), (x, y), (x + 80, y)], None),
-        ("sphere", [pixels[0], pixels[0] + (40, 0), pixels[0] + (90, 0)], None),
-        ("flood", [pixels[0], pixels[0]], None),
+        ("sphere", [near, near + (40, 0), near + (90, 0)], None),
+        ("flood", [near, near], None),
     ):
         choose(tool)
         yield 0.5
@@ -121,6 +122,7 @@ def steps():
             yield 0.5
             report["undone"] = selected() == before
     report["handlers"] = len(module("viewport_tool")._handlers)
+    space.show_region_toolbar = True
     choose("box")
     yield from drag(region, [(x - 120, y - 80), (x, y), (x + 60, y + 90)])
     yield 0.5

@@ -52,6 +52,10 @@ def test_floaters_are_found_by_the_cameras(blender):
     blender.run("editing.find_floaters")
 
 
+def test_clean_up_proposes_kinds_that_are_switched_and_removed_in_one_step(blender):
+    blender.run("editing.clean_up_by_kinds")
+
+
 def test_a_point_is_read_in_the_unit_of_the_scene(blender):
     blender.run("editing.read_points")
 

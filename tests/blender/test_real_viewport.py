@@ -272,6 +272,15 @@ def test_splats_are_selected_with_the_pointer_deleted_and_brought_back(real_blen
     inner = left + 60, bottom + 40, right - 40, top - 60
     assert rest < boxed and not rest & within(*inner, -3) and boxed - rest <= within(*inner, 3)
     assert report["after escape"] == len(rest) and report["tools in use"] == 0
+    # The same with the tools of the toolbar, whose first press is the one that Blender gives them.
+    tools = {name: set(found) for name, found in report["tools"].items()}
+    assert tools["box"] == boxed and tools["box ctrl"] == rest
+    middle = np.array([(left + right) / 2 + 30, (bottom + top) / 2 - 5])
+    away = np.linalg.norm(pixels - middle, axis=1)
+    assert set(np.flatnonzero(away < 97)) <= tools["circle"] <= set(np.flatnonzero(away < 103))
+    across = np.abs(pixels - middle) < (80, 22)
+    assert set(np.flatnonzero(across.all(axis=1))) <= tools["brush"] and len(tools["brush"]) < len(tools["circle"])
+    assert tools["sphere"] and tools["flood"] and report["undone"] and report["handlers"] == 0
     assert report["left"] == 4000 - len(rest) and report["after undo"] == 4000
     # The viewport shows the splats that are left.
     shown = viewport_picture(folder, "deleted", report["region"])

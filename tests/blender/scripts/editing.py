@@ -5,6 +5,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from bl_ext.user_default.swag_splatting.swag_blender import clean_up as clean_up_module
 from bl_ext.user_default.swag_splatting.swag_blender import (
     floaters,
     labels,
@@ -413,6 +414,68 @@ def find_floaters():
     bpy.ops.swag.hide_splats()
     bpy.ops.swag.find_floaters(in_front=0.5, photos=0)
     assert found()[1:] == [0, 0]
+
+
+def clean_up_by_kinds():
+    """Kinds are found, switched, and removed in one step of undo; Cancel keeps all."""
+    random = np.random.default_rng(3)
+    grid = np.stack(np.meshgrid(np.linspace(-3.5, 3.5, 100), np.linspace(-2, 2, 40)), -1).reshape(-1, 2)
+    wall = np.column_stack([grid, np.zeros(4000)])
+    floating, water = random.normal((0, 0, 2.5), 0.4, (40, 3)), random.uniform((-3, -1, -0.5), (3, 1, -0.4), (30, 3))
+    border = random.uniform((-6, 3, -1), (6, 5, 0), (50, 3))
+    made = splats_at(
+        np.concatenate([wall, floating, water, border]), 0.08, np.repeat([0.9, 0.3, 0.9, 0.2], (4000, 40, 30, 50))
+    )
+    made.scales[4070:] = 0.5
+    obj = new_object(made)
+    clean_up, finish = bpy.ops.swag.clean_up, bpy.ops.swag.finish_clean_up
+    assert_refused(clean_up, "The scene has no cameras")
+    assert not finish.poll()
+    scene.render.resolution_x, scene.render.resolution_y = 320, 240
+    for x in (-1, 0, 1, 2, 3):
+        new_camera().location = (x, 0, 5)
+    bpy.context.view_layer.update()
+    labels.set_attribute(obj, "swag:haze", "FLOAT", np.repeat([0.0, 0.1, 0.9, 0.0], (4000, 40, 30, 50)))
+    settings = scene.swag_clean_up
+
+    def parts():
+        chosen = np.array(selected(obj), int)
+        return np.histogram(chosen, [0, 4000, 4040, 4070, 4120])[0].tolist()
+
+    assert clean_up() == {"FINISHED"}
+    on_wall, floats, hazy, fuzzy = parts()
+    assert on_wall < 40 and floats > 30 and hazy == 30 and fuzzy == 50, parts()
+    found = clean_up_module.counts([obj])
+    assert found["floaters"] >= floats and found["open_water"] == 30 and found["border"] == 50
+    settings.border = False
+    assert parts()[2:] == [30, 0]
+    settings.open_water = False
+    assert parts()[1:] == [floats, 0, 0]
+    # Open water is known by its label, too.
+    settings.open_water = settings.border = True
+    obj.data.attributes.remove(obj.data.attributes["swag:haze"])
+    labels.set_attribute(obj, "swag:label", "INT", np.repeat([1, 1, 2, 1], (4000, 40, 30, 50)))
+    bpy.ops.swag.read_labels()
+    assert clean_up() == {"FINISHED"} and parts()[2] == 0
+    next(e for e in obj.swag_labels.entries if e.number == 2).name = "Open Water"
+    assert clean_up() == {"FINISHED"} and parts()[1:] == [floats, 30, 50]
+
+    assert finish(remove=False) == {"FINISHED"}
+    assert splats.count(obj) == 4120 and selected(obj) == [] and "swag:clean_up" not in obj.data.attributes
+    clean_up()
+    # What the user deselects stays.
+    bpy.ops.swag.select_sphere(point=tuple(border[0]), radius=0.01, mode="SUBTRACT")
+    left = 4120 - len(selected(obj))
+    bpy.ops.ed.undo_push(message="before")
+    assert finish(remove=True) == {"FINISHED"}
+    bpy.ops.ed.undo_push(message="after")
+    assert splats.count(obj) == left and "swag:clean_up" not in obj.data.attributes and not finish.poll()
+    bpy.ops.ed.undo()
+    again = bpy.data.objects["reef"]
+    assert splats.count(again) == 4120 and len(selected(again)) == 4120 - left
+    bpy.ops.swag.select_all_splats(action="DESELECT")
+    assert_refused(finish, "No splats are selected", remove=True)
+    assert finish(remove=False) == {"FINISHED"}
 
 
 def read_points():
