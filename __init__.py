@@ -38,6 +38,7 @@ from .swag_blender import (
     viewport_tool,
     water,
 )
+from .swag_engine.base.errors import name_buttons
 
 _MODULES = (
     properties,
@@ -81,6 +82,7 @@ _MODULES = (
 
 def register() -> None:
     """Register everything with Blender."""
+    name_buttons()
     for module in _MODULES:
         module.register()
 

@@ -119,8 +119,7 @@ def open_camera_page(context: bpy.types.Context) -> None:
     page = camera_page(context)
     if page is None:
         raise InputError(
-            f"The chosen photos have no {CAMERA_PAGE}: Find Cameras writes it, and `inspect SCENE --page FILE` on the "
-            "command line for cameras from elsewhere."
+            f"The chosen photos have no {CAMERA_PAGE}: Photos or Video writes it where it finds the cameras."
         )
     open_page(page)
 

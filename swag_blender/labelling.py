@@ -41,8 +41,8 @@ def label_request(
     """
     if obj.get(SURVEY_KEY):
         raise InputError(
-            f"The splats of {obj.name} are of a survey: label its blocks on the command line (survey label FOLDER), "
-            "merge them again and open the survey anew."
+            f"The splats of {obj.name} are of a survey: its blocks are labelled outside of Blender, as the page "
+            "Surveys of the documentation says; merge them again and open the survey anew afterwards."
         )
     run = bpy.path.abspath(obj.get(RUN_KEY, "")) or swag_of(context.scene).run_path
     if not run:

@@ -209,7 +209,7 @@ def names_in(folder: Path) -> dict[int, str]:
         table = from_json(path.read_text(encoding="utf-8"))
         return {int(entry["id"]): str(entry["name"]) for entry in table["labels"]}
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path} does not list labels ({error}): make them again with `label`.") from error
+        raise InputError(f"{path} does not list labels ({error}): press Label in the panel Labels.") from error
 
 
 def show(obj: bpy.types.Object) -> None:

@@ -140,7 +140,7 @@ def open_report(context: bpy.types.Context, folder: str) -> None:
     run = Path(folder) if folder or shown is None else folder_of(shown)
     page = run / REPORT
     if not page.is_file():
-        raise InputError(f"{run} has no {REPORT}: `report {run}` on the command line writes it again.")
+        raise InputError(f"{run} has no {REPORT}: a training writes it at its end.")
     open_page(page)
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from ..base import threads  # noqa: F401
-from ..base.errors import InputError
+from ..base.errors import InputError, name_buttons
 from ..base.strict_json import to_json
 from ..settings.settings import TrainSettings
 from .answers import missing_package
@@ -454,6 +454,7 @@ def main() -> None:
     os.dup2(2, 1)
     sys.stdin.reconfigure(encoding="utf-8")  # type: ignore[union-attr]
     interrupts.install()
+    name_buttons()
     with suppress(KeyboardInterrupt):
         Worker(sys.stdin, events).run()
     if interrupts.should_stop():

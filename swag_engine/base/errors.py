@@ -1,4 +1,4 @@
-"""The exception whose message is shown to the user, and sentences that several programs say."""
+"""The exception whose message is shown to the user, remedies on the command line and in Blender, common sentences."""
 
 
 class InputError(Exception):
@@ -7,6 +7,31 @@ class InputError(Exception):
     The message is one sentence: what is wrong, in which file or setting, what to do. Command line, worker and Blender
     show it without a traceback; the exit code is 2, and no file is left incomplete.
     """
+
+
+_names_buttons = False
+"""Whether the user of this process has Blender's buttons in front of them, and not a terminal."""
+
+
+def name_buttons() -> None:
+    """Let remedies name buttons from now on: the worker that Blender drives and the extension call this."""
+    global _names_buttons
+    _names_buttons = True
+
+
+def remedy(command: str, button: str) -> str:
+    """Return what the user can do: `command` on the command line, `button` in Blender."""
+    return button if _names_buttons else command
+
+
+def continue_run() -> str:
+    """Return how to continue a run."""
+    return remedy("continue it with train --resume", "open it and press Continue in the panel Train")
+
+
+def make_labels() -> str:
+    """Return how to label a run."""
+    return remedy("make them with `label`", "press Label in the panel Labels")
 
 
 def missing_package_sentence(python: str, package: str) -> str:

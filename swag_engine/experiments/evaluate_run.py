@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..base.errors import InputError
+from ..base.errors import InputError, continue_run
 from ..base.files import atomic_path
 from ..base.transfer import srgb_to_linear
 from ..effects.scene_effects import SceneEffects
@@ -362,7 +362,7 @@ def load_run(folder: Path) -> LoadedRun:
     """
     loaded = load_checkpoint(folder)
     if loaded is None:
-        raise InputError(f"The run {folder} has no checkpoint yet; continue it with train --resume.")
+        raise InputError(f"The run {folder} has no checkpoint yet; {continue_run()}.")
     tensors, state = loaded
     device = device_for("auto")
     model = SceneModel.from_checkpoint(tensors, state).to(device)

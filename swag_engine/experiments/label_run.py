@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, continue_run
 from ..base.files import atomic_path
 from ..formats.export import ExportOptions, export_run
 from ..formats.ply import read_ply
@@ -63,14 +63,14 @@ def label_run(
     words = check_words(words)
     loaded = load_checkpoint(folder)
     if loaded is None or not run.ply.exists():
-        raise InputError(f"The run {folder} has no result yet; continue it with train --resume.")
+        raise InputError(f"The run {folder} has no result yet; {continue_run()}.")
     splats = read_ply(run.ply)
     cloud = cloud_from_checkpoint(loaded[0]).to(device_for("auto"))
     own = len(cloud) - loaded[1].get("fixed", 0)  # surroundings that a part of a survey does not change hide others
     if own != len(splats):
         raise InputError(
-            f"{run.ply} holds {len(splats)} splats and the run's checkpoint {own}: continue the run with train "
-            "--resume, which writes it again."
+            f"{run.ply} holds {len(splats)} splats and the run's checkpoint {own}: {continue_run()}, "
+            "which writes the result again."
         )
     scene = scene or load_scene(scene_folder)
     chosen, masks = choose_provider(scene, words, masks, provider)

@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.html_page import NONE, number, paragraph_html, table_html, write_page
 from ..base.strict_json import from_json
 from ..evaluation.metrics import render_image
@@ -157,7 +157,9 @@ def _summary(scene: Path, metrics: dict[str, Any], state: dict[str, Any], gaussi
         notes = [metrics.get("water") or "No water was modelled: the colors are as photographed."]
         notes += [*filter(None, [metrics.get("overfitting")]), *metrics.get("notes", [])]
     if metrics.get("interrupted", True):
-        notes.append("The run was interrupted; train --resume continues it.")
+        notes.append(
+            f"The run was interrupted; {remedy('train --resume', 'Continue in the panel Train')} continues it."
+        )
     return [*map(paragraph_html, lines), *(paragraph_html(note, "note") for note in notes)]
 
 
@@ -229,7 +231,10 @@ def _held_out(evaluation: dict[str, Any], views: dict[str, Any], comparisons: Se
         lines.append(view_table_html(views))
     if not evaluation:
         lines.append(
-            paragraph_html("Run `evaluate RUN` and then `report RUN` to add LPIPS, floaters and color errors here.")
+            paragraph_html(
+                "The command line has commands that add LPIPS, floaters and color errors here: `evaluate RUN`, then "
+                "`report RUN`."
+            )
         )
     if len(views) > len(comparisons):
         lines.append(paragraph_html(f"{len(comparisons)} of the {len(views)} views, in ascending order of PSNR:"))
@@ -264,7 +269,12 @@ def _effects(effects: dict[str, Any]) -> list[str]:
     shown = (
         table_html(rows, heads, styles)
         if rows
-        else paragraph_html("This run has no plan. Run `plan SCENE --out RUN` and then `report RUN` to add it.")
+        else paragraph_html(
+            remedy(
+                "This run has no plan. Run `plan SCENE --out RUN` and then `report RUN` to add it.",
+                "This run has no plan. Press Plan in Effects before the next training.",
+            )
+        )
     )
     return ["<h2>Effects</h2>", shown]
 

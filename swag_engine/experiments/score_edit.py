@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..base.errors import InputError
+from ..base.errors import InputError, continue_run
 from ..evaluation.metrics import mean_score, render_image, score_image
 from ..formats.run_folder import RunFolder
 from ..gaussians.cloud import GaussianCloud
@@ -42,8 +42,8 @@ def score_edit(
         raise InputError(f"{masks} cannot be read as a mask of splats: {error}.") from error
     if kept.shape != (2, len(cloud)) or kept.dtype != bool:
         raise InputError(
-            f"The run's checkpoint has {len(cloud)} splats and its result another number: continue the run with train "
-            "--resume, which writes the result again."
+            f"The run's checkpoint has {len(cloud)} splats and its result another number: {continue_run()}, "
+            "which writes the result again."
         )
     scene = load_scene(scene_folder)
     names = set(split_views([view.name for view in scene.views]).test)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, continue_run, remedy
 from ..scene.cameras import Camera
 from ..scene.georeference import Georeference, Placement, read_georeference
 from ..settings.field import check_settings, setting
@@ -132,7 +132,7 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
     run = RunFolder(folder)
     scene_folder, settings, up = run.read_config()
     if not run.ply.exists():
-        raise InputError(f"The run {folder} has no result yet; continue it with train --resume.")
+        raise InputError(f"The run {folder} has no result yet; {continue_run()}.")
     scene = None
     if options.cameras or options.water:
         from ..scene.colmap import load_scene
@@ -181,7 +181,8 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
     result["notes"] = target.notes(splats)
     if splats.development and splats.development.applied:
         done = replace(development, knee=1.0).to_text()
-        result["notes"].append(f"Colors are developed ({done}); --develop none leaves them restored.")
+        how = remedy("--develop none", "Development: None in the panel Color")
+        result["notes"].append(f"Colors are developed ({done}); {how} leaves them restored.")
     files = [out]
     if options.cameras and scene:
         beside = cameras_folder(out)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.files import atomic_path, not_writable
 from ..base.strict_json import from_json, to_json
 from ..settings.settings import TrainSettings
@@ -142,8 +142,11 @@ class RunFolder:
             settings = replace(settings, iterations=asked.iterations, time_budget=asked.time_budget)
         elif self.finished():
             raise InputError(
-                f"The run {self.path} is finished already; its result is {self.ply.name}. To continue it, give more "
-                f"--iterations than {self.iterations()}, or a --time-budget."
+                f"The run {self.path} is finished already; its result is {self.ply.name}. "
+                + remedy(
+                    f"To continue it, give more --iterations than {self.iterations()}, or a --time-budget.",
+                    "Press Train to start another one.",
+                )
             )
         if asked.backend != TrainSettings().backend:
             settings = replace(settings, backend=asked.backend)
@@ -234,7 +237,8 @@ class RunFolder:
             return ColorView(adjusted=Development.from_text(develop))
         values = self.read_developments().get(develop)
         if values is None and develop == "chart":
-            raise InputError(f"The run {self.path} has no color chart: find it with `chart`, or use auto.")
+            how = remedy("find it with `chart`, or use auto", "press Find Color Chart, or use Automatic")
+            raise InputError(f"The run {self.path} has no color chart: {how}.")
         return ColorView(restored=NO_DEVELOPMENT if values is None else Development.from_json(values))
 
     def finished(self) -> bool:

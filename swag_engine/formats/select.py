@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, make_labels
 from ..splats.splats import Splats
 from .run_folder import read_json
 
@@ -123,6 +123,6 @@ def label_ids(wanted: Sequence[str], table: Path) -> frozenset[int]:
         elif word.isdecimal():
             found.add(int(word))
         else:
-            there = ", ".join(known) or "none with a name; make them with `label`"
+            there = ", ".join(known) or f"none with a name; {make_labels()}"
             raise InputError(f"There is no label named {word}; there are {there}.")
     return frozenset(found)

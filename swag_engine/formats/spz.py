@@ -27,7 +27,7 @@ from types import ModuleType
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.files import atomic_path
 from ..base.strict_json import from_json, to_json
 from ..scene.georeference import Placement
@@ -442,8 +442,8 @@ def _zstandard() -> ModuleType:
         import zstandard
     except ModuleNotFoundError as error:
         raise InputError(
-            "SPZ files need the Python package zstandard, which this Python lacks: install it with `python -m pip "
-            "install zstandard`, or use PLY."
+            "SPZ files need the Python package zstandard, which this Python lacks: "
+            f"{remedy('install it with `python -m pip install zstandard`, or use PLY', 'use PLY or GLB')}."
         ) from error
     return zstandard
 

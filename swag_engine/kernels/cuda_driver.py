@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from ..base.errors import remedy
 from .build import ptx_path
 
 Argument = Tensor | int | float
@@ -81,7 +82,8 @@ class Driver:
             name, (major, minor) = torch.cuda.get_device_name(), capability
             raise CudaUnavailable(f"{name} has compute capability {major}.{minor}, 7.5 or later is needed.")
         if not ptx_path().exists():
-            raise CudaUnavailable("its kernels are not built; python -m swag_engine.kernels.build makes them.")
+            how = remedy("python -m swag_engine.kernels.build makes them", "the released extension has them")
+            raise CudaUnavailable(f"its kernels are not built; {how}.")
         self._module = cache(self._load_module)
         self._function = cache(self._get_function)
         try:

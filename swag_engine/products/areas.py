@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.files import atomic_path
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder, read_json, write_json
@@ -144,7 +144,8 @@ def correct_labels(
     require_packages()
     run = RunFolder(folder)
     run.read_config()
-    document = read_json(areas / FILES["answer"], f"{areas} holds no areas: make them first, without --corrected.")
+    how = remedy("make them first, without --corrected", "empty Corrected Labels and press Areas by Label first")
+    document = read_json(areas / FILES["answer"], f"{areas} holds no areas: {how}.")
     try:
         grid, plane = MapGrid(**document["grid"]), str(document["plane"])
     except (KeyError, TypeError) as error:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import DTypeLike
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.files import atomic_path, not_writable
 from ..base.html_page import paragraph_html, table_html, write_page
 from ..formats.run_folder import write_json
@@ -92,8 +92,11 @@ def make_change(
     unknown = [source.name for source, one in ((earlier, first), (later, second)) if one.unit != "m"]
     if unknown and scale == "fixed":
         raise InputError(
-            f"The scale of {' and of '.join(unknown)} is not known: measure it with the command scale, or let the "
-            "alignment find the scale of the later run with --scale free."
+            f"The scale of {' and of '.join(unknown)} is not known: measure it with "
+            + remedy(
+                "the command scale, or let the alignment find the scale of the later run with --scale free.",
+                "the panel Scale.",
+            )
         )
     if progress:
         progress("Aligning", 0.0)
@@ -112,7 +115,8 @@ def make_change(
         _same_labels(first, second, after)
         comparison = Comparison(before, after, grid, alignment.residual, photos)
         if not comparison.overlap:
-            raise InputError("The two surveys have no pixel in common: check that they show one place, or --box.")
+            box_too = remedy(", or --box", "")
+            raise InputError(f"The two surveys have no pixel in common: check that they show one place{box_too}.")
         flags = _scratch_array(folder / "flags", (grid.height, grid.width), np.uint8)
         found, limit = _write_maps(files["maps"], first, comparison, flags, folder, progress)
         _write_flags(files["flags"], first, grid, flags)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from .geotiff import NO_HEIGHT, create_map, map_crs
 from .grid import MapGrid, make_grid
 from .heights import EDGE, surface_factor, surface_margin, surface_step, tile_heights
@@ -62,7 +62,7 @@ def make_dem(
     if not (np.isfinite(window) and window > 0):
         raise InputError(f"The window of rugosity is {window:g}: it must be above 0.")
     if above is not None and not np.isfinite(above):
-        raise InputError(f"The height of the plane is {above:g}: give --above a number.")
+        raise InputError(f"The height of the plane is {above:g}: {remedy('give --above a number', 'choose a number')}.")
     scene = load_map_scene(source, plane)
     grid = make_grid(scene.splats, pixel, box)
     crs = map_crs(scene)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.files import atomic_path
 from .grid import MapGrid
 from .map_frame import MapScene
@@ -57,7 +57,8 @@ def map_crs(scene: MapScene) -> Any:
             crs = rasterio.crs.CRS.from_user_input(name)
     except rasterio.errors.CRSError as error:
         raise InputError(
-            f"The coordinate reference system {name} is not known: measure the scale again with --crs EPSG:NUMBER."
+            f"The coordinate reference system {name} is not known: "
+            f"{remedy('measure the scale again with --crs EPSG:NUMBER', 'measure the scale again')}."
         ) from error
     if crs.is_geographic:
         raise InputError(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..splats.splats import Splats
 
 MOST_PIXELS = 200_000
@@ -86,7 +86,7 @@ def make_grid(
     else:
         left, bottom, right, top = box
     if not (np.isfinite([left, bottom, right, top]).all() and left < right and bottom < top):
-        raise InputError("--box must be left bottom right top, with left below right and bottom below top.")
+        raise InputError("A box must be left bottom right top, with left below right and bottom below top.")
     longest = max(right - left, top - bottom)
     if not pixel:
         pixel = _rounded(max(splat_size(splats), longest / USUAL_PIXELS))
@@ -102,7 +102,7 @@ def make_grid(
         reader = "TagLab opens" if taglab else "can be mapped"
         raise InputError(
             f"The map would have {width} x {height} pixels, more than the {most} a side that {reader}: choose a "
-            f"pixel size of at least {longest / most:.2g}, or a smaller --box."
+            f"pixel size of at least {longest / most:.2g}{remedy(', or a smaller --box', '')}."
         )
     return MapGrid(float(first * pixel), float(last * pixel), pixel, width, height)
 

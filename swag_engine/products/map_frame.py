@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, continue_run, remedy
 from ..formats.export import FROM_Y_UP, with_water
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder
@@ -91,8 +91,11 @@ def load_map_scene(source: Path, plane: str = "up", water: float = 0.0, develop:
     notes: list[str] = []
     if splats.placement is None and direction is None:
         raise InputError(
-            f"{source} does not say which direction is up: give it with --plane as in --plane 0,-1,0, or export the "
-            "file with --georeferenced."
+            f"{source} does not say which direction is up: "
+            + remedy(
+                "give it with --plane as in --plane 0,-1,0, or export the file with --georeferenced.",
+                "choose another one in Seen From.",
+            )
         )
     up = np.array([0.0, 0.0, 1.0])
     rotation = np.eye(3) if direction is None else _rotation_to_view(direction, up)
@@ -112,7 +115,7 @@ def _load_run(folder: Path, plane: str, direction: np.ndarray | None, water: flo
     run = RunFolder(folder)
     scene_folder, settings, up_of_run = run.read_config()
     if not run.ply.exists():
-        raise InputError(f"The run {folder} has no result yet; continue it with train --resume.")
+        raise InputError(f"The run {folder} has no result yet; {continue_run()}.")
     splats = read_ply(run.ply)
     development = run.color_view(develop).at(water)
     measured = read_georeference(scene_folder)
@@ -143,8 +146,8 @@ def _load_run(folder: Path, plane: str, direction: np.ndarray | None, water: flo
     placed = transformed(splats, matrix)
     if plane == "up" and _is_steep(placed):
         notes.append(
-            f"{scene_folder.name} is mostly steep: for a wall, map it from its side with --plane fit; in Blender, "
-            "choose it in Seen From."
+            f"{scene_folder.name} is mostly steep: for a wall, map it from its side with "
+            f"{remedy('--plane fit', 'Fitted Plane in Seen From')}."
         )
     table = _label_table(run)
     return MapScene(
@@ -175,7 +178,7 @@ def _parse_plane(plane: str) -> np.ndarray | None:
     except ValueError:
         direction = np.zeros(0)
     if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
-        raise InputError(f"--plane is {plane}: it must be {PLANE_HELP}.")
+        raise InputError(f"The plane is {plane}: it must be {PLANE_HELP}.")
     return direction / np.linalg.norm(direction)
 
 
@@ -199,7 +202,10 @@ def _fitted_normal(splats: Splats, viewpoint: np.ndarray) -> np.ndarray:
     """Fit a plane to solid splats by reweighted least squares; the normal (3,) points to the viewpoint."""
     points = splats.positions[splats.opacities >= SOLID].astype(np.float64)
     if len(points) < 3:
-        raise InputError("There are too few solid splats to fit a plane: give its direction, as in --plane 0,0,1.")
+        raise InputError(
+            "There are too few solid splats to fit a plane: "
+            f"{remedy('give its direction, as in --plane 0,0,1', 'choose another one in Seen From')}."
+        )
     normal, middle = _plane(points)
     return normal if normal @ (viewpoint - middle) >= 0 else -normal
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.files import atomic_path
 from .dem import read_heights, write_heights
 from .geotiff import map_crs
@@ -63,7 +63,7 @@ def make_profile(
     start, end = ends[:, :2]
     length = float(np.linalg.norm(end - start))
     if not (np.isfinite(length) and length > 0):
-        raise InputError("The line of the profile needs two different points, as --line x y x y.")
+        raise InputError(f"The line of the profile needs two different points{remedy(', as --line x y x y', '')}.")
     map_crs(scene)
     pixel = pixel or max(splat_size(scene.splats), length / USUAL_PIXELS)
     step = surface_step(scene.splats, pixel)

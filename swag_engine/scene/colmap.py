@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.text import first_names
 from .cameras import Camera
 from .colmap_binary import PARTS, Features, check_file, copy_without_points, point_records
@@ -289,8 +289,8 @@ def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, _Model]:
                         f"The COLMAP model in {candidate} is incomplete: {' and '.join(absent)} is missing."
                     )
         raise InputError(
-            f"No COLMAP model was found in {folder}, its sparse or its colmap/sparse: make one from the photos "
-            "with Find Cameras, on the command line `python -m swag_engine sfm PHOTOS --out SCENE`."
+            f"No COLMAP model was found in {folder}, its sparse or its colmap/sparse: make one from the photos with "
+            f"{remedy('`python -m swag_engine sfm PHOTOS --out SCENE`', 'Find Cameras')}."
         )
     read = [_read_model(model) for model in models]
     counts = [model.cameras.num_reg_images() for model in read]

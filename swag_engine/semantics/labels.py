@@ -9,7 +9,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from ..base.errors import InputError
+from ..base.errors import InputError, make_labels
 from ..base.files import atomic_path
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..formats.select import LABEL
@@ -128,7 +128,7 @@ def read_labels(folder: Path) -> list[dict[str, Any]]:
         InputError: If the run has no labels yet or the file is damaged.
     """
     path = folder / TABLE
-    document = read_json(path, f"The run {folder} has no labels yet: make them with `label`.")
+    document = read_json(path, f"The run {folder} has no labels yet: {make_labels()}.")
     try:
         return [
             {
@@ -138,7 +138,7 @@ def read_labels(folder: Path) -> list[dict[str, Any]]:
             for entry in document["labels"]
         ]  # fmt: skip
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path} does not list labels ({error}): make them again with `label`.") from error
+        raise InputError(f"{path} does not list labels ({error}): {make_labels()}.") from error
 
 
 def read_semantics(folder: Path) -> Semantics:
@@ -148,10 +148,10 @@ def read_semantics(folder: Path) -> Semantics:
         InputError: If the run has no labels yet or a file is damaged.
     """
     path = folder / FEATURES
-    table = read_json(folder / TABLE, f"The run {folder} has no labels yet: make them with `label`.")
+    table = read_json(folder / TABLE, f"The run {folder} has no labels yet: {make_labels()}.")
     try:
         tensors = load_file(path)
         projection = Projection(tensors["projection.matrix"], tensors["projection.mean"])
         return Semantics(tensors["features"], tensors["prototypes"], projection, str(table["embedder"]))
     except (OSError, KeyError, SafetensorError) as error:
-        raise InputError(f"{path} cannot be read ({error}): make the labels again with `label`.") from error
+        raise InputError(f"{path} cannot be read ({error}): {make_labels()}.") from error

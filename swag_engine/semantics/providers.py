@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..scene.colmap import Scene
 from ..weights.registry import find_or_fetch, is_available
 from .captions import Blip, Captioner
@@ -69,7 +69,7 @@ def make_provider(
     """
     if provider == "masks":
         if masks is None:
-            raise InputError("Masks need a folder: name it with --masks.")
+            raise InputError(f"Masks need a folder: {remedy('name it with --masks', 'choose it in Masks')}.")
         return MaskFolder(masks, scene), None
     if provider == "saliency":
         return Saliency(), None

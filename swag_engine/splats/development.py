@@ -163,7 +163,7 @@ class Development:
             name, _, written = part.strip().partition("=")
             if name not in LIMITS:
                 raise InputError(
-                    f"--develop {text} is not valid: give none, auto, chart, or values as in "
+                    f"The development {text} is not valid: give none, auto, chart, or values as in "
                     "exposure=0.5,white=1.1/1/0.9,contrast=1.1,knee=0.8."
                 )
             count = 3 if name == "white" else 1
@@ -174,7 +174,9 @@ class Development:
             least, most = LIMITS[name]
             if len(numbers) != count or not all(least <= number <= most for number in numbers):
                 kind = "three numbers as in 1.1/1/0.9, each" if count == 3 else "one number"
-                raise InputError(f"--develop {text} is not valid: {name} needs {kind} from {least:g} to {most:g}.")
+                raise InputError(
+                    f"The development {text} is not valid: {name} needs {kind} from {least:g} to {most:g}."
+                )
             values[name] = tuple(numbers) if count == 3 else numbers[0]
         return cls(**values)
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.files import locked_folder, not_writable
 from ..base.text import first_names
 from ..formats.ply import read_ply, write_ply
@@ -69,7 +69,10 @@ def merge_survey(folder: Path, progress: Progress | None = None, partial: bool =
     if missing and not (partial and set(done).intersection(survey.blocks)):
         raise InputError(
             f"{len(missing)} of {len(survey.parts)} blocks and seams of {folder} are not done: {first_names(missing)}. "
-            "Run them with survey run, or merge the others with --partial."
+            + remedy(
+                "Run them with survey run, or merge the others with --partial.",
+                "Run the command that Copy copies, or press Merge Finished Blocks.",
+            )
         )
     with locked_folder(survey_folder.merged):
         tiles = _Merge(survey_folder, survey, done, progress or (lambda stage, fraction: None)).run()
@@ -178,7 +181,9 @@ class _Merge:
     def _check(self, name: str) -> None:
         """Raise InputError where the result of a block is not what done.json says."""
         file, result = self.folder.done(name), self.folder.run(name).ply
-        again = f"run the block {name} again (survey block {self.folder.path} --block {name})"
+        again = f"run the block {name} again " + remedy(
+            f"(survey block {self.folder.path} --block {name})", "by the command that Copy copies"
+        )
         document = read_json(file, f"The block {name} is not done any more; run it again.")
         if document.get("version") != VERSION or not isinstance(document.get("result_sha256"), str):
             raise InputError(f"{file} is damaged or of another version: {again}.")

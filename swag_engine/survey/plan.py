@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.files import LOCK, locked_folder
 from ..base.text import first_names
 from ..formats.survey_folder import COARSE, Block, Box, Survey, SurveyFolder
@@ -242,7 +242,9 @@ def _check_parts(parts: Sequence[Part], cutter: Cutter, sizes: Sizes, notes: lis
             "show the same place, and cutting it further would make blocks that are hardly smaller."
         )
     if len(parts) == 1 and not over:
-        notes.append(f"{count} photos are few enough for one block: `train` does the same with less work.")
+        notes.append(
+            f"{count} photos are few enough for one block: {remedy('`train`', 'Train')} does the same with less work."
+        )
 
 
 def _members(images: np.ndarray, names: Sequence[str], split: Split) -> dict[str, tuple[str, ...]]:

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 import torch
 
-from ..base.errors import InputError
+from ..base.errors import InputError, remedy
 from ..base.files import locked_folder
 from ..base.timing import Ledger, part
 from ..evaluation.metrics import (
@@ -149,11 +149,14 @@ def make_trainer(
     longer = False
     if resume:
         if not run.config.exists():
-            raise InputError(f"There is no run in {run.path} to continue: start one without --resume.")
+            raise InputError(
+                f"There is no run in {run.path} to continue: {remedy('start one without --resume', 'press Train')}."
+            )
         settings, longer = run.resumed_settings(scene_folder, settings)
     elif run.config.exists():
         raise InputError(
-            f"{run.path} holds a training run already; continue it with --resume or choose another folder."
+            f"{run.path} holds a training run already; "
+            f"{remedy('continue it with --resume or choose another folder', 'choose another Output Folder')}."
         )
     scene = part or load_scene(scene_folder)
     if not resume:

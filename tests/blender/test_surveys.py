@@ -95,7 +95,7 @@ def test_edits_stay_where_tiles_stay_and_labels_undo_and_export_work(blender, fa
     assert found["selected"] == 320 and found["exported"] == [320, ["label"], [2]]
     assert found["parts"] == [["plot Survey", True, 127, True], ["plot Survey coral", False, 320, True]]
     assert found["label run"].startswith(
-        "The splats of plot Survey are of a survey: label its blocks on the command line"
+        "The splats of plot Survey are of a survey: its blocks are labelled outside of Blender"
     )
     assert "are from no run on this machine" in found["orthomosaic"]
 

@@ -61,7 +61,7 @@ def test_a_failed_training_is_reported_in_one_sentence(blender, fake_engine, tmp
 
 
 def test_a_missing_scene_and_a_missing_engine_are_reported_in_one_sentence(blender, tmp_path):
-    assert "Choose the folder with the photos" in blender.run("train.train", "")
+    assert "Choose photos or a video first" in blender.run("train.train", "")
     message = blender.run("train.train", tmp_path, SWAG_ENGINE_PYTHON="/no/such/python")
     assert "The engine's Python /no/such/python cannot be run" in message
     assert "Traceback" not in blender.printed

@@ -93,7 +93,7 @@ def test_values_of_the_command_line():
     assert given == Development(0.5, (1.1, 1.0, 0.9), 1.1, knee=0.8)
     assert Development.from_text("knee=1") == NO_DEVELOPMENT
     for text in ("bright", "exposure", "exposure=", "exposure=nan", "exposure=99", "white=1/2", "contrast=0", "x=1"):
-        with pytest.raises(InputError, match="--develop"):
+        with pytest.raises(InputError, match="The development"):
             Development.from_text(text)
 
 
