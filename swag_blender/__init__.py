@@ -2,3 +2,5 @@
 
 EXTENSION = __package__.rpartition(".")[0]
 """Full name of the extension, such as bl_ext.user_default.swag_splatting."""
+WORDS = "SWAG"
+"""Context of translations where Blender's own word for the same English one would be wrong: Scale is no verb here."""

@@ -69,8 +69,8 @@ class SWAG_PT_edit(SwagPanel):
         column.operator("swag.find_floaters", icon="VIEWZOOM")
         if not proposed_objects(context):  # there it stands above
             draw_score(column, context)
+        layout.operator("swag.delete_splats", text="Delete", icon="TRASH")
         row = layout.row(align=True)
-        row.operator("swag.delete_splats", text="Delete", icon="TRASH")
         set_button(row.operator("swag.hide_splats", text="Hide", icon="HIDE_ON"), unselected=False)
         set_button(row.operator("swag.hide_splats", text="Hide Others"), unselected=True)
         row = layout.row()
@@ -89,7 +89,7 @@ class SWAG_PT_crop(SwagPanel):
         layout, objects = present(self.layout), edited_objects(context)
         layout.operator("swag.add_crop_box", icon="MESH_CUBE")
         if objects:
-            layout.prop(cast(Any, objects[0]).swag_display, "crop")
+            layout.prop(cast(Any, objects[0]).swag_display, "crop", text="")
         layout.operator("swag.delete_outside_crop")
 
 

@@ -39,7 +39,8 @@ def draw_effect(layout: bpy.types.UILayout, swag: SwagScene, line: SwagEffect, w
     if not line.explained:
         draw_wrapped(box, line.reason, width - 20)
     if line.cost_ms:
-        draw_wrapped(box, f"Takes about {line.cost_ms:.1f} ms of an iteration on this machine.", width - 20)
+        text = bpy.app.translations.pgettext_iface("Takes about {cost} ms of an iteration on this machine.")
+        draw_wrapped(box, text.format(cost=f"{line.cost_ms:.1f}"), width - 20)
     if line.name == "semantics" and line.choice == "ON":
         box.prop(swag, "words")
         box.prop(swag, "masks")

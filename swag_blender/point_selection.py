@@ -100,6 +100,11 @@ class SphereSelection(PointSelection):
         FloatProperty(name="Radius", description="Radius of the sphere", subtype="DISTANCE", min=0, precision=4),
     ]
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Wait for a click."""
+        self._over_splat = False
+        return super().invoke(context, event)
+
     def select(self, context: bpy.types.Context) -> int:
         """Select what is in the sphere."""
         centre, count = np.array(self.point), 0
@@ -114,11 +119,15 @@ class SphereSelection(PointSelection):
         """Show the sphere at the pointer; the wheel and a drag change its radius."""
         result = super().on_event(context, event, region, position)
         moved = event.type in {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE"}
-        found = None if self._pressed or not moved else self.pick(context, region, position)
-        if found is not None:
-            self.point = found.position
-        elif moved and not self._pressed:
-            self.overlay.lines = []
+        if self._pressed:
+            self._over_splat = True
+        elif moved:
+            found = self.pick(context, region, position)
+            self._over_splat = found is not None
+            if found is not None:
+                self.point = found.position
+        self.overlay.lines = []
+        if not self._over_splat:
             return result
         view, centre = view_of(region), np.array([self.point])
         unit = float(view.pixels_per_unit(view.project(centre)[1])[0])  # pixels
@@ -131,7 +140,6 @@ class SphereSelection(PointSelection):
             if dragged > LEAST_DRAG:
                 self.radius = dragged / unit
         circle = unit_circle() * self.radius
-        self.overlay.lines = []
         for axis in range(3):
             pixels, _, seen = view.project(np.insert(circle, axis, 0.0, axis=1) + centre)
             if seen.all():

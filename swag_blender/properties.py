@@ -25,7 +25,7 @@ from ..swag_engine.settings.field import Setting, settings_of
 from ..swag_engine.settings.jerlov import JERLOV, MOST
 from ..swag_engine.settings.presets import PRESETS, SIZES, Size
 from ..swag_engine.settings.settings import TrainSettings
-from . import effects
+from . import WORDS, effects
 from .blender_types import with_properties
 from .setting_property import setting_property
 
@@ -79,6 +79,7 @@ def size_property(name: str, described: Setting) -> Any:
         soft_min=int(described.least),
         max=int(described.most),
         subtype="PIXEL" if described.unit == "px" else "NONE",
+        translation_context=WORDS,
         get=value,
         set=choose,
     )

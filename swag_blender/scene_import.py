@@ -38,16 +38,21 @@ OPENCV_TO_BLENDER = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))
 
 def describe(result: dict[str, Any]) -> str:
     """The result of an `inspect` or `sfm` request in lines: what was found in the first, then doubts, one a line."""
+    translate = bpy.app.translations.pgettext_iface
     taken = "".join(f"{note} " for note in result.get("notes", ()))
-    found = f"{taken}{result['registered']} of {result['images']} photos have a camera, "
-    found += f"{result['points']['count']} points"
+    text = translate("{registered} of {images} photos have a camera, {points} points")
+    counts = {"registered": result["registered"], "images": result["images"], "points": result["points"]["count"]}
+    found = taken + text.format(**counts)
     if lenses := result["summary"]["cameras"]:
         most, error = lenses[0], result["summary"]["focal_error"]
         sure = f" ± {error:.1%}" if error is not None and len(lenses) == 1 else ""
-        found += f", field of view {most['field_of_view']:.0f}° (focal length {most['focal_length']:.0f} px{sure})"
-        found += f", the most frequent of {len(lenses)} lenses" if len(lenses) > 1 else ""
+        text = translate("field of view {angle}° (focal length {length})")
+        angle, length = f"{most['field_of_view']:.0f}", f"{most['focal_length']:.0f} px{sure}"
+        found += ", " + text.format(angle=angle, length=length)
+        if len(lenses) > 1:
+            found += ", " + translate("the most frequent of {count} lenses").format(count=len(lenses))
     if drift := result["summary"]["drift"]:
-        found += f", drift {drift['fraction']:.1%} of the path"
+        found += ", " + translate("drift {fraction} of the path").format(fraction=f"{drift['fraction']:.1%}")
     return "\n".join((found, *result["warnings"]))
 
 

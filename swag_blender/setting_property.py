@@ -5,6 +5,7 @@ from typing import Any
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..swag_engine.settings.field import Setting
+from . import WORDS
 
 
 def setting_property(default: Any, described: Setting) -> Any:
@@ -18,6 +19,7 @@ def setting_property(default: Any, described: Setting) -> Any:
         What Blender takes as a property's annotation.
     """
     words: dict[str, Any] = {"name": described.label, "description": described.description, "default": default}
+    words["translation_context"] = WORDS
     if isinstance(default, tuple):
         words["description"] += " (separated by commas)"
         return StringProperty(**words | {"default": ", ".join(default)})

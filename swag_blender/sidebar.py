@@ -6,6 +6,7 @@ from typing import Literal
 import bpy
 
 from ..swag_engine.base.text import sparkline
+from . import WORDS
 from .blender_types import present
 from .properties import status_of
 
@@ -20,6 +21,7 @@ class SwagPanel(bpy.types.Panel):
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "SWAG"
+    bl_translation_context = WORDS
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -16,7 +16,7 @@ KINDS: Any = [
     ("SIZE", "Size", "By the largest standard deviation of the splat"),
     ("OPACITY", "Opacity", "By the opacity of the splat"),
     ("COLOR", "Color", "By the difference from a color"),
-    ("LABEL", "Label", "By the name of the label"),
+    ("LABEL", "Label Name", "By the name of the label"),
     ("CAMERA", "Distance to Camera", "By the distance to the nearest camera of the photos"),
     ("OTHERS", "Distance to Others", "Splats with fewer than six others within a distance"),
 ]

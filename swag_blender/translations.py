@@ -5,7 +5,7 @@ Blender looks up labels, tooltips and names of properties by itself: a language 
 
 import bpy
 
-from . import EXTENSION
+from . import EXTENSION, WORDS
 
 GERMAN = {
     "Scene": "Szene",
@@ -27,7 +27,7 @@ GERMAN = {
     "New folder for copies of the photos and their cameras; empty: beside the photos or video": (
         "Neuer Ordner für Kopien der Fotos und ihre Kameras; leer: neben den Fotos oder dem Video"
     ),
-    "Sparse Points": "Dünne Punktwolke",
+    "Sparse Points": "Punktwolke",
     "Import Cameras": "Kameras importieren",
     "Cameras of Another Program": "Kameras eines anderen Programms",
     "Cameras of Another Program (.xml/.json/.csv)": "Kameras eines anderen Programms (.xml/.json/.csv)",
@@ -77,8 +77,7 @@ GERMAN = {
     "Clean Up": "Aufräumen",
     "Finish Clean Up": "Aufräumen beenden",
     "Select floaters, blobs in open water and the fuzzy border, and compute what removing them costs": (
-        "Schwebende Splats, Flecken im freien Wasser und den unscharfen Rand auswählen und berechnen, was das "
-        "Entfernen kostet"
+        "Floater, Flecken im freien Wasser und den unscharfen Rand auswählen und berechnen, was das Entfernen kostet"
     ),
     "Delete the selected splats, or keep them, and end the proposal of Clean Up": (
         "Die ausgewählten Splats löschen oder behalten und den Vorschlag von Aufräumen beenden"
@@ -87,12 +86,22 @@ GERMAN = {
         "Die ausgewählten Splats löschen, statt ihre Auswahl aufzuheben"
     ),
     "Press Clean Up first": "Zuerst Aufräumen drücken",
-    "Floaters": "Schwebende Splats",
+    "Floaters": "Floater",
     "Splats in front of the surfaces that the photos show": "Splats vor den Oberflächen, die die Fotos zeigen",
     "Open Water": "Freies Wasser",
     "Splats that stand for the haze of open water": "Splats, die für den Dunst freien Wassers stehen",
     "Fuzzy Border": "Unscharfer Rand",
     "Large, faint splats where few photos look": "Große, blasse Splats, wohin wenige Fotos blicken",
+    "{registered} of {images} photos have a camera, {points} points": (
+        "{registered} von {images} Fotos haben eine Kamera, {points} Punkte"
+    ),
+    "field of view {angle}° (focal length {length})": "Blickfeld {angle}° (Brennweite {length})",
+    "the most frequent of {count} lenses": "das häufigste von {count} Objektiven",
+    "drift {fraction} of the path": "Drift {fraction} des Weges",
+    "Face Camera": "Zur Kamera",
+    "Takes about {cost} ms of an iteration on this machine.": (
+        "Braucht etwa {cost} ms eines Schritts auf diesem Rechner."
+    ),
     "Train": "Trainieren",
     "Continue": "Fortsetzen",
     "Pause": "Anhalten",
@@ -103,13 +112,13 @@ GERMAN = {
     "Time Budget": "Zeitrahmen",
     "Iterations": "Schritte",
     "Width": "Breite",
-    "Max Gaussians": "Höchstzahl der Gaußglocken",
+    "Max Gaussians": "Max. Splats",
     "Water": "Wasser",
     "Metres per Unit": "Meter je Einheit",
     "SH Degree": "SH-Grad",
     "Result": "Ergebnis",
     "Set Up Render": "Rendern vorbereiten",
-    "Open Splat File": "Splat-Datei öffnen",
+    "Open Splat File": "Splat-Datei",
     "Labels": "Etiketten",
     "Export": "Exportieren",
     "Install Engine": "Rechenkern einrichten",
@@ -186,7 +195,7 @@ GERMAN = {
     "Open the engine's log of the last job in a text editor": (
         "Das Protokoll des Rechenkerns vom letzten Auftrag in einem Texteditor öffnen"
     ),
-    "Pick Two Points": "Zwei Punkte wählen",
+    "Pick Two Points": "Zwei Punkte",
     "Python": "Python",
     "Read Labels": "Etiketten lesen",
     "Remove": "Entfernen",
@@ -254,7 +263,7 @@ GERMAN = {
     "Set Scale": "Maßstab setzen",
     "Show All": "Alle zeigen",
     "Show Colors": "Farben zeigen",
-    "Show Uncertain Colors": "Unsichere Farben zeigen",
+    "Show Uncertain Colors": "Unsichere Farben",
     "Mix pink into splats of which too little light reached the camera to know their color without water": (
         "Splats rosa färben, von denen zu wenig Licht die Kamera erreichte, um ihre Farbe ohne Wasser zu kennen"
     ),
@@ -715,7 +724,7 @@ GERMAN = {
         "Die Splats in einer Kugel um den angeklickten auswählen; Ziehen oder das Mausrad ändert ihre Größe"
     ),
     "Select the connected splats of similar color and the same label around the one that you click": (
-        "Die Splats ähnlicher Farbe und gleichen Labels auswählen, die mit dem angeklickten zusammenhängen"
+        "Die Splats ähnlicher Farbe und gleichen Etiketts auswählen, die mit dem angeklickten zusammenhängen"
     ),
     "Click a splat; wheel or drag: radius, Shift: extend, Ctrl: subtract, Escape: cancel": (
         "Einen Splat anklicken; Mausrad oder Ziehen: Radius, Umschalt: hinzufügen, Strg: entfernen, Escape: abbrechen"
@@ -733,8 +742,9 @@ GERMAN = {
     "Longest gap between connected splats; 0: by their sizes": (
         "Größte Lücke zwischen zusammenhängenden Splats; 0: nach ihren Größen"
     ),
-    "Same Label": "Gleiches Label",
-    "Select only splats with the label of the splat": "Nur Splats mit dem Label des Splats auswählen",
+    "Label Name": "Etikett",
+    "Same Label": "Gleiches Etikett",
+    "Select only splats with the label of the splat": "Nur Splats mit dem Etikett des Splats auswählen",
     "Read Point": "Punkt ablesen",
     "Select All Splats": "Alle Splats auswählen",
     "Select Box": "Rechteck auswählen",
@@ -1023,8 +1033,8 @@ GERMAN = {
     "Standard": "Standard",
     "State": "Zustand",
     "Stopped": "Angehalten",
-    "Test PSNR": "PSNR an Testfotos",
-    "Test SSIM": "SSIM an Testfotos",
+    "Test PSNR": "PSNR (Test)",
+    "Test SSIM": "SSIM (Test)",
     "The decision in a sentence, with figures and thresholds": (
         "Die Entscheidung in einem Satz, mit Zahlen und Schwellen"
     ),
@@ -1142,7 +1152,7 @@ GERMAN = {
     "Steepness in degrees": "Steilheit in Grad",
     "Rugosity": "Rauheit",
     "Surface over planar area in windows of a metre": "Oberfläche durch Grundfläche in Fenstern von einem Meter",
-    "Corrected Labels": "Korrigierte Etiketten",
+    "Corrected Labels": "Korrektur",
     "Corrected copy of labels.tif; its labels go to the splats, and the areas are made again": (
         "Korrigierte Kopie von labels.tif; die Splats übernehmen die Etiketten, und die Flächen werden neu gemessen"
     ),
@@ -1250,8 +1260,11 @@ GERMAN = {
 
 
 def table(words: dict[str, str]) -> dict[tuple[str, str], str]:
-    """The table in Blender's format: texts of operators have another context than all others."""
-    return {(context, english): own for english, own in words.items() for context in ("*", "Operator")}
+    """The table in Blender's format: texts of operators have another context than all others.
+
+    Blender's own table goes first; in the context WORDS it has none.
+    """
+    return {(context, english): own for english, own in words.items() for context in ("*", "Operator", WORDS)}
 
 
 def register() -> None:

@@ -85,7 +85,7 @@ def test_the_score_of_an_edit_is_that_of_the_remaining_gaussians(finished_run, t
     assert score["before"] == pytest.approx(metrics["test_psnr"], abs=0.02)
     assert score["after"] < score["before"] - 3 and score["views"] == 2
     np.save(masks, np.ones((2, count - 1), bool))
-    with pytest.raises(InputError, match="continue the run with train"):
+    with pytest.raises(InputError, match="continue it with train"):
         score_edit(finished_run, masks)
     masks.write_text("no array")
     with pytest.raises(InputError, match="cannot be read as a mask"):

@@ -23,7 +23,7 @@ def drawn_words(root):
                 texts = [keyword.value for keyword in call.keywords if keyword.arg == "text"]
                 function = getattr(call.func, "id", getattr(call.func, "attr", ""))
                 texts += call.args[1:2] if function == "draw_wrapped" else []
-                texts += call.args[:1] if function in ("poll_message_set", "pgettext_iface") else []
+                texts += call.args[:1] if function in ("poll_message_set", "pgettext_iface", "translate") else []
                 for text in texts:
                     either = (text.body, text.orelse) if isinstance(text, ast.IfExp) else (text,)
                     words |= {n.value for n in either if isinstance(n, ast.Constant) and isinstance(n.value, str)}

@@ -13,6 +13,7 @@ from bl_ext.user_default.swag_splatting.swag_blender import (
     selection_tools,
     survey_map,
 )
+from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_preview
 from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_figures import FIGURES
 from bl_ext.user_default.swag_splatting.swag_engine.settings.effect_names import EFFECTS
 
@@ -64,6 +65,7 @@ def shown_words():
     found |= {text for tool in selection_tools.TOOLS for text in (tool.bl_label, tool.bl_description)}
     found |= {text for one in run_quality.QUALITIES for text in (one.word, one.meaning)}
     found |= {
+        splat_preview.FACE_CAMERA,
         *effect_pictures.COLUMNS,
         *run_list.LABELS.values(),
         *color_chart.ROWS,
