@@ -69,7 +69,7 @@ class PointSelection(PointTool):
                 self.report({"WARNING"}, "There is no splat here.")
                 return {"RUNNING_MODAL"}
             self._pressed, self.captured = position, region
-            self.point, self.mode = found.position, mode_of_keys(event, self.mode)
+            self.point, self.mode = found.position[:], mode_of_keys(event, self.mode)
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
             if self._pressed is not None:
                 return self.execute(context)
@@ -125,7 +125,7 @@ class SphereSelection(PointSelection):
             found = self.pick(context, region, position)
             self._over_splat = found is not None
             if found is not None:
-                self.point = found.position
+                self.point = found.position[:]
         self.overlay.lines = []
         if not self._over_splat:
             return result

@@ -22,6 +22,9 @@ class SelectionTool(bpy.types.WorkSpaceTool):
 
     bl_space_type = "VIEW_3D"
     bl_context_mode = "OBJECT"
+    bl_idname: str
+    bl_label: str
+    bl_description: str
     operator: str
     settings: tuple[str, ...] = ("through",)
     key: str
@@ -128,7 +131,7 @@ def register() -> None:
     keyconfig = present(bpy.context.window_manager).keyconfigs.addon
     if keyconfig is None:  # without a window
         return
-    keymap = keyconfig.keymaps.new("Object Mode")
+    keymap: Any = keyconfig.keymaps.new("Object Mode")
     for tool in TOOLS:
         item: Any = keymap.keymap_items.new("wm.tool_set_by_id", tool.key, "PRESS", shift=True, alt=True)
         item.properties.name = tool.bl_idname

@@ -19,7 +19,7 @@ def messages(tree):
     """Constant parts of the messages of the InputErrors that a file raises, without the arguments of `remedy`."""
     for call in ast.walk(tree):
         if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "InputError":
-            waiting = list(call.args)
+            waiting: list[ast.AST] = list(call.args)
             while waiting:
                 node = waiting.pop()
                 if isinstance(node, ast.Constant) and isinstance(node.value, str):

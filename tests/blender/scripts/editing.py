@@ -150,9 +150,10 @@ def select_around_points():
 
 def toolbar():
     """Names of the tools of the toolbar in object mode that are ours, by groups; icons that Blender does not have."""
-    from bl_ui.space_toolsystem_common import ToolSelectPanelHelper
+    from bl_ui import space_toolsystem_common
 
-    panel: Any = ToolSelectPanelHelper._tool_class_from_space_type("VIEW_3D")
+    helper: Any = space_toolsystem_common.ToolSelectPanelHelper
+    panel = helper._tool_class_from_space_type("VIEW_3D")
     groups = [group for group in panel._tools["OBJECT"] if isinstance(group, tuple) and not hasattr(group, "idname")]
     tools = [[tool for tool in group if tool and tool.idname.startswith("swag.")] for group in groups]
     folder = Path(bpy.utils.system_resource("DATAFILES"), "icons")
