@@ -49,8 +49,9 @@ def request(scene: bpy.types.Scene, obj: bpy.types.Object, folder: Path) -> dict
 
 def describe(event: dict[str, Any]) -> str:
     """A sentence about the result of the request."""
-    difference = event["after"] - event["before"]
-    return (
-        f"Without the selected splats the held-out PSNR is {event['after']:.2f} dB instead of {event['before']:.2f} dB "
-        f"({difference:+.2f} dB, {event['views']} photos)."
+    text = bpy.app.translations.pgettext_iface(
+        "Without the selected splats the held-out PSNR is {after} dB instead of {before} dB ({difference} dB, {views} "
+        "photos)."
     )
+    figures = {name: f"{event[name]:.2f}" for name in ("after", "before")}
+    return text.format(difference=f"{event['after'] - event['before']:+.2f}", views=event["views"], **figures)

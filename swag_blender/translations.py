@@ -102,6 +102,11 @@ GERMAN = {
     "Takes about {cost} ms of an iteration on this machine.": (
         "Braucht etwa {cost} ms eines Schritts auf diesem Rechner."
     ),
+    "Without the selected splats the held-out PSNR is {after} dB instead of {before} dB ({difference} dB, {views} "
+    "photos).": (
+        "Ohne die ausgewählten Splats ist der PSNR auf {views} Fotos, die das Training nicht kannte, {after} dB statt "
+        "{before} dB ({difference} dB)."
+    ),
     "Train": "Trainieren",
     "Continue": "Fortsetzen",
     "Pause": "Anhalten",
