@@ -460,6 +460,8 @@ class Render:
     """Name of one photo; all test views without it."""
     water: float = 1.0
     """Amount of water, from 0 (removed) to 1 (as photographed)."""
+    haze: float = 0.0
+    """Fraction of the haze in open water that is shown, from 0 (none) to 1 (as trained); at least that of the water."""
     develop: Develop = "auto"
     """Development of restored colors. auto: exposure and white point that the run found, which fade as water is shown.
     chart: from a color chart in the photos. none: not at all. Or values at any amount of water, as in
@@ -473,9 +475,8 @@ class Render:
         """Run the command and return its exit code."""
         from ..experiments.evaluate_run import render_run
 
-        files = [
-            str(path) for path in render_run(self.run_folder, self.out, self.camera, self.water, self.develop, self.exr)
-        ]
+        paths = render_run(self.run_folder, self.out, self.camera, self.water, self.develop, self.exr, self.haze)
+        files = [str(path) for path in paths]
         show({"files": files}, self.json, "\n".join(files))
         return 0
 
@@ -495,6 +496,8 @@ class Restore:
     """Name of one photo; all photos without it."""
     width: int | None = None
     """Width in pixels; that of the photos without it."""
+    haze: float = 0.0
+    """Fraction of the haze in open water that is shown, from 0 (none) to 1 (as trained)."""
     develop: Develop = "auto"
     """Development of restored colors: auto, chart, none or values, as render has it."""
     exr: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -509,7 +512,7 @@ class Restore:
 
         with stage_progress() as progress:
             paths = restore_photos(
-                self.run_folder, self.out, self.photo, self.width, self.develop, self.exr, progress
+                self.run_folder, self.out, self.photo, self.width, self.develop, self.exr, self.haze, progress
             )  # fmt: skip
         files = [str(path) for path in paths]
         show({"files": files}, self.json, "\n".join(files))
@@ -528,6 +531,9 @@ class Film:
     """Folder of the PNG files, or a video (.mp4)."""
     water: float = 1.0
     """Amount of water, from 0 (removed) to 1 (as photographed), for frames that name none."""
+    haze: float = 0.0
+    """Fraction of the haze in open water that is shown, from 0 (none) to 1 (as trained), for frames that name none; at
+    least that of the water."""
     alpha: tyro.conf.FlagCreatePairsOff[bool] = False
     """Leave the background out: PNG files get an alpha channel, a video gets a second one, NAME_alpha.mp4."""
     depth: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -561,7 +567,7 @@ class Film:
 
             result = film_run(
                 self.run_folder, self.out, frames, options, self.develop,
-                water=self.water, progress=progress, should_stop=interrupts.should_stop,
+                water=self.water, haze=self.haze, progress=progress, should_stop=interrupts.should_stop,
             )  # fmt: skip
         show(result, self.json, describe(result))
         return interrupts.exit_code if result["interrupted"] else 0

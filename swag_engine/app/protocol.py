@@ -241,11 +241,13 @@ class RestoreRequest:
         run: Folder of the run.
         out: Folder of the PNG files.
         colors: How colors are developed.
+        haze: Fraction of the haze in open water that is shown, 0..1.
     """
 
     run: Path
     out: Path
     colors: ColorView = AS_RESTORED
+    haze: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -233,7 +233,9 @@ class Worker:
 
             with interrupts.deferred():
                 progress = self.stoppable("The restoration was stopped; the photos that were done are there.")
-                files = restore_photos(request.run, request.out, develop=request.colors, progress=progress)
+                files = restore_photos(
+                    request.run, request.out, develop=request.colors, haze=request.haze, progress=progress
+                )
             return {"event": "result", "request": "restore", "out": str(request.out), "photos": len(files)}
         if isinstance(request, MapRequest):
             with interrupts.deferred():

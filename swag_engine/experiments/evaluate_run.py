@@ -32,6 +32,7 @@ from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud
 from ..kernels.backends import automatic_backend, device_for
 from ..kernels.machine import describe_machine
+from ..rendering.haze import without_haze
 from ..rendering.model import SceneModel
 from ..rendering.restoration import RestorationLimit
 from ..scene.cameras import Camera
@@ -40,6 +41,7 @@ from ..scene.images import TrainingImage, load_images, read_image
 from ..scene.inspect import inspect_scene
 from ..scene.split import split_views
 from ..splats.development import Development
+from ..splats.haze import HAZE, check_haze, haze_amount
 from ..training.checkpoint import load_checkpoint
 from ..training.inputs import median_range
 from .develop_run import color_view
@@ -215,7 +217,13 @@ def machine(device: torch.device) -> dict[str, Any]:
 
 
 def render_run(
-    folder: Path, out: Path, camera: str | None, water: float = 1.0, develop: str = "auto", exr: bool = False
+    folder: Path,
+    out: Path,
+    camera: str | None,
+    water: float = 1.0,
+    develop: str = "auto",
+    exr: bool = False,
+    haze: float = 0.0,
 ) -> list[Path]:
     """Render views of a run at the training size to image files.
 
@@ -226,6 +234,7 @@ def render_run(
         water: Amount of water, from 0 (removed) to 1 (as photographed).
         develop: Development of PNG files, as `RunFolder.color_view`.
         exr: Write linear light without development to OpenEXR files in place of PNG files.
+        haze: Fraction of the haze in open water that is shown, 0..1; at least that of the water is.
 
     Returns:
         The files.
@@ -235,9 +244,10 @@ def render_run(
     """
     if not 0 <= water <= 1:
         raise InputError(f"The amount of water must be from 0 to 1, not {water}.")
+    check_haze(haze)
     scene_folder, settings, _ = RunFolder(folder).read_config()
     run = load_run(folder)
-    cloud, effects = run.through(water), run.effects
+    cloud, effects = run.through(water, haze), run.effects
     scene = load_scene(scene_folder)
     names = [view.camera.name for view in scene.views]
     wanted = split_views(names).test if camera is None else [camera]
@@ -320,16 +330,19 @@ class LoadedRun:
         effects: The effects.
         state: The stored state.
         limit: Limit of the restored colors; None where the run restores none or has not ended.
+        haze: (N,) how sure it is that a Gaussian is open water; None where the run has not ended, or is older.
     """
 
     trained: GaussianCloud
     effects: SceneEffects
     state: dict[str, Any]
     limit: RestorationLimit | None
+    haze: Tensor | None
 
-    def through(self, water: float) -> GaussianCloud:
-        """Return the Gaussians as they are seen through a fraction of the water, 0..1."""
-        return self.limit.apply(self.trained, water) if self.limit else self.trained
+    def through(self, water: float, haze: float = 0.0) -> GaussianCloud:
+        """Return the Gaussians as they are seen through a fraction of the water, and with one of the haze, 0..1."""
+        limited = self.limit.apply(self.trained, water) if self.limit else self.trained
+        return without_haze(limited, self.haze, haze_amount(water, haze))
 
     @property
     def cloud(self) -> GaussianCloud:
@@ -366,4 +379,4 @@ def load_run(folder: Path) -> LoadedRun:
     tensors, state = loaded
     device = device_for("auto")
     model = SceneModel.from_checkpoint(tensors, state).to(device)
-    return LoadedRun(model.cloud, model.effects, state, RestorationLimit.from_checkpoint(tensors))
+    return LoadedRun(model.cloud, model.effects, state, RestorationLimit.from_checkpoint(tensors), tensors.get(HAZE))

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from torch import Tensor
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
@@ -25,6 +26,7 @@ from ..formats.survey_folder import COARSE, SurveyFolder
 from ..formats.water import DAMAGED, has_background_light
 from ..gaussians.cloud import GaussianCloud
 from ..kernels.backends import device_for
+from ..rendering.haze import with_haze
 from ..rendering.model import SceneModel
 from ..rendering.render import Picture, render
 from ..rendering.trained_detail import TrainedDetail, render_as_trained
@@ -32,10 +34,11 @@ from ..scene.cameras import Camera
 from ..scene.colmap import load_scene
 from ..scene.scene_part import read_part
 from ..splats.development import AS_RESTORED, ColorView, Development
+from ..splats.haze import HAZE, check_haze, haze_amount
 from ..training.checkpoint import checkpoints
 from ..water.medium import Medium
 from .develop_run import color_view
-from .evaluate_run import load_newest
+from .evaluate_run import load_run
 
 log = logging.getLogger(__name__)
 
@@ -78,13 +81,15 @@ class FilmOptions:
 
 @dataclass
 class FilmModel(SceneModel):
-    """What a film shows.
+    """What a film shows: Gaussians without haze in open water.
 
     Attributes:
         detail: How finely training images sampled the Gaussians; None where that is not known.
+        haze: (N,) how sure it is that a Gaussian is open water; None where none is.
     """
 
     detail: TrainedDetail | None = None
+    haze: Tensor | None = None
 
 
 def film_model(
@@ -106,17 +111,20 @@ def film_model(
         InputError: Where there are neither splats nor a checkpoint, or a file is damaged.
     """
     if run is not None and (splats is None or checkpoints(run)):
-        cloud, effects, _ = load_newest(run)
+        loaded = load_run(run)
+        cloud, effects = loaded.cloud, loaded.effects
         if splats is None:
-            return FilmModel(cloud, effects, _detail(run, cloud, False))
+            return FilmModel(cloud, effects, _detail(run, cloud, False), loaded.haze)
         background = cloud.background.sigmoid().tolist()
     elif splats is None:
         raise InputError("A film needs splats or a run.")
     else:
         effects = SceneEffects({} if water is None else {"medium": read_medium(water)})
     device = device_for("auto")
-    cloud = GaussianCloud.from_splats(read_ply(splats), background).to(device)
-    return FilmModel(cloud, effects.to(device), None if run is None else _detail(run, cloud, True))
+    shown = read_ply(splats)
+    cloud = GaussianCloud.from_splats(shown, background).to(device)
+    haze = torch.from_numpy(shown.extras[HAZE].astype(np.float32)) if HAZE in shown.extras else None
+    return FilmModel(cloud, effects.to(device), None if run is None else _detail(run, cloud, True), haze)
 
 
 def _detail(run: Path, cloud: GaussianCloud, of_blocks: bool) -> TrainedDetail | None:
@@ -188,6 +196,7 @@ def render_film(
     frames: Sequence[PathFrame],
     options: FilmOptions,
     water: float = 1.0,
+    haze: float = 0.0,
     sh_degree: int = 3,
     colors: ColorView = AS_RESTORED,
     progress: Callable[[int, int], None] = lambda done, total: None,
@@ -202,6 +211,7 @@ def render_film(
         frames: The frames, with different names.
         options: What the files hold.
         water: Amount of water for frames that have none of their own, 0..1.
+        haze: Fraction of the haze in open water that such frames show, 0..1; at least that of the water is shown.
         sh_degree: Highest degree of spherical harmonics.
         colors: How colors are developed; EXR files are not.
         progress: Called with the number of finished frames and that of all frames.
@@ -211,11 +221,12 @@ def render_film(
         `out`; numbers of `frames`, of `rendered` ones and of those `kept` because they existed; `interrupted`.
 
     Raises:
-        InputError: If the amount of water is not from 0 to 1, a video exists or its frames differ in size, the image
-            is too large, or a file cannot be written.
+        InputError: If an amount of water or haze is not from 0 to 1, a video exists or its frames differ in size, the
+            image is too large, or a file cannot be written.
     """
     if not 0 <= water <= 1:
         raise InputError(f"The amount of water must be from 0 to 1, not {water}.")
+    check_haze(haze)
     is_video = out.suffix.lower() == VIDEO_SUFFIX
     if is_video and options.exr:
         raise InputError(f"{out.name} is a video, which has no linear light: name a folder to write EXR files.")
@@ -233,7 +244,8 @@ def render_film(
                     result["kept"] += 1
                 else:
                     amount = water if frame.water is None else frame.water
-                    picture = _picture(model, frame.camera, amount, sh_degree, options)
+                    shown = haze_amount(amount, haze if frame.haze is None else frame.haze)
+                    picture = _picture(model, frame.camera, amount, shown, sh_degree, options)
                     if options.exr:
                         write_light_exr(image, _light(picture, options.alpha))
                     else:
@@ -328,10 +340,13 @@ def _video_file(path: Path, camera: Camera, fps: float) -> Iterator[cv2.VideoWri
 
 
 @torch.no_grad()
-def _picture(model: FilmModel, camera: Camera, amount: float, sh_degree: int, options: FilmOptions) -> Picture:
+def _picture(
+    model: FilmModel, camera: Camera, amount: float, haze: float, sh_degree: int, options: FilmOptions
+) -> Picture:
     draw = render if model.detail is None else partial(render_as_trained, detail=model.detail)
+    cloud = with_haze(model.cloud, model.haze, haze)
     return draw(
-        model.cloud, camera, sh_degree=sh_degree, medium=model.effects.medium, amount=amount, lamp=model.effects.lamp,
+        cloud, camera, sh_degree=sh_degree, medium=model.effects.medium, amount=amount, lamp=model.effects.lamp,
         with_range=options.depth, with_background=not options.alpha,
     )  # fmt: skip
 

@@ -14,6 +14,7 @@ from ..rendering.trained_detail import TrainedDetail
 from ..scene.colmap import load_scene
 from ..scene.images import load_image
 from ..splats.development import ColorView
+from ..splats.haze import check_haze
 from .develop_run import color_view
 from .evaluate_run import load_run, write_picture
 
@@ -25,6 +26,7 @@ def restore_photos(
     width: int | None = None,
     develop: str | ColorView = "auto",
     exr: bool = False,
+    haze: float = 0.0,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> list[Path]:
     """Restore photos of a run and write them to image files, undistorted.
@@ -36,6 +38,7 @@ def restore_photos(
         width: Width of the pictures in pixels; that of each photo without it, and where the photo is narrower.
         develop: Development of PNG files, as `RunFolder.color_view`, or how colors are shown.
         exr: Write linear light without development to OpenEXR files in place of PNG files.
+        haze: Fraction of the haze in open water that is shown, 0..1.
         progress: Called with the stage and its fraction, 0..1.
 
     Returns:
@@ -47,6 +50,7 @@ def restore_photos(
     """
     if width is not None and width < 1:
         raise InputError(f"The width must be at least 1 pixel, not {width}.")
+    check_haze(haze)
     scene_folder, settings, _ = RunFolder(folder).read_config()
     run = load_run(folder)
     if not works_on_light(run.effects):
@@ -67,6 +71,7 @@ def restore_photos(
         progress("Restore photos", number / len(views))
         image = load_image(scene, view, width)
         model = SceneModel(detail.widened(run.trained, image.camera), run.effects)
-        light = restored_photo(model, run.limit, image, estimate_noise([image], [view]), settings.sh_degree)
+        noise = estimate_noise([image], [view])
+        light = restored_photo(model, run.limit, image, noise, settings.sh_degree, run.haze, haze)
         files.append(write_picture(out, view.name, linear_to_srgb(light), colors.at(0), exr))
     return files

@@ -2,7 +2,8 @@
 
 Each frame has the intrinsics w, h, fl_x, fl_y, cx, cy in pixels (those of the whole file where it has none of its own),
 `transform_matrix` from the camera to the world (y up, looking along -z), `file_path`, whose name is that of the frame,
-and optionally `water`, the amount of water from 0 to 1. Lens distortion is left out.
+and optionally `water` and `haze`, the amounts of water and of haze in open water from 0 to 1. Lens distortion is left
+out.
 """
 
 import math
@@ -19,6 +20,8 @@ from .gltf import CAMERA_AXES
 from .run_folder import read_json, write_json
 
 INTRINSICS = ("w", "h", "fl_x", "fl_y", "cx", "cy")
+AMOUNTS = ("water", "haze")
+"""Amounts from 0 to 1 that a frame may have."""
 LARGEST_SIDE = 16384
 """Pixels of the longer side of an image: more is taken for a mistake."""
 RIGID_TOLERANCE = 1e-3
@@ -32,10 +35,12 @@ class PathFrame:
     Attributes:
         camera: The camera; its name is that of the frame.
         water: Amount of water, 0..1; None for that of the film.
+        haze: Fraction of the haze in open water that is shown, 0..1; None for that of the film.
     """
 
     camera: Camera
     water: float | None = None
+    haze: float | None = None
 
 
 def write_camera_path(path: Path, frames: Sequence[PathFrame]) -> None:
@@ -50,8 +55,7 @@ def write_camera_path(path: Path, frames: Sequence[PathFrame]) -> None:
         entry: dict[str, Any] = {"file_path": camera.name}
         entry |= zip(INTRINSICS, (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy), strict=True)
         entry["transform_matrix"] = (np.linalg.inv(camera.world_to_camera) @ CAMERA_AXES).tolist()
-        if frame.water is not None:
-            entry["water"] = frame.water
+        entry |= {name: value for name in AMOUNTS if (value := getattr(frame, name)) is not None}
         entries.append(entry)
     write_json(path, {"camera_model": "PINHOLE", "frames": entries})
 
@@ -101,13 +105,12 @@ def _read_frame(entry: dict[str, Any], number: int) -> PathFrame:
     is_rigid = np.abs(rotation.T @ rotation - np.eye(3)).max() < RIGID_TOLERANCE and np.linalg.det(rotation) > 0
     if not is_rigid or np.abs(pose[3] - (0, 0, 0, 1)).max() > RIGID_TOLERANCE:
         raise ValueError("its transform_matrix is not a rotation and a translation")
-    water = entry.get("water")
-    if water is not None:
-        water = float(water)
-        if not 0 <= water <= 1:
-            raise ValueError(f"its water must be from 0 to 1, not {water}")
+    amounts = {name: float(entry[name]) for name in AMOUNTS if entry.get(name) is not None}
+    for amount_name, amount in amounts.items():
+        if not 0 <= amount <= 1:
+            raise ValueError(f"its {amount_name} must be from 0 to 1, not {amount}")
     name = Path(str(entry.get("file_path") or f"{number:04d}")).stem
     if not name.strip("."):
         raise ValueError(f"its file_path {entry['file_path']!r} has no name")
     camera = Camera(name, width, height, fx, fy, cx, cy, np.linalg.inv(pose @ CAMERA_AXES))
-    return PathFrame(camera, water)
+    return PathFrame(camera, **amounts)

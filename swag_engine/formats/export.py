@@ -14,6 +14,7 @@ from ..scene.georeference import Georeference, Placement, read_georeference
 from ..settings.field import check_settings, setting
 from ..splats.develop_splats import bake_development, name_development
 from ..splats.development import NO_DEVELOPMENT
+from ..splats.haze import haze_amount, with_haze
 from ..splats.splats import Splats
 from ..splats.transform import rotation_to_y_up, transformed
 from .cameras import PosedImage, transform_camera, write_cameras
@@ -54,6 +55,14 @@ class ExportOptions:
         "Water",
         "How much water the colors show, from 0 (removed) to 1 (as photographed); with water they are right only from "
         "where the photos were taken, and open water behind the splats is missing",
+        least=0,
+        most=1,
+    )
+    haze: float = setting(
+        0.0,
+        "Haze",
+        "How much of the haze in open water is written, from 0 (none) to 1 (as trained); at least as much as of the "
+        "water",
         least=0,
         most=1,
     )
@@ -145,7 +154,8 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
         sh_degree=options.sh_degree,
         extras=options.extras,
     )
-    splats = require_splats(selection.apply(read_ply(run.ply)))
+    shown = with_haze(read_ply(run.ply), haze_amount(options.water, options.haze))
+    splats = require_splats(selection.apply(shown))
     medium = run.read_water()
     development = run.color_view(options.develop).at(options.water)
     unapplied = run.color_view("auto").at(options.water) if options.develop == "none" else NO_DEVELOPMENT

@@ -1,8 +1,7 @@
-"""Limit restored colors where noise and errors of the water exceed what is left of their light, and hide open water.
+"""Limit restored colors where noise and errors of the water exceed what is left of their light.
 
 Restoring divides by the transmission of the water, so that far away it multiplies noise and what is wrong with the
-water until only these are seen. Gaussians that stand for open water would be a grey haze without water.
-docs/method.md, section 1, has the formulas.
+water until only these are seen. docs/method.md, section 1, has the formulas.
 """
 
 from collections.abc import Iterable, Mapping
@@ -41,12 +40,8 @@ BRIGHTEST_COLOR = 2.0
 """Largest display value of a color: brighter ones are of Gaussians that images hardly show."""
 MOST_ERROR = 1e6
 """Largest variance of an error: keeps matrices of doubles invertible."""
-OPEN_WATER_ERROR = 0.02
-"""Relative standard deviation of the light of Gaussians that stand for open water from the background light."""
-OPEN_WATER_LOG_RATIO = 5.0
-"""Log ratio of the likelihoods of open water and of a surface from which a Gaussian counts as open water."""
-HIDDEN_LOGIT = -20.0
-"""Opacity logit of Gaussians that are not shown: in 8 bits they are fully transparent."""
+HAZE_FROM = 0.5
+"""Score of haze from which a Gaussian is no surface, whose color would count."""
 PRIOR_GAUSSIANS = 5000
 """Gaussians, at most about twice as many, that the distribution of the scene's colors is found from."""
 PRIOR_STEPS = 30
@@ -60,20 +55,16 @@ class RestorationLimit:
     Attributes:
         confidence: (N, 3) in 0..1 of red, green and blue.
         color: (N, 3) display values.
-        open_water: (N,) bool, Gaussians that show nothing but open water; without water they are not shown.
     """
 
     confidence: Tensor
     color: Tensor
-    open_water: Tensor
 
     @classmethod
     def from_checkpoint(cls, tensors: Mapping[str, Tensor]) -> "RestorationLimit | None":
         """Read the limit from the tensors of a checkpoint; None where it has none."""
         stored = {field.name: tensors.get(STORED + field.name) for field in fields(cls)}
         found = {name: tensor for name, tensor in stored.items() if tensor is not None}
-        if "confidence" in found:  # runs before open water was told from surfaces
-            found.setdefault("open_water", torch.zeros(len(found["confidence"]), dtype=torch.bool))
         return cls(**found) if len(found) == len(stored) else None
 
     def tensors(self) -> dict[str, Tensor]:
@@ -89,8 +80,6 @@ class RestorationLimit:
     def apply(self, cloud: GaussianCloud, water: float = 0.0) -> GaussianCloud:
         """Return the cloud with the likely colors, which change with direction as far as they are certain.
 
-        What shows nothing but open water is hidden.
-
         Through all of the water the colors as trained are right, as they were compared with the photos through it.
         Through a fraction w of it, errors of colors count as 1 - w of what they are without water.
 
@@ -105,8 +94,7 @@ class RestorationLimit:
         left = (1 - water) ** 2
         certain = confidence / (confidence + left * (1 - confidence))
         sh0 = torch.lerp((color - 0.5) / C0, cloud.sh0, certain * (1 - left))
-        opacity_logits = cloud.opacity_logits.masked_fill(self.open_water.to(cloud.means.device), HIDDEN_LOGIT)
-        return replace(cloud, sh0=sh0, shN=certain * cloud.shN, opacity_logits=opacity_logits)
+        return replace(cloud, sh0=sh0, shN=certain * cloud.shN)
 
 
 @dataclass
@@ -124,7 +112,6 @@ class LightSums:
         backscatter: Of weight * transmission * backscatter.
         optical_depth: Of weight * transmission^2 * (-log transmission).
         noise: Of weight * transmission^2 * variance of a pixel.
-        background: Of weight * transmission * light of open water.
     """
 
     weight: Tensor
@@ -133,7 +120,6 @@ class LightSums:
     backscatter: Tensor
     optical_depth: Tensor
     noise: Tensor
-    background: Tensor
 
     def add(
         self,
@@ -143,7 +129,6 @@ class LightSums:
         transmission: Tensor,
         backscatter: Tensor,
         variance: Tensor,
-        background: Tensor,
     ) -> None:
         """Add an image.
 
@@ -154,7 +139,6 @@ class LightSums:
             transmission: (M, 3) fraction of J in it; above 1 where a lamp is near.
             backscatter: (M, 3) the rest of it.
             variance: (M, 3) of a pixel of that light.
-            background: (M, 3) light of open water in the direction of each.
         """
         information = weight * transmission.square()
         self.weight[chosen] += weight
@@ -163,7 +147,6 @@ class LightSums:
         self.backscatter[chosen] += weight * transmission * backscatter
         self.optical_depth[chosen] -= information * transmission.clamp(LEAST, 1.0).log()
         self.noise[chosen] += information * variance
-        self.background[chosen] += weight * transmission * background
 
     def rows(self, chosen: Tensor) -> "LightSums":
         """Return the sums of the Gaussians where `chosen` (N,) is True."""
@@ -256,6 +239,7 @@ def restoration_limit(
     lamp: Lamp | None = None,
     backend: str = "auto",
     colors: SceneColors | None = None,
+    haze: Tensor | None = None,
 ) -> tuple[RestorationLimit, Tensor, SceneColors]:
     """Compute how far the images of a scene allow to restore the colors of Gaussians.
 
@@ -266,7 +250,8 @@ def restoration_limit(
         noise: Noise of the images.
         lamp: A lamp at the camera.
         backend: What computes, as in `kernels_for`.
-        colors: How the colors of the scene are distributed; found from the Gaussians without it.
+        colors: How the colors of the scene are distributed. Default: found from the Gaussians.
+        haze: (N,) how sure it is that a Gaussian is open water (rendering/haze.py). Default: none is.
 
     Returns:
         The limit, the fraction (3,) of what the images show of the Gaussians whose red, green and blue have a
@@ -283,18 +268,14 @@ def restoration_limit(
         offsets = cloud.means[shown] - torch.from_numpy(camera.centre).to(color)
         transmission, backscatter = transmission_and_backscatter(offsets, medium, lamp, backend)
         light = transmission * J[shown] + backscatter
-        background = medium.background_light(offsets / offsets.norm(dim=1, keepdim=True).clamp(min=LEAST))
-        sums.add(shown, weight[shown], light, transmission, backscatter, noise.variance(light), background)
-    known, everything = colors, torch.ones_like(sums.weight[:, 0], dtype=torch.bool)
-    colors = known or colors_of(J, sums, everything)
-    water = open_water_gaussians(J, sums, colors) if medium.background_sh is not None else ~everything
-    if water.any():
-        colors = known or colors_of(J, sums, ~water)
+        sums.add(shown, weight[shown], light, transmission, backscatter, noise.variance(light))
+    surface = torch.ones_like(sums.weight[:, 0], dtype=torch.bool) if haze is None else haze.to(J) < HAZE_FROM
+    colors = colors or colors_of(J, sums, surface)
     signal = colors.signal.to(J)
-    confidence, surfaces = sums.confidence(signal), sums.weight * ~water[:, None]
+    confidence, surfaces = sums.confidence(signal), sums.weight * surface[:, None]
     likely = to_display(likely_light(J, sums.error(signal), colors))
     restored = (surfaces * (confidence >= RESTORED_FROM)).sum(0) / surfaces.sum(0).clamp(min=LEAST)
-    limit = RestorationLimit(confidence, torch.where(sums.weight > 0, likely, color), water)
+    limit = RestorationLimit(confidence, torch.where(sums.weight > 0, likely, color))
     return limit, restored, colors
 
 
@@ -312,40 +293,6 @@ def colors_of(J: Tensor, sums: LightSums, chosen: Tensor) -> SceneColors:
     light, some = J[chosen], sums.rows(chosen)
     signal = some.signal(light)
     return scene_colors(light, some.error(signal), some.weight[:, 0], signal)
-
-
-def open_water_gaussians(J: Tensor, sums: LightSums, colors: SceneColors) -> Tensor:
-    """Find the Gaussians that show nothing but open water.
-
-    What arrives from them is the background light in every image. A surface looks so by chance where the color of its
-    restored light is J* = sum(weight * transmission * (background - backscatter)) / information. The likelihood of
-    J - J* as an error of open water is compared with that of a surface, whose colors are distributed as the scene's.
-    Where no light of a surface arrives, both are the same, and nothing is taken for open water.
-
-    Args:
-        J: (N, 3) linear light.
-        sums: Sums of the Gaussians.
-        colors: How the scene's colors are distributed.
-
-    Returns:
-        (N,) bool.
-    """
-    information = sums.information.double().clamp(min=LEAST)
-    as_water = (sums.background - sums.backscatter).double() / information
-    depth = sums.optical_depth.double() / information
-    noise = sums.noise.double() / information.square()
-    error = (noise + (OPEN_WATER_ERROR * sums.background.double() / information).square()).clamp(LEAST, MOST_ERROR)
-    mean, covariance = colors.mean.to(error.device), colors.covariance.to(error.device)
-    beyond = (ATTENUATION_ERROR * depth * (mean - as_water)).square().clamp(max=MOST_ERROR)
-    water = _log_likelihood(J.double() - as_water, torch.diag_embed(error))
-    surface = _log_likelihood(J.double() - mean, covariance + torch.diag_embed(error + beyond))
-    return (water - surface > OPEN_WATER_LOG_RATIO) & (sums.information > LEAST).all(1)
-
-
-def _log_likelihood(differences: Tensor, covariances: Tensor) -> Tensor:
-    """Return the log of normal densities (N,), up to a constant, of differences (N, 3) from the mean."""
-    scaled = torch.linalg.solve(covariances, differences)
-    return -0.5 * (torch.logdet(covariances) + (differences * scaled).sum(-1))
 
 
 def scene_colors(J: Tensor, error: Tensor, weight: Tensor, signal: Tensor) -> SceneColors:
@@ -433,14 +380,6 @@ def describe_restored(restored: Tensor) -> str:
         f"Too far away to be restored: {', '.join(parts)} of what the photos show. The color "
         "that is most likely in this scene takes its place."
     )
-
-
-def describe_open_water(limit: RestorationLimit) -> str:
-    """Return a sentence for the user on Gaussians that are hidden without water; empty if none are."""
-    count = int(limit.open_water.sum())
-    if not count:
-        return ""
-    return f"Splats not shown without water, because they look like open water in all photos: {count:,}."
 
 
 @torch.no_grad()

@@ -11,12 +11,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import torch
+from torch import Tensor
 
 from ..base.transfer import linear_to_srgb, srgb_to_linear
 from ..evidence.noise import MAD_TO_SD, Noise
 from ..gaussians.contributions import contribution_sums
 from ..scene.cameras import Camera
 from ..scene.images import TrainingImage
+from .haze import without_haze
 from .model import SceneModel
 from .photo_terms import uniform_image
 from .render import Picture, render
@@ -48,7 +50,13 @@ LEAST_WEIGHT = 1e-6
 
 @torch.no_grad()
 def restored_photo(
-    model: SceneModel, limit: RestorationLimit | None, image: TrainingImage, noise: Noise, sh_degree: int
+    model: SceneModel,
+    limit: RestorationLimit | None,
+    image: TrainingImage,
+    noise: Noise,
+    sh_degree: int,
+    haze: Tensor | None = None,
+    haze_shown: float = 0.0,
 ) -> np.ndarray:
     """Remove water, lamp and photo effects from a photo.
 
@@ -58,12 +66,15 @@ def restored_photo(
         image: The photo, which need not be one that was trained on.
         noise: Its noise.
         sh_degree: Degree of the Gaussians' colors.
+        haze: (N,) how sure it is that a Gaussian is open water (rendering/haze.py). Default: none is.
+        haze_shown: Fraction of the haze that is shown, 0..1.
 
     Returns:
         Linear light (H, W, 3) of the surfaces, at least 0. Pixels that are not valid, and places where hardly any light
         of a surface arrives, are as rendered.
     """
     limited = limit.apply(model.cloud) if limit else model.cloud
+    limited = without_haze(limited, haze, haze_shown)
     seen = render(limited, image.camera, sh_degree, model.effects.medium, amount=0)
     return _corrected(seen, model, image, noise, sh_degree)
 
@@ -165,7 +176,12 @@ def photos_to_fit(photos: Sequence[TrainingImage]) -> Sequence[TrainingImage]:
 
 @torch.no_grad()
 def fit_to_photos(
-    model: SceneModel, limit: RestorationLimit, images: Iterable[TrainingImage], noise: Noise, sh_degree: int
+    model: SceneModel,
+    limit: RestorationLimit,
+    images: Iterable[TrainingImage],
+    noise: Noise,
+    sh_degree: int,
+    haze: Tensor | None = None,
 ) -> RestorationLimit:
     """Fit limited colors to the restored photos, by one step of simultaneous iterative reconstruction (Gilbert 1972).
 
@@ -179,13 +195,14 @@ def fit_to_photos(
         images: Photos that were trained on, as `photos_to_fit` chooses them.
         noise: Their noise.
         sh_degree: Degree of the Gaussians' colors.
+        haze: (N,) how sure it is that a Gaussian is open water (rendering/haze.py). Default: none is.
 
     Returns:
         The limit with each color changed by the mean difference, in display values, of restored photos and renders over
         the pixels that show it.
     """
     cloud = model.cloud
-    limited = limit.apply(cloud)
+    limited = without_haze(limit.apply(cloud), haze)
     sums = cloud.means.new_zeros(len(cloud), 4)
     for full in images:
         image = full.resized(min(full.camera.width, WIDTH))
@@ -193,7 +210,7 @@ def fit_to_photos(
         restored = torch.from_numpy(linear_to_srgb(_corrected(seen, model, image, noise, sh_degree))).to(seen.color)
         valid = torch.from_numpy(image.valid).to(seen.color)[..., None]
         difference = (restored - seen.color.clamp(min=0)) * valid
-        sums += contribution_sums(cloud, image.camera, torch.cat([difference, valid], -1))
+        sums += contribution_sums(limited, image.camera, torch.cat([difference, valid], -1))
     return replace(limit, color=limit.color + sums[:, :3] / sums[:, 3:].clamp(min=LEAST_WEIGHT))
 
 

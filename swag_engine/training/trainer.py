@@ -31,12 +31,12 @@ from ..gaussians.init import gaussians_from_points
 from ..kernels.backends import KERNELS, device_for
 from ..kernels.webgpu import WebGpuKernels
 from ..planning.plan import write_plan
+from ..rendering.haze import describe_haze, haze_score, without_haze
 from ..rendering.model import SceneModel
 from ..rendering.restoration import (
     CONFIDENCE,
     WIDTH,
     RestorationLimit,
-    describe_open_water,
     describe_restored,
     restoration_limit,
 )
@@ -47,6 +47,7 @@ from ..scene.images import TrainingImage
 from ..semantics.embed import DIMENSIONS
 from ..settings.jerlov import water_of_type
 from ..settings.settings import TrainSettings
+from ..splats.haze import HAZE
 from ..water.medium import MAX_DEGREE, Medium
 from .checkpoint import load_checkpoint, save_checkpoint
 from .densification import Densification
@@ -351,10 +352,10 @@ class Trainer:
         self.state.synchronize()
         self.guard.check_result(self.state.guarded, self.state.optimizer)
         self.save()  # before anything that takes long: whoever stops a run may not wait for it
-        limit = none_if_out_of_memory(self._restoration_limit) if self._restores else None
-        if limit:
-            self.save(limit)
-        return self._finish(loss, interrupted, limit)
+        haze = none_if_out_of_memory(self._haze)
+        limit = none_if_out_of_memory(lambda: self._restoration_limit(haze)) if self._restores else None
+        self.save(limit, haze)
+        return self._finish(loss, interrupted, limit, haze)
 
     def iterate(self) -> float:
         """Make one iteration and return its loss; one that runs out of memory is abandoned and the run reduced.
@@ -603,7 +604,14 @@ class Trainer:
         medium = self.state.effects.medium
         return isinstance(medium, Medium) and medium.light == "linear"
 
-    def _restoration_limit(self) -> RestorationLimit:
+    def _haze(self) -> torch.Tensor:
+        state, inputs = self.state, self.inputs
+        model = SceneModel(state.cloud, state.effects)
+        score = haze_score(model, inputs.training, inputs.scene, inputs.settings.backend)
+        self.notes += filter(None, [describe_haze(score)])
+        return score
+
+    def _restoration_limit(self, haze: torch.Tensor | None) -> RestorationLimit:
         state, inputs = self.state, self.inputs
         medium = state.effects.medium
         assert isinstance(medium, Medium)
@@ -611,20 +619,25 @@ class Trainer:
         colors = self.whole.colors if self.whole else None
         cameras = [image.camera for image in inputs.training]
         limit, restored, _ = restoration_limit(
-            state.cloud, cameras, medium, noise, state.effects.lamp, inputs.settings.backend, colors
+            state.cloud, cameras, medium, noise, state.effects.lamp, inputs.settings.backend, colors, haze
         )
-        self.notes += filter(None, [describe_restored(restored), describe_open_water(limit)])
+        self.notes += filter(None, [describe_restored(restored)])
         static = map(state.motion.static_pixels, photos_to_fit(inputs.training))
-        return fit_to_photos(SceneModel(state.cloud, state.effects), limit, static, noise, inputs.settings.sh_degree)
+        model = SceneModel(state.cloud, state.effects)
+        return fit_to_photos(model, limit, static, noise, inputs.settings.sh_degree, haze)
 
-    def _finish(self, loss: float, interrupted: bool, limit: RestorationLimit | None) -> Event:
+    def _finish(
+        self, loss: float, interrupted: bool, limit: RestorationLimit | None, haze: torch.Tensor | None
+    ) -> Event:
         """Write results and figures; return the `result` event."""
         state, inputs = self.state, self.inputs
         seconds, dropped = self.pacer.seconds, state.dropout
         if inputs.validation and state.iteration:
             self._validate(loss)
-        cloud = limit.apply(state.cloud) if limit else state.cloud
+        cloud = without_haze(limit.apply(state.cloud) if limit else state.cloud, haze)
         splats = cloud.rows(slice(state.free_count)).to_splats()
+        if haze is not None and haze.any():
+            splats.extras[HAZE] = to_numpy(haze[: state.free_count])
         if limit:
             splats.extras[CONFIDENCE] = to_numpy(limit.least_confidence[: state.free_count])
         if self.guidance:
@@ -686,17 +699,19 @@ class Trainer:
 
     # -- checkpoints --------------------------------------------------------------------------------------------------
 
-    def save(self, limit: RestorationLimit | None = None) -> None:
+    def save(self, limit: RestorationLimit | None = None, haze: torch.Tensor | None = None) -> None:
         """Write a checkpoint of the run.
 
         Args:
             limit: Limit of the restored colors, at the end of a run. It is beside the Gaussians and not applied to
                 them, so that the run can continue.
+            haze: (N,) how sure it is that a Gaussian is open water, at the end of a run.
         """
         state = self.state
         state.seconds, state.budget_spent = self.pacer.seconds, self.pacer.budget_spent
         tensors, stored = state.to_checkpoint()
-        path = save_checkpoint(self.run.path, state.iteration, tensors | (limit.tensors() if limit else {}), stored)
+        found = (limit.tensors() if limit else {}) | ({} if haze is None else {HAZE: haze.cpu()})
+        path = save_checkpoint(self.run.path, state.iteration, tensors | found, stored)
         self.on_event({"event": "checkpoint", "path": str(path)})
 
     def resume(self, longer: bool = False) -> None:

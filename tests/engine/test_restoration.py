@@ -13,7 +13,7 @@ from swag_engine.evidence.noise import LEAST_OFFSET, LEAST_SLOPE, Noise, estimat
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.gaussians.densify import PER_GAUSSIAN
 from swag_engine.kernels.reference.harmonics import C0
-from swag_engine.kernels.reference.transfer import to_display, to_light
+from swag_engine.kernels.reference.transfer import to_light
 from swag_engine.rendering.render import render
 from swag_engine.rendering.restoration import (
     ATTENUATION_ERROR,
@@ -29,7 +29,7 @@ from swag_engine.rendering.restoration import (
 )
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.images import TrainingImage
-from swag_engine.water.medium import Medium, without_water
+from swag_engine.water.medium import Medium
 
 CAMERA = Camera("a.jpg", 96, 32, 48.0, 48.0, 48.0, 16.0, np.eye(4))
 NOISE = Noise(np.full(3, LEAST_OFFSET), np.full(3, LEAST_SLOPE), np.zeros(3))
@@ -129,7 +129,7 @@ def test_confidence_is_the_wiener_weight_of_the_least_squares_solution():
     variance = 1e-3 + 1e-2 * light
     sums = LightSums(*(torch.zeros(n, 3, dtype=torch.float64) for _ in fields(LightSums)))
     for view in range(views):
-        seen = (torch.from_numpy(values[view]) for values in (weight, light, T, back, variance, back))
+        seen = (torch.from_numpy(values[view]) for values in (weight, light, T, back, variance))
         sums.add(torch.arange(n), *seen)
 
     def solve(seen):
@@ -299,14 +299,11 @@ def test_parts_of_a_scene_are_limited_alike_by_the_colors_of_the_whole():
 def test_a_limit_is_kept_in_a_checkpoint():
     cloud = row_of_gaussians()
     count = len(cloud)
-    limit = RestorationLimit(torch.rand(count, 3), torch.rand(count, 3), torch.arange(count) % 2 == 0)
+    limit = RestorationLimit(torch.rand(count, 3), torch.rand(count, 3))
     stored = limit.tensors() | cloud.parameters()
     read = RestorationLimit.from_checkpoint(stored)
     assert torch.equal(read.confidence, limit.confidence) and torch.equal(read.color, limit.color)
-    assert torch.equal(read.open_water, limit.open_water)
     assert RestorationLimit.from_checkpoint(cloud.parameters()) is None
-    del stored["restoration.open_water"]  # as in runs of earlier versions
-    assert not RestorationLimit.from_checkpoint(stored).open_water.any()
 
 
 def test_the_map_shows_confidence_where_gaussians_are():
@@ -321,41 +318,3 @@ def test_the_user_is_told_what_cannot_be_restored():
         "Too far away to be restored: red in 17%, green in 1% of what the photos show."
     )
     assert describe_restored(torch.tensor([0.996, 1.0, 1.0])) == ""
-
-
-# Open water -----------------------------------------------------------------------------------------------------------
-
-
-def fog_and_surfaces(ranges):
-    """Gaussians of open water's look at these ranges, between twice as many surfaces of all colors near by."""
-    count, random = len(ranges), np.random.default_rng(1)
-    distances = torch.tensor(ranges).float()
-    background = to_display(BLUE.background_light(torch.tensor([[0.0, 0.0, 1.0]])))
-    fog = without_water(background.expand(count, 3), distances, BLUE).numpy()
-    colors = np.concatenate([fog, random.random((2 * count, 3))])
-    everywhere = np.concatenate([ranges, random.uniform(1, 4, 2 * count)])
-    cloud = row_of_gaussians(colors, everywhere)
-    cloud.shN *= 0
-    return cloud, restoration_limit(cloud, [CAMERA, CAMERA.resized(80)], BLUE, NOISE)[0]
-
-
-def test_gaussians_that_look_like_open_water_are_hidden_without_water():
-    cloud, limit = fog_and_surfaces([4.0, 5.0, 6.0])
-    assert limit.open_water.tolist() == [True] * 3 + [False] * 6
-    shown = limit.apply(cloud)
-    assert shown.opacities[:3].max() < 1e-6 and torch.equal(shown.opacities[3:], cloud.opacities[3:])
-    assert torch.equal(limit.apply(cloud, 1).opacities, cloud.opacities)
-    before, after = (render(of, CAMERA, 1, BLUE).color for of in (cloud, shown))
-    assert (before - after).abs().max() < 0.02, "through the water nothing changes"
-
-
-def test_far_surfaces_that_no_light_reaches_the_camera_from_are_not_taken_for_open_water():
-    assert not fog_and_surfaces([40.0, 60.0, 80.0])[1].open_water.any()
-
-
-def test_without_backscatter_a_black_surface_is_not_open_water():
-    medium = Medium(BLUE.attenuation, None, None, BLUE.unit_range)
-    colors = np.random.default_rng(1).random((9, 3))
-    colors[:3] = 0
-    cloud = row_of_gaussians(colors, np.linspace(1, 4, 9))
-    assert not restoration_limit(cloud, [CAMERA], medium, NOISE)[0].open_water.any()

@@ -121,7 +121,7 @@ def wall() -> tuple[SceneModel, TrainingImage, RestorationLimit]:
     model = SceneModel(cloud, SceneEffects({"medium": WATER}))
     pixels = (255 * render(cloud, CAMERA, 0, WATER).color).round().clamp(0, 255).byte().numpy()
     wrong = torch.from_numpy(display.reshape(-1, 3)).float() + torch.tensor([0.2, 0.1, -0.15])
-    limit = RestorationLimit(torch.ones(len(cloud), 3), wrong, torch.zeros(len(cloud), dtype=torch.bool))
+    limit = RestorationLimit(torch.ones(len(cloud), 3), wrong)
     return model, TrainingImage(CAMERA, pixels, np.ones(pixels.shape[:2], bool)), limit
 
 

@@ -28,6 +28,7 @@ from swag_engine.scene.images import load_images
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.splats.develop_splats import bake_development
 from swag_engine.splats.development import NO_DEVELOPMENT, Development
+from swag_engine.splats.haze import MOST_HAZE, with_haze
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.trainer import make_trainer, train
 from swag_engine.water.medium import Medium
@@ -92,8 +93,42 @@ def test_the_result_has_limited_colors_and_their_confidence_and_the_checkpoint_t
     trained = load_checkpoint(runs / "swag")[0]["cloud.sh0"]
     changed = (loaded.cloud.sh0 - trained).abs().amax((1, 2)).numpy()
     assert 0 < 2 * np.median(changed[confidence > 0.99]) < np.quantile(changed[confidence < 0.97], 0.9)
-    assert read_glb(runs / "swag" / "result.glb").extras.keys() == {"confidence"}
+    assert read_glb(runs / "swag" / "result.glb").extras.keys() == {"confidence", "haze"}
     assert torch.equal(loaded.through(1).sh0, trained) and torch.equal(loaded.through(0).sh0, loaded.cloud.sh0)
+
+
+def test_the_result_hides_open_water_and_keeps_how_to_show_it(runs):
+    splats, loaded = read_ply(runs / "swag" / "result.ply"), load_run(runs / "swag")
+    trained = load_checkpoint(runs / "swag")[0]["cloud.opacity_logits"]
+    score = splats.extras["haze"]
+    assert 0 < (score > 0.5).sum() < 0.2 * len(score) and score.min() >= 0
+    assert score.max() <= np.float32(MOST_HAZE)
+    assert torch.equal(loaded.through(1).opacity_logits, trained)
+    torch.testing.assert_close(loaded.through(0, 1).opacities, trained.sigmoid())
+    np.testing.assert_allclose(splats.opacities, (1 - score) * trained.sigmoid().numpy(), rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(with_haze(splats, 1).opacities, trained.sigmoid().numpy(), rtol=1e-3, atol=1e-6)
+    assert any(
+        "look like open water" in note for note in json.loads((runs / "swag" / "metrics.json").read_text())["notes"]
+    )
+
+
+def test_exports_and_renders_show_as_much_haze_as_is_asked_for(runs, tmp_path):
+    def alpha_of_haze(**options):
+        export_run(runs / "swag", "ply", tmp_path / "out.ply", ExportOptions(develop="none", **options))
+        return read_ply(tmp_path / "out.ply").opacities
+
+    trained = load_run(runs / "swag").trained.opacities.numpy()
+    clean, half, full = alpha_of_haze(), alpha_of_haze(haze=0.5), alpha_of_haze(haze=1.0)
+    np.testing.assert_allclose(full, trained, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(half, 0.5 * (clean + trained), rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(alpha_of_haze(water=1.0), trained, rtol=1e-3, atol=1e-6)
+    pictures = [
+        cv2.imread(str(render_run(runs / "swag", tmp_path / f"{haze}", "reef_000.jpg", 0.0, haze=haze)[0])).mean()
+        for haze in (0.0, 0.5, 1.0)
+    ]
+    assert pictures[0] + 0.5 < pictures[1] < pictures[2] - 0.5, "haze is brighter than the black behind it"
+    with pytest.raises(InputError, match="haze must be from 0 to 1"):
+        render_run(runs / "swag", tmp_path, None, haze=2)
 
 
 def test_the_report_maps_the_confidence(runs):
@@ -104,7 +139,7 @@ def test_the_report_maps_the_confidence(runs):
 def test_without_water_no_color_is_limited(runs):
     splats, trained = read_ply(runs / "3dgs" / "result.ply"), load_checkpoint(runs / "3dgs")[0]
     np.testing.assert_array_equal(splats.sh[:, 0], trained["cloud.sh0"][:, 0].numpy())
-    assert not splats.extras and load_run(runs / "3dgs").confidence is None
+    assert splats.extras.keys() == {"haze"} and load_run(runs / "3dgs").confidence is None
     assert "Confidence" not in write_report(runs / "3dgs").read_text()
 
 
