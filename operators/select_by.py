@@ -43,7 +43,7 @@ class SWAG_OT_select_by(SplatsOperator):
     fraction: Annotated[
         float,
         FloatProperty(
-            name="Threshold", description="Opacity or difference of color to compare with", subtype="FACTOR",
+            name="Threshold", description="Opacity, difference of color or certainty to compare with", subtype="FACTOR",
             default=0.1, min=0, max=1,
         ),
     ]  # fmt: skip
@@ -62,6 +62,8 @@ class SWAG_OT_select_by(SplatsOperator):
         obj = edited_objects(context)[0]
         if self.kind in similar_splats.LENGTHS and not self.properties.is_property_set("length"):
             self.length = similar_splats.usual_length(context, obj, self.kind)
+        if self.kind == "HAZE" and not self.properties.is_property_set("fraction"):
+            self.fraction = 0.5
         if self.kind == "COLOR" and not self.properties.is_property_set("color"):
             self.color = similar_splats.selected_color(obj)
         if self.kind == "LABEL" and not self.label:

@@ -213,7 +213,7 @@ def _path_frame(
     in_world = camera_of(camera, context.evaluated_depsgraph_get(), *render_size(scene))
     into_source = np.linalg.inv(_matrix(context, objects[0]))
     named = replace(transform_camera(in_world, into_source), name=f"{number:04d}")
-    return PathFrame(named, swag_of(scene).water)
+    return PathFrame(named, swag_of(scene).water, swag_of(scene).haze)
 
 
 def _placements(context: bpy.types.Context, objects: list[bpy.types.Object]) -> list[np.ndarray]:

@@ -208,6 +208,19 @@ class SwagScene(PropertyGroup):
         ),
     ]
 
+    haze: Annotated[
+        float,
+        FloatProperty(
+            name="Haze",
+            description="Fraction of the splats in open water that is shown: 0 none, 1 as trained. At least as much is "
+            "shown as of the water",
+            min=0.0,
+            max=1.0,
+            subtype="FACTOR",
+            update=lambda self, context: self.id_data.update_tag(),
+        ),
+    ]
+
     result_ply: Annotated[str, StringProperty(name="Result", description="Splats of the last run", subtype="FILE_PATH")]
     result_gaussians: Annotated[int, IntProperty(name="Gaussians")]
     result_psnr: Annotated[float, FloatProperty(name="PSNR", description="PSNR on held-out photos, in dB")]

@@ -6,7 +6,7 @@ import bpy
 
 from . import colors
 from .blender_types import present
-from .properties import status_of
+from .properties import status_of, swag_of
 from .run_list import photographed_run, shown_run
 from .sidebar import SwagPanel, draw_job, draw_outcome
 
@@ -24,7 +24,8 @@ def request(scene: bpy.types.Scene, obj: bpy.types.Object) -> dict[str, Any]:
     """
     run = photographed_run(obj)
     shown = colors.color_view(scene, obj).to_json()
-    return {"request": "restore", "run": str(run), "out": str(run / FOLDER), "colors": shown}
+    haze = swag_of(scene).haze
+    return {"request": "restore", "run": str(run), "out": str(run / FOLDER), "colors": shown, "haze": haze}
 
 
 class SWAG_PT_restored_photos(SwagPanel):

@@ -11,10 +11,12 @@ from ..swag_engine.base.errors import InputError
 from . import labels, scene_import, splat_selection
 from .blender_types import present
 from .cameras import cameras_of
+from .nodes.splat_preview import HAZE_SCORE
 
 KINDS: Any = [
     ("SIZE", "Size", "By the largest standard deviation of the splat"),
     ("OPACITY", "Opacity", "By the opacity of the splat"),
+    ("HAZE", "Open Water", "By how sure it is that the splat is open water; the slider Haze shows such splats"),
     ("COLOR", "Color", "By the difference from a color"),
     ("LABEL", "Label Name", "By the name of the label"),
     ("CAMERA", "Distance to Camera", "By the distance to the nearest camera of the photos"),
@@ -173,7 +175,7 @@ def find(
         context: of the scene whose cameras count.
         obj: a splat object.
         kind: one of KINDS.
-        threshold: a length in Blender units, or a fraction 0..1 for "OPACITY" and "COLOR".
+        threshold: a length in Blender units, or a fraction 0..1 for "OPACITY", "HAZE" and "COLOR".
         above: whether values above the threshold fit, else those below, for "SIZE", "OPACITY" and "CAMERA".
         color: sRGB values (3,) 0..1, for "COLOR".
         label: words in the label's name, for "LABEL".
@@ -188,10 +190,18 @@ def find(
     if kind == "OTHERS":
         return apart(splat_selection.world_positions(obj), threshold)
     values = _values(context, obj, kind)
-    return values > threshold if above else values < threshold
+    return values > threshold if above or kind == "HAZE" else values < threshold
 
 
 def _values(context: bpy.types.Context, obj: bpy.types.Object, kind: str) -> np.ndarray:
+    if kind == "HAZE":
+        score = labels.attribute(obj, HAZE_SCORE)
+        if score is None:
+            raise InputError(
+                f"No open water was found among the splats of {obj.name}: its photos show none, or it was trained by "
+                "an earlier version. Select such splats by hand."
+            )
+        return score
     if kind == "SIZE":
         return splat_selection.world_sizes(obj).max(axis=1)
     return splat_selection.opacities(obj) if kind == "OPACITY" else camera_distances(context, obj)
@@ -202,6 +212,7 @@ def properties_of(kind: str) -> tuple[str, ...]:
     return {
         "SIZE": ("side", "length"),
         "OPACITY": ("side", "fraction"),
+        "HAZE": ("fraction",),
         "COLOR": ("color", "fraction"),
         "LABEL": ("label",),
         "CAMERA": ("side", "length"),

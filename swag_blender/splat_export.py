@@ -21,6 +21,7 @@ from ..swag_engine.scene.cameras import Camera
 from ..swag_engine.scene.georeference import Placement
 from ..swag_engine.settings.field import settings_of
 from ..swag_engine.splats.develop_splats import bake_development, name_development
+from ..swag_engine.splats.haze import with_haze
 from ..swag_engine.splats.splats import Splats, concatenate
 from ..swag_engine.splats.transform import rotation_to_y_up, transformed
 from . import colors, scene_import, splats
@@ -31,6 +32,7 @@ from .labels import labels_of
 from .runs import RUN_KEY, water_run
 from .setting_property import setting_property, texts_of
 from .splat_parts import part_of
+from .water import shown_haze
 
 FRAMES = {
     "UPRIGHT": splats.FILE_FRAME,
@@ -196,6 +198,7 @@ def _selected_splats(
         box = _bounding_box(context, settings.crop_object) @ placement if settings.crop_object else None
         selection = SplatSelection(labels, box, options.min_opacity, options.sh_degree, options.extras)
         part = part_of(obj, placement, settings.part)
+        part = with_haze(part, shown_haze(present(context.scene), options.water))
         found |= bool(len(part))
         yield obj, placement, selection.apply(part)
     if not found:

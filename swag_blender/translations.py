@@ -433,6 +433,16 @@ GERMAN = {
     "Fraction of the fitted water that is shown: 0 none, 1 as photographed; it can be animated": (
         "Anteil des angepassten Wassers, der gezeigt wird: 0 keins, 1 wie fotografiert; er lässt sich animieren"
     ),
+    "Haze": "Trübung",
+    "Fraction of the splats in open water that is shown: 0 none, 1 as trained. At least as much is shown as of the "
+    "water": (
+        "Anteil der Splats im freien Wasser, der gezeigt wird: 0 keine, 1 wie trainiert. Es wird mindestens so viel "
+        "gezeigt wie vom Wasser"
+    ),
+    "Open Water": "Freies Wasser",
+    "By how sure it is that the splat is open water; the slider Haze shows such splats": (
+        "Danach, wie sicher der Splat freies Wasser ist; der Regler Trübung zeigt solche Splats"
+    ),
     "From Selection": "Aus Auswahl",
     "Give every splat of the run a label: from your masks, from words or from salient regions": (
         "Jedem Splat des Laufs ein Etikett geben: aus eigenen Masken, aus Worten oder aus auffälligen Bereichen"
@@ -696,7 +706,9 @@ GERMAN = {
         "Objekt, dessen Kasten begrenzt, welche Splats gezeigt, gerendert und exportiert werden"
     ),
     "Opacity": "Deckkraft",
-    "Opacity or difference of color to compare with": "Deckkraft oder Farbunterschied, mit dem verglichen wird",
+    "Opacity, difference of color or certainty to compare with": (
+        "Deckkraft, Farbunterschied oder Sicherheit, mit der verglichen wird"
+    ),
     "PSNR Without Selection": "PSNR ohne Auswahl",
     "Paint over splats; wheel: size, Shift: extend, Ctrl: subtract, Escape or Enter: finish": (
         "Über Splats malen; Mausrad: Größe, Umschalt: erweitern, Strg: abziehen, Escape oder Enter: fertig"

@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import bpy
 
+from ..swag_engine.splats.haze import haze_amount
 from . import splats
 from .blender_types import present, set_button
 from .nodes import splat_colors, splat_preview, water_shader
@@ -46,13 +47,22 @@ def remember_water(obj: bpy.types.Object, water: dict[str, Any] | None, metres_p
 
 
 def follow_slider(obj: bpy.types.Object) -> None:
-    """Let the slider of its scene drive the amount of water in the preview of a splat object that has water."""
-    path = splat_preview.input_path(obj, splat_colors.WATER)
-    if path and obj.get(KEY) is None:
-        obj.driver_remove(path)
-        splat_preview.set_input(obj, splat_colors.WATER, 0.0)
-    elif path and obj.users_scene:
-        water_shader.drive(obj, path, obj.users_scene[0])
+    """Let the sliders of its scene drive the amounts of water and haze in the preview of a splat object."""
+    for name, slider in ((splat_colors.WATER, "swag.water"), (splat_colors.HAZE, "swag.haze")):
+        path = splat_preview.input_path(obj, name)
+        if path and obj.users_scene:
+            water_shader.drive(obj, path, obj.users_scene[0], slider=slider)
+
+
+def shown_haze(scene: bpy.types.Scene, water: float | None = None) -> float:
+    """Fraction of the haze in open water that is shown, 0..1.
+
+    Args:
+        scene: its sliders count.
+        water: fraction of the water that is shown; by default that of the slider.
+    """
+    swag = swag_of(scene)
+    return haze_amount(swag.water if water is None else water, swag.haze)
 
 
 def water_of(obj: bpy.types.Object | None) -> WaterValues | None:
@@ -103,6 +113,13 @@ def _materials(objects: Iterable[bpy.types.Object]) -> set[bpy.types.Material]:
     return {slot.material for obj in objects for slot in obj.material_slots if slot.material}
 
 
+def _draw_haze(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Draw the slider of the haze where splats have any."""
+    shown = [splats.pointcloud_of(obj) for obj in scene.objects if splats.is_splats(obj)]
+    if any(splat_preview.HAZE_SCORE in pointcloud.attributes for pointcloud in shown):
+        layout.prop(swag_of(scene), "haze", slider=True)
+
+
 class SWAG_PT_water(SwagPanel):
     """Panel of the fitted water: slider, coefficients, water for other objects."""
 
@@ -121,8 +138,10 @@ class SWAG_PT_water(SwagPanel):
                 present(context.region).width,
                 icon="INFO",
             )
+            _draw_haze(layout, scene)
         else:
             layout.prop(swag_of(scene), "water", slider=True)
+            _draw_haze(layout, scene)
             header, body = layout.panel("swag_water_values", default_closed=True)
             header.label(text="Water Values")
             if body is None:

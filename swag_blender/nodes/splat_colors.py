@@ -15,8 +15,9 @@ from typing import Any
 
 import bpy
 
+from ...swag_engine.splats import haze
 from ..blender_types import present
-from ..water_values import OF_DISPLAY, WaterValues
+from ..water_values import ATTENUATION, BACKSCATTER, OF_DISPLAY, WaterValues
 from .build import Field, add, add_input, add_socket, alpha, arranged, attribute, by_name, new_tree, stored, switch
 from .formulas import SH_0, Development, Water, by_channel, harmonics, mixed, to_display, to_light
 
@@ -25,9 +26,11 @@ BASE = "radiance:base"
 """Point attribute of the degree-0 coefficient (red, green, blue) and the opacity of each splat."""
 HIDDEN, TINT = "swag:hidden", "swag:tint"
 """Point attributes: splats that are not drawn, and linear light that is mixed in by its alpha (labels.py)."""
+HAZE_SCORE = f"swag:{haze.HAZE}"
+"""Point attribute: how sure it is that a splat is open water (swag_engine/splats/haze.py)."""
 SH_DEGREE = "SH Degree"
 DENSITY = "Viewport Density"
-WATER = "Water"
+WATER, HAZE = "Water", "Haze"
 CROP_BOX, CROP_HALF_EDGE = "Crop Box", "Crop Half Edge"
 DEVELOP = "Develop in Viewport"
 GAINS, CONTRAST = "Gains", "Contrast"
@@ -76,7 +79,7 @@ def node_group() -> bpy.types.NodeTree:
     for reason in (
         inputs[BLEND_DISPLAY],
         inputs[SH_DEGREE].math("LESS_THAN", _MAX_DEGREE),
-        inputs[WATER].math("GREATER_THAN", 0.0),
+        inputs[WATER].math("MAXIMUM", inputs[HAZE]).math("GREATER_THAN", 0.0),
         developed,
         Field(tints.outputs["Max"]).math("GREATER_THAN", 0.0),
     ):
@@ -84,7 +87,8 @@ def node_group() -> bpy.types.NodeTree:
     color = _color(tree, inputs, developed)
     # Blender converts the colors of its splats from sRGB to light.
     color = switch(tree, inputs[BLEND_DISPLAY], color, by_channel(tree, to_display, color), "VECTOR")
-    add(tree, "NodeGroupOutput", Geometry=switch(tree, for_camera, geometry, _with_color(tree, geometry, color)))
+    seen = _with_color(tree, geometry, color, _opacity(tree, inputs))
+    add(tree, "NodeGroupOutput", Geometry=switch(tree, for_camera, geometry, seen))
     arranged(tree)
     return tree
 
@@ -96,6 +100,8 @@ def add_inputs(tree: bpy.types.NodeTree) -> None:
     add_input(tree, DENSITY, "Float", text, 100.0, 0.0, 100.0).subtype = "PERCENTAGE"
     text = "Fraction of the water to show: 0 none, 1 as photographed"
     add_input(tree, WATER, "Float", text, 0.0, 0.0, 1.0).subtype = "FACTOR"
+    text = "Fraction of the haze in open water to show: 0 none, 1 as trained; at least that of the water is shown"
+    add_input(tree, HAZE, "Float", text, 0.0, 0.0, 1.0).subtype = "FACTOR"
     add_socket(tree, CROP_BOX, "Object").description = "Splats outside the box of this object are not drawn"
     add_input(tree, CROP_HALF_EDGE, "Float", "Half the edge of the crop box in its own space", 1.0, 0.0, 1e6)
     panel = present(tree.interface).new_panel("Water", default_closed=True)
@@ -186,7 +192,10 @@ def _through_water(tree: bpy.types.NodeTree, inputs: Mapping[str, Field], ray: F
 def _developed(tree: bpy.types.NodeTree, inputs: Mapping[str, Field], color: Field) -> Field:
     """Develop sRGB colors. Highlights are not rolled off: see bake_development in develop_splats.py of the engine."""
     rows = [inputs[name] for name in RESTORED_ROWS]
-    development = Development(inputs[WATER], rows, inputs[RESTORED_CONTRAST], inputs[GAINS], inputs[CONTRAST])
+    # Splats without water show none of it at any amount.
+    lengths = [inputs[name].vector("LENGTH", output="Value") for name in (ATTENUATION, BACKSCATTER)]
+    shown = inputs[WATER] * (lengths[0] + lengths[1]).math("GREATER_THAN", 0.0)
+    development = Development(shown, rows, inputs[RESTORED_CONTRAST], inputs[GAINS], inputs[CONTRAST])
     return by_channel(tree, to_display, development.apply(tree, by_channel(tree, to_light, color)))
 
 
@@ -195,10 +204,16 @@ def display_color(base: Field) -> Field:
     return base * SH_0 + (0.5, 0.5, 0.5)
 
 
-def _with_color(tree: bpy.types.NodeTree, geometry: Field, color: Field) -> Field:
+def _opacity(tree: bpy.types.NodeTree, inputs: Mapping[str, Field]) -> Field:
+    """The opacity with as much haze as is shown, as `haze.haze_gain` computes it."""
+    score, amount = attribute(tree, HAZE_SCORE, "FLOAT"), inputs[WATER].math("MAXIMUM", inputs[HAZE])
+    gain = (amount * score).math("DIVIDE", score * -1.0 + 1.0) + 1.0
+    return (alpha(tree, attribute(tree, BASE, "FLOAT_COLOR")) * gain).math("MINIMUM", 1.0)
+
+
+def _with_color(tree: bpy.types.NodeTree, geometry: Field, color: Field, opacity: Field) -> Field:
     """The splats with an sRGB color as their degree-0 coefficient, without other coefficients."""
     red, green, blue = ((color - (0.5, 0.5, 0.5)) * (1 / SH_0)).xyz()
-    opacity = alpha(tree, attribute(tree, BASE, "FLOAT_COLOR"))
     base = Field(add(tree, "FunctionNodeCombineColor", Red=red, Green=green, Blue=blue, Alpha=opacity).outputs["Color"])
     geometry = stored(tree, geometry, BASE, "FLOAT_COLOR", base)
     removed: Any = add(tree, "GeometryNodeRemoveAttribute", Geometry=geometry, Name="radiance:sh_*")

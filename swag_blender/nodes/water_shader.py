@@ -68,13 +68,13 @@ def free_group(values: WaterValues) -> bpy.types.NodeTree:
     return tree
 
 
-def drive(owner: bpy.types.ID, path: str, scene: bpy.types.Scene, index: int = -1) -> None:
-    """Let the slider `scene.swag.water` drive a property."""
+def drive(owner: bpy.types.ID, path: str, scene: bpy.types.Scene, index: int = -1, slider: str = "swag.water") -> None:
+    """Let a slider of the scene, by default `scene.swag.water`, drive a property."""
     driver = _new_driver(owner, path, index)
     variable = driver.variables.new()
     variable.targets[0].id_type = "SCENE"
     variable.targets[0].id = scene
-    variable.targets[0].data_path = "swag.water"
+    variable.targets[0].data_path = slider
 
 
 def add_water(material: bpy.types.Material, group: bpy.types.NodeTree) -> None:

@@ -297,6 +297,7 @@ def _object_texels(context: bpy.types.Context, shown: Sequence[Placement]) -> li
                 density=settings.density / 100,
                 water=own_water,
                 water_amount=amount if own_water else 0.0,
+                haze_amount=water.shown_haze(present(context.scene)),
                 pixel_size=splat_preview.pixel_size_of(one.obj),
                 # An instance is cropped as its object is.
                 crop=None if to_box is None else to_box @ np.array(one.obj.matrix_world, np.float64),

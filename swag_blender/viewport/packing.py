@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...swag_engine.splats.haze import HAZE
 from ...swag_engine.splats.splats import Splats
 from ..water_values import WaterValues
 
@@ -24,13 +25,15 @@ LARGEST_TINT_ALPHA = 0.99
 
 
 def geometry_texels(splats: Splats) -> np.ndarray:
-    """Position and opacity, covariance and its least eigenvalue in the object's own space, as (N, 3, 4) float32."""
+    """Position and opacity, covariance, its least eigenvalue and haze, in the object's own space: (N, 3, 4) float32."""
     texels = np.zeros((len(splats), GEOMETRY_TEXELS, 4), np.float32)
     texels[:, 0, :3] = splats.positions
     texels[:, 0, 3] = splats.opacities
     xx, xy, xz, yy, yz, zz = _covariances(splats.rotations, splats.scales)
     texels[:, 1] = np.stack([xx, xy, xz, yy], axis=1)
     texels[:, 2, :3] = np.stack([yz, zz, splats.scales.min(axis=1) ** 2], axis=1)
+    if HAZE in splats.extras:
+        texels[:, 2, 3] = splats.extras[HAZE]
     return texels
 
 
@@ -76,6 +79,7 @@ class ObjectTexels:
         density: Fraction of the splats to draw.
         water: The fitted water, None for none.
         water_amount: Fraction of it to show.
+        haze_amount: Fraction of the haze in open water to show.
         pixel_size: 1 / focal length in pixels of the training images, 0 where it is not known.
         crop: (4, 4) from the object's own space to one where kept splats are between -1 and 1; None for no crop box.
     """
@@ -85,6 +89,7 @@ class ObjectTexels:
     density: float = 1.0
     water: WaterValues | None = None
     water_amount: float = 0.0
+    haze_amount: float = 0.0
     pixel_size: float = 0.0
     crop: np.ndarray | None = None
 
@@ -95,7 +100,7 @@ class ObjectTexels:
         eye = np.linalg.inv(self.object_to_view.astype(np.float64))
         rows[3, :3] = eye[:3, 3]
         rows[4] = self.sh_degree, self.density, self.crop is not None, self.pixel_size
-        rows[5, :3] = eye[:3, 2] / np.linalg.norm(eye[:3, 2])
+        rows[5, :3], rows[5, 3] = eye[:3, 2] / np.linalg.norm(eye[:3, 2]), self.haze_amount
         if self.water is not None and self.water_amount > 0:
             rows[6, :3], rows[6, 3] = self.water.beta_D, self.water_amount
             rows[7, :3], rows[7, 3] = self.water.beta_B, self.water.display

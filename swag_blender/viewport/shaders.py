@@ -123,6 +123,8 @@ void main() {
   vec4 centre = texelFetch(geometry, first, 0);
   vec4 upper = texelFetch(geometry, texel(number * GEOMETRY + 1), 0);
   vec4 lower = texelFetch(geometry, texel(number * GEOMETRY + 2), 0);
+  /* As much haze as is shown: `haze_gain` in swag_engine/splats/haze.py. */
+  centre.w = min(centre.w * (1.0 + object_texel(object, 5).w * lower.w / (1.0 - lower.w)), 1.0);
   vec4 display = object_texel(object, 4);
   if (random(number) >= display.y || centre.w * 255.0 <= 1.0) { return; }
   if (display.z > 0.5) {

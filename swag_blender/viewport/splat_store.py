@@ -9,6 +9,7 @@ import bpy
 import gpu
 import numpy as np
 
+from ...swag_engine.splats.haze import HAZE
 from ...swag_engine.splats.splats import Splats
 from ..nodes.splat_colors import HIDDEN, TINT
 from ..splats import changes_of, has_other_modifiers, pointcloud_of, shown_pointcloud, splats_of
@@ -201,7 +202,8 @@ def _read(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> _Read:
         None if hidden is None else hidden[:, 0].astype(bool), _attribute(pointcloud, TINT, 4), len(found)
     )
     geometry = 0
-    for array in (found.positions, found.rotations, found.scales, found.opacities):
+    arrays = [found.positions, found.rotations, found.scales, found.opacities]
+    for array in arrays + ([found.extras[HAZE]] if HAZE in found.extras else []):
         geometry = zlib.crc32(array.tobytes(), geometry)
     checksums = (geometry, zlib.crc32(found.sh.tobytes()), zlib.crc32(states.tobytes()))
     return _Read(_identity(pointcloud_of(obj)), found, states, checksums)

@@ -46,6 +46,30 @@ def test_splats_and_open_water_equal_the_engines_image(blender, medium, tmp_path
     assert psnr(render, expected) > 55
 
 
+def test_as_much_haze_is_rendered_as_is_shown(blender, tmp_path):
+    """Files hold opacities without haze; Haze and Water bring those of the training back, as the engine does."""
+    arrays = heap()
+    haze = np.zeros(len(arrays["opacities"]), np.float32)
+    haze[::4] = np.random.default_rng(0).uniform(0.3, 0.995, len(haze[::4]))
+    trained = arrays["opacities"]
+    arrays["opacities"] = trained * (1 - haze)
+    np.savez(tmp_path / "heap.npz", **arrays)
+    np.save(tmp_path / "haze.npy", haze)
+    blender.run("water_objects.render_haze", tmp_path, WIDTH, HEIGHT, FOCAL)
+    images = np.load(tmp_path / "images.npz")
+    shown = {"none": 0.0, "half": 0.5, "all": 1.0, "water": 1.0}
+    for name, amount in shown.items():
+        opacities = arrays["opacities"] + amount * (trained - arrays["opacities"])
+        color, alpha = render_by_engine(arrays | {"opacities": opacities}, WIDTH, HEIGHT, FOCAL)
+        print(name, psnr(images[name][..., :3], color), psnr(images[name][..., 3], alpha))
+        assert min(psnr(images[name][..., :3], color), psnr(images[name][..., 3], alpha)) > 55
+    assert psnr(images["none"], images["all"]) < 30
+
+
+def test_exports_have_the_haze_that_is_seen_and_its_splats_can_be_selected(blender, tmp_path):
+    blender.run("water_objects.write_and_select_haze", tmp_path)
+
+
 @pytest.mark.main_version
 def test_objects_are_rendered_through_the_same_water(blender, medium, tmp_path):
     """A glowing and a lit wall, near and far: their light without water, taken through the engine's formula.

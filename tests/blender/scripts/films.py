@@ -199,7 +199,9 @@ def request_of_scene(out):
         camera.location.x = x
         camera.keyframe_insert("location", frame=number)
         scene.swag.water = (number - 1) / 2
+        scene.swag.haze = 1 - scene.swag.water
         scene.swag.keyframe_insert("water", frame=number)
+        scene.swag.keyframe_insert("haze", frame=number)
     scene.frame_start, scene.frame_end = 1, 3
     scene.frame_set(2)
     scene.swag_film.output, scene.render.film_transparent, scene.swag_film.depth = out, True, True
@@ -213,6 +215,7 @@ def request_of_scene(out):
     assert np.allclose(sent_water["beta_D"], medium["beta_D"]) and sent_water["light"] == "srgb"
     assert [frame.camera.name for frame in frames] == ["0001", "0002", "0003"]
     assert np.allclose([frame.water for frame in frames], [0, 0.5, 1], atol=0.01)
+    assert np.allclose([frame.haze for frame in frames], [1, 0.5, 0], atol=0.01)
     # The pixels are those of Blender's own projection.
     for number, frame in enumerate(frames, 1):
         scene.frame_set(number)

@@ -18,7 +18,9 @@ def texels():
     made = random_splats(200, 16)
     found = packing.geometry_texels(made)
     assert found.shape == (200, 3, 4) and np.array_equal(found[:, 0, :3], made.positions)
-    assert np.array_equal(found[:, 0, 3], made.opacities)
+    assert np.array_equal(found[:, 0, 3], made.opacities) and not found[:, 2, 3].any()
+    made.extras["haze"] = np.linspace(0, 0.9, 200, dtype="f4")
+    assert np.array_equal(packing.geometry_texels(made)[:, 2, 3], made.extras["haze"])
     for texel, quaternion, sigmas in zip(found[:20], made.rotations[:20], made.scales[:20], strict=True):
         w, x, y, z = quaternion.astype(np.float64)
         turned = np.array(Quaternion((w, x, y, z)).to_matrix(), np.float64) * sigmas.astype(np.float64)
@@ -51,8 +53,8 @@ def object_texels():
     assert np.allclose(rows[:3] @ np.append(rows[3, :3], 1), 0, atol=1e-6), "the eye is the view's origin"
     assert np.allclose(rows[6], (0.1, 0.2, 0.3, 0.5)) and np.allclose(rows[7], (0.4, 0.5, 0.6, 1))
     assert np.array_equal(rows[8:17, 0], range(9))
-    none = packing.ObjectTexels(to_view, water=water, water_amount=0.0, pixel_size=0.25).texels()
-    assert none[4, 3] == 0.25
+    none = packing.ObjectTexels(to_view, water=water, water_amount=0.0, haze_amount=0.75, pixel_size=0.25).texels()
+    assert none[4, 3] == 0.25 and none[5, 3] == 0.75
     assert not none[6:17].any()
 
 

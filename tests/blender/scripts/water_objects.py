@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 from bl_ext.user_default.swag_splatting.swag_blender import labels, splats, water
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_colors, splat_preview
+from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import read_ply
 from mathutils import Euler, Matrix
 from pictures import linked, load_splats, new_camera, pinhole_camera, random_splats, render_pixel_centres
 
@@ -39,6 +40,58 @@ def render_splats_and_background(folder, width, height, focal, amount):
     scene.swag.water = amount
     bpy.ops.swag.prepare_render(display_values=True)
     np.save(folder + "/render.npy", render_pixel_centres(transparent=False))
+
+
+def render_haze(folder, width, height, focal):
+    """Render a heap of which some splats are haze, without haze, with half of it and all, and through water at 1."""
+    root = pinhole_camera(width, height, focal)
+    made = load_splats(folder + "/heap.npz")
+    made.extras["haze"] = np.load(folder + "/haze.npy")
+    obj = splats.new_splat_object("heap", made, scene.collection, root)
+    splat_preview.remember_training(obj, 1 / focal, [0, 0, 0])
+    water.remember_water(obj, None, 0.0)
+    bpy.ops.swag.prepare_render(display_values=True)
+    images = {}
+    for name, haze, amount in (("none", 0.0, 0.0), ("half", 0.5, 0.2), ("all", 1.0, 0.0), ("water", 0.0, 1.0)):
+        scene.swag.haze, scene.swag.water = haze, amount
+        assert abs(water.shown_haze(scene) - max(haze, amount)) < 1e-6
+        images[name] = render_pixel_centres()
+    np.savez(folder + "/images.npz", **images)
+
+
+def write_and_select_haze(folder):
+    """Exports show the haze that is seen, films that of each frame; splats of open water can be selected."""
+    made = random_splats(20, 1)
+    made.extras["haze"] = np.float32([0.9, 0.4, 0.05] + [0] * 17)
+    made.opacities[:3] = 0.01
+    obj = splats.new_splat_object("reef", made, scene.collection)
+    water.remember_water(obj, None, 0.0)
+    bpy.context.view_layer.objects.active = obj
+    obj.select_set(True)
+
+    def written():
+        bpy.ops.swag.export_splats(filepath=folder + "/out.ply", part="ALL")
+        return read_ply(Path(folder, "out.ply"))
+
+    scene.swag.haze = 0
+    plain = written()
+    assert np.allclose(plain.opacities, made.opacities, atol=1e-6) and np.allclose(plain.extras["haze"][:2], (0.9, 0.4))
+    scene.swag.haze = 1
+    seen = written()
+    expected = made.opacities.copy()
+    expected[:3] /= 1 - made.extras["haze"][:3]
+    assert np.allclose(seen.opacities, expected, rtol=1e-4) and "haze" not in seen.extras
+    by = bpy.ops.swag.select_by
+
+    def selected():
+        return np.flatnonzero(labels.mask_of(obj, labels.SELECTED)).tolist()
+
+    by(kind="HAZE", fraction=0.5)
+    assert selected() == [0]
+    by(kind="HAZE", fraction=0.1)
+    assert selected() == [0, 1]
+    obj.data.attributes.remove(obj.data.attributes["swag:haze"])
+    assert "No open water was found among the splats of reef" in failure(lambda: by(kind="HAZE"))
 
 
 def render_walls(folder):
