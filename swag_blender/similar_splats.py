@@ -11,7 +11,7 @@ from ..swag_engine.base.errors import InputError
 from . import labels, scene_import, splat_selection
 from .blender_types import present
 from .cameras import cameras_of
-from .nodes.splat_preview import HAZE_SCORE
+from .nodes.splat_colors import HAZE_SCORE
 
 KINDS: Any = [
     ("SIZE", "Size", "By the largest standard deviation of the splat"),

@@ -116,7 +116,7 @@ def _materials(objects: Iterable[bpy.types.Object]) -> set[bpy.types.Material]:
 def _draw_haze(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """Draw the slider of the haze where splats have any."""
     shown = [splats.pointcloud_of(obj) for obj in scene.objects if splats.is_splats(obj)]
-    if any(splat_preview.HAZE_SCORE in pointcloud.attributes for pointcloud in shown):
+    if any(splat_colors.HAZE_SCORE in pointcloud.attributes for pointcloud in shown):
         layout.prop(swag_of(scene), "haze", slider=True)
 
 

@@ -130,6 +130,9 @@ def steps():
     yield from picture("color_off", obj)
     obj.swag_display.background = True
     del obj["swag_background"]
+    bpy.context.scene.swag.haze = 0.5
+    yield from picture("haze", obj)
+    bpy.context.scene.swag.haze = 0.0
 
     labels = module("labels")
     count = len(obj.data.points)

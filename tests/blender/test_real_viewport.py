@@ -12,6 +12,7 @@ from swag_engine.base.transfer import linear_to_srgb, srgb_to_linear
 from swag_engine.formats.ply import write_ply
 from swag_engine.kernels.backends import KERNELS
 from swag_engine.splats.development import Development, white_balance
+from swag_engine.splats.haze import with_haze
 from swag_engine.splats.splats import LEAST_VARIANCE, Splats
 from swag_engine.splats.transform import sh_basis
 from tests.blender.real_blender import in_window, new_folder, viewport_picture
@@ -52,22 +53,24 @@ DEVELOPMENT = Development(0.6, (1.2, 1.0, 0.8), 1.1, ((1.1, -0.1, 0.0), (0.0, 1.
 
 
 def cloud():
-    """4000 splats of SH degree 3 in a box, of all sizes, opacities and proportions."""
+    """4000 splats of SH degree 3 in a box, of all sizes, opacities and proportions; some are haze."""
     random = np.random.default_rng(2)
     count = 4000
     rotations = random.normal(size=(count, 4))
+    haze = np.where(np.arange(count) % 8, 0, 0.9).astype("f4")
     return Splats(
         random.uniform(-3, 3, (count, 3)).astype("f4"),
         (rotations / np.linalg.norm(rotations, axis=1, keepdims=True)).astype("f4"),
         np.exp(random.uniform(-5, -1.2, (count, 3))).astype("f4"),
-        random.uniform(0.05, 1, count).astype("f4"),
+        random.uniform(0.05, 1, count).astype("f4") * (1 - haze),
         (random.normal(size=(count, 16, 3)) * np.array([1.0, *[0.2] * 15])[:, None]).astype("f4"),
+        {"haze": haze},
     )
 
 
 def engine_picture(
     report, name, keep=None, water=None, amount=1.0, color=None, degree=3, change=lambda colors: colors, develop=None,
-    pixel_size=0.0,
+    pixel_size=0.0, haze=0.0,
 ):  # fmt: skip
     """The engine's picture (H, W, 3) of the cloud for the matrices of a viewport's picture.
 
@@ -82,8 +85,9 @@ def engine_picture(
         change: applied to the display values (N, 3) of the splats.
         develop: Development of the picture, without the viewport's own background.
         pixel_size: 1 / focal length of the training images, pixels.
+        haze: fraction of the haze that is shown, without water.
     """
-    splats, shown = cloud(), report["pictures"][name]
+    splats, shown = with_haze(cloud(), amount if water else haze), report["pictures"][name]
     if keep is not None:
         splats = splats.subset(keep)
     projection, to_view = np.array(shown["projection"]), np.array(shown["view"])
@@ -146,11 +150,12 @@ def open_water(directions, water):
 
 
 @pytest.mark.parametrize(
-    "name", ["solid", "turned", "wireframe", "camera", "orthographic", "water", "instance", "separated"]
+    "name", ["solid", "turned", "wireframe", "camera", "orthographic", "water", "haze", "instance", "separated"]
 )
 def test_viewport_shows_the_engines_picture(viewport_pictures, name):
     report, pictures = viewport_pictures
-    shown, wanted = pictures[name], engine_picture(report, name, water=WATER if name == "water" else None)
+    shown = pictures[name]
+    wanted = engine_picture(report, name, water=WATER if name == "water" else None, haze=0.5 * (name == "haze"))
     inside = (slice(30, -5), slice(5, -5))  # without the rounded corners of the region
     assert np.ptp(wanted[inside]) > 0.5
     found = psnr(shown[inside], wanted[inside])
