@@ -46,6 +46,7 @@ from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.rasterize.api import contributions, rasterize
 from swag_engine.rendering.native_image import NativeImage
 from swag_engine.scene.cameras import Camera
+from swag_engine.settings.recipes import Recipe
 from swag_engine.training.native_step import compare
 from swag_engine.training.targets import Target
 from swag_engine.water.medium import Medium
@@ -298,7 +299,7 @@ def small_scene() -> None:
     pixels = torch.randint(0, 256, (height, width, 3), dtype=torch.uint8, device=DEVICE)
     target = Target(seen[1], pixels, torch.rand(height, width, device=DEVICE) > 0.1)
     image = NativeImage(cuda_kernels(), *seen)
-    _, gradients = compare(cuda_kernels(), image, effects, target, (0.8, 0.2, 0.1), 0.01)
+    _, gradients = compare(cuda_kernels(), image, effects, target, (0.8, 0.2, 0.1), Recipe(coverage=0.01))
     image.backward(*gradients, with_geometry=True)
 
 

@@ -1,5 +1,6 @@
 // From a blended image to the photo that a camera would take of it, its differences from a training image, and back;
-// photo.cpp says what is computed. A training image has a word a pixel: red, green, blue and whether it is valid.
+// photo.cpp says what is computed. A training image has a word a pixel: red, green, blue, and 0 where it is not valid, 255
+// where it surely shows a surface, or 1.
 const SUMS = 54u;  // |error|, error^2, what is left open of surfaces; gradients by the log gains (3), the coefficients
                    // of vignetting (3) and beam (14), the background (3) and the background light (27); one to spare
 
@@ -27,6 +28,7 @@ var<workgroup> partial: array<f32, 256>;
 // One pixel as it is seen, with what the backward pass needs again.
 struct Seen {
     valid: bool,
+    surface: bool,
     T: f32,
     wanted: vec3f, color: vec3f,     // color: before any gain
     light: vec3f, slope: vec3f,      // after the gain; of the photo by the color
@@ -58,6 +60,7 @@ fn pixel_seen(at: u32, basis: ptr<function, array<f32, 16>>) -> Seen {
     var s: Seen;
     let word = wanted[at];
     s.valid = (word >> 24u) != 0u;
+    s.surface = (word >> 24u) == 255u;
     s.wanted = vec3f(f32(word & 255u), f32((word >> 8u) & 255u), f32((word >> 16u) & 255u)) / 255.0;
     s.T = bitcast<f32>(ended[at].x);
     s.color = blended[at].xyz;
@@ -168,6 +171,9 @@ fn photo_backward(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) 
                 through_alpha -= call.open * surface;
                 total[2] += surface * (s.T - call.closed);
             }
+        } else if (s.surface && s.T > call.closed) {
+            through_alpha -= call.open;
+            total[2] += s.T - call.closed;
         }
         by_transparent[at] = through_alpha;
     }

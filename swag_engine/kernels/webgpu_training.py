@@ -76,7 +76,7 @@ class View:
     """What one step compares, and how.
 
     Attributes:
-        target: Buffer of the training image: a word a pixel, red, green, blue and whether it is valid.
+        target: Buffer of the training image: a word a pixel, as photo.wgsl has it.
         viewmat: (4, 4) world to camera.
         K: (3, 3) intrinsics, pixels.
         centre: (3,) of the camera, scene units.

@@ -94,6 +94,8 @@ class Recipe:
     """Grey of the restored image's own mean, or middle grey."""
     coverage: float = 0.0
     """Weight of the term that makes surfaces opaque in front of open water."""
+    coverage_of_color: float = 0.0
+    """Weight of the term that makes surfaces opaque in front of a learned background color."""
     smoothness: float = 0.0
     """Weight of the term that makes range smooth where the image is smooth."""
     smoothness_edges: Literal["image", "render"] = "image"
@@ -143,6 +145,7 @@ RECIPES: dict[str, Recipe] = {
         stage_two_from=0.9,
         dropout=DROPOUT,
         coverage=0.3,
+        coverage_of_color=0.03,
     ),
     "3dgs": Recipe("Plain Gaussian splatting: the scene as photographed"),
     "seasplat": Recipe(

@@ -108,6 +108,22 @@ def uncovered_surface(alpha: Tensor, target: Tensor, behind: Tensor, valid: Tens
     return (surface * (1 - CLOSED - alpha).relu()).mean()
 
 
+def uncovered_pixels(alpha: Tensor, surface: Tensor) -> Tensor:
+    """Measure how much of the surfaces in a training image Gaussians leave open in front of a learned background color.
+
+    The ground has that color more than anything else, so that the comparison of images alone leaves it half
+    transparent.
+
+    Args:
+        alpha: (H, W) of the rendered image.
+        surface: (H, W) bool, pixels that count and show no open water.
+
+    Returns:
+        Mean of what 1 - alpha exceeds CLOSED by, a scalar, differentiable in alpha.
+    """
+    return (surface * (1 - CLOSED - alpha).relu()).mean()
+
+
 def smoothness(range_image: Tensor, alpha: Tensor, guide: Tensor, median_range: float) -> Tensor:
     """Penalise changes of range between neighbouring pixels: mean |change| / median_range exp(-5 |change of guide|).
 

@@ -18,13 +18,14 @@ from ..kernels.cpu import CpuKernels
 from ..kernels.cuda import CudaKernels
 from ..kernels.protocol import NativeKernels
 from ..rendering.native_image import NativeImage, add_gradients
+from ..settings.recipes import Recipe
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
 from .densification import strategy_of
 from .dropout import opacity_factors
 from .effect_selection import EffectSelection
 from .inputs import RunInputs
-from .losses import SURFACE_LIMITS
+from .losses import CLOSED, SURFACE_LIMITS
 from .objective import Objective
 from .state import RunState
 from .step import AutogradStep, StepConfig, StepResult, update_parameters
@@ -64,7 +65,7 @@ class NativeStep:
             kernels, cloud, target.camera, config.sh_degree, medium, config.water_degree, state.effects.lamp, factors
         )
         weights = objective.photometric_weights(fraction)
-        loss, gradients = compare(kernels, image, state.effects, target, weights, state.recipe.coverage)
+        loss, gradients = compare(kernels, image, state.effects, target, weights, state.recipe)
         by_means2d = image.backward(*gradients, with_geometry=not config.stage_two)
         penalty = strategy_of(state.recipe).regularisation(cloud, self.inputs.median_range)
         if penalty is not None:
@@ -155,7 +156,7 @@ def compare(
     effects: SceneEffects,
     target: Target,
     weights: tuple[float, float, float],
-    coverage: float,
+    recipe: Recipe,
 ) -> tuple[Tensor, tuple[Tensor, Tensor, Tensor]]:
     """Compare the photo of a rendered image with its target, and set the gradients of the image effects.
 
@@ -165,7 +166,8 @@ def compare(
         effects: The effects that are modelled; their image effects make the photo.
         target: The training image.
         weights: Of L1, 1 - SSIM and L2, as `losses.photometric` has them.
-        coverage: Weight of `losses.uncovered_surface`, which counts where open water is modelled.
+        recipe: Weights of `losses.uncovered_surface`, which counts where open water is modelled, and of
+            `uncovered_pixels`, which counts elsewhere.
 
     Returns:
         The loss, a scalar, and its gradients by `image.blended`, by alpha and by `image.behind`.
@@ -191,7 +193,7 @@ def compare(
     by_alpha = torch.empty_like(image.transmittance)
     by_behind = by_blended.new_empty(0) if image.behind is None else torch.empty_like(by_blended)
     compared = valid, photo, wanted, by_photo, l1 / count, 2 * l2 / count
-    surface = coverage / valid.numel(), *SURFACE_LIMITS
+    surface = recipe.coverage / valid.numel(), *SURFACE_LIMITS
     outputs = by_blended, by_alpha, by_behind
     with part("photo backward"):
         made = 4 + TERMS + len(POWERS)
@@ -199,7 +201,30 @@ def compare(
     gain.backward(sums[:-1].float())
     terms = torch.cat([errors, similarity, sums[-1:]])
     factors = l1 / count, l2 / count, *([-ssim / count] if ssim else []), surface[0]
-    return (ssim + terms @ constants(factors, terms.dtype, terms.device)).float(), outputs
+    loss = (ssim + terms @ constants(factors, terms.dtype, terms.device)).float()
+    if recipe.coverage_of_color and image.behind is None and target.surface is not None:
+        loss = loss + close_pixels(
+            image.transmittance, target.surface & target.valid, recipe.coverage_of_color, by_alpha
+        )
+    return loss, outputs
+
+
+def close_pixels(transmittance: Tensor, surface: Tensor, weight: float, by_alpha: Tensor) -> Tensor:
+    """Compute weight times `losses.uncovered_pixels`, and add its gradient.
+
+    Args:
+        transmittance: (H, W) 1 - alpha.
+        surface: (H, W) bool as `uncovered_pixels` has it.
+        weight: Weight of the loss.
+        by_alpha: (H, W) gradient by alpha, which is changed.
+
+    Returns:
+        The loss, a scalar.
+    """
+    factor = weight / surface.numel()
+    uncovered = (surface * (transmittance - CLOSED)).relu()
+    by_alpha -= factor * (uncovered > 0)
+    return factor * uncovered.sum()
 
 
 @lru_cache

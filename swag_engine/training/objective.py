@@ -8,7 +8,7 @@ from ..rendering.render import Picture
 from ..settings.recipes import Recipe, Weights
 from ..water.medium import Medium
 from ..water.network import WaterNetwork
-from .losses import attenuation_order, grey_world, photometric, smoothness, uncovered_surface
+from .losses import attenuation_order, grey_world, photometric, smoothness, uncovered_pixels, uncovered_surface
 from .targets import Target
 
 OCEANIC = (0, 1, 2)
@@ -98,6 +98,8 @@ class Objective:
             return target.weight * loss
         if recipe.coverage and picture.behind is not None:
             loss = loss + recipe.coverage * uncovered_surface(picture.alpha, target.color, picture.behind, target.valid)
+        if recipe.coverage_of_color and picture.behind is None and target.surface is not None:
+            loss = loss + recipe.coverage_of_color * uncovered_pixels(picture.alpha, target.surface & target.valid)
         if two:
             return loss
         if "depth_prior" in recipe.effects and target.inverse_range is not None and picture.range is not None:

@@ -3,8 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
+import cv2
 import numpy as np
+import torch
 
+from ..evidence.image_cells import open_water_cells
 from ..scene.images import TrainingImage
 from .inputs import RunInputs
 from .motion import MotionMasks
@@ -40,6 +43,7 @@ class Targets:
         self.factor = 0
         self._made_for: MotionMasks | None = None
         self._targets: list[Target] = []
+        self._open_water: np.ndarray | None = None
 
     def at(self, state: RunState, fraction: float) -> list[Target]:
         """Return all targets at the size of a moment of the run.
@@ -60,10 +64,21 @@ class Targets:
                 for image in self.inputs.training
             ]
             made = [Target.shrunk(image, factor, device, None, state.recipe.frame_weight) for image in self.frames]
+            if state.recipe.coverage_of_color:
+                self._mark_surfaces(images)
             if self.emphasis:
                 self.emphasis.emphasise(images)
             self._targets, self.factor, self._made_for = images + made, factor, state.motion
         return self._targets
+
+    def _mark_surfaces(self, targets: Sequence[Target]) -> None:
+        """Set `surface` of the targets of all training images."""
+        if self._open_water is None:
+            self._open_water = open_water_cells(self.inputs.training, self.inputs.scene)
+        for target, cells in zip(targets, self._open_water, strict=True):
+            size = target.valid.shape[::-1]
+            water = cv2.resize(cells.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+            target.surface = torch.from_numpy(~water).to(target.valid.device)
 
     def next(self, state: RunState, fraction: float) -> Target:
         """Return the target of the next iteration: each epoch has an order of its own, which the seed decides."""

@@ -25,6 +25,7 @@ class Target:
         inverse_range: (H, W) depth prior per scene unit, not finite where it is unknown; None without one.
         weight: Factor on its loss; below 1 for interpolated frames, from which only colors are learned.
         emphasis: (H, W) weight of each pixel, 0..1; None where all count the same.
+        surface: (H, W) bool, pixels that show no open water; None where it is not needed.
     """
 
     camera: Camera
@@ -33,6 +34,7 @@ class Target:
     inverse_range: Tensor | None = None
     weight: float = 1.0
     emphasis: Tensor | None = None
+    surface: Tensor | None = None
 
     @property
     def color(self) -> Tensor:

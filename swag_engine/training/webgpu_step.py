@@ -69,6 +69,8 @@ LEARNED = {
     "exposure.raw": slice(EXPOSURES, None),
 }
 """Other parameters that are kept on the GPU with their moments, and their places there, as in effects.wgsl."""
+SURFACE = 255
+"""Value of a pixel of a training image that surely shows a surface, in photo.wgsl."""
 NOT_UPDATED = -1.0
 """Step size of a parameter that a step leaves as it is, in effects.wgsl."""
 
@@ -311,8 +313,10 @@ class WebGpuStep:
         """Return the buffer of a training image."""
         key = id(target)
         if key not in self._images:
-            valid = (target.valid[..., None] * 255).to(torch.uint8)
-            words = torch.cat([target.pixels, valid], -1).contiguous().view(torch.int32)
+            kind = target.valid.to(torch.uint8)
+            if target.surface is not None:
+                kind[target.surface & target.valid] = SURFACE
+            words = torch.cat([target.pixels, kind[..., None]], -1).contiguous().view(torch.int32)
             self._images[key] = self.kernels.gpu.upload(words)
             finalize(target, self._images.pop, key, None)
         return self._images[key]
@@ -334,13 +338,15 @@ class WebGpuStep:
         fields = self._effects_fields(state, image) | self._update_fields(state, adam, medium)
         view = self._view(state, target.camera, medium, config.sh_degree, config.water_degree, fields)
         l1, ssim, l2 = self.selection.objective(state.recipe).photometric_weights(config.fraction)
+        before_water = medium is not None and medium.background_sh is not None
+        coverage = state.recipe.coverage if before_water else state.recipe.coverage_of_color
         view = replace(
             view,
             target=self._image(target),
             mode=view.mode | (SIMILARITY if ssim else 0),
             dropout=state.dropout,
             geometry=not config.stage_two,
-            weights=(l1, ssim, l2, state.recipe.coverage),
+            weights=(l1, ssim, l2, coverage),
         )
         self._ahead, state.on_device = state, OnCard(self, state)
         with part("step on the card"):
@@ -395,7 +401,7 @@ class WebGpuStep:
         shown = config.sh_degree, medium, config.water_degree, state.effects.lamp
         image = NativeImage(self.kernels.cpu, cloud, target.camera, *shown, None)
         weights = self.selection.objective(state.recipe).photometric_weights(config.fraction)
-        expected, by_image = compare(self.kernels.cpu, image, state.effects, target, weights, state.recipe.coverage)
+        expected, by_image = compare(self.kernels.cpu, image, state.effects, target, weights, state.recipe)
         image.backward(*by_image, with_geometry=not config.stage_two)
         differences = {"the loss": abs(loss - float(expected)) / max(float(expected), 1e-3)}
         for name in COMPARED:

@@ -96,6 +96,9 @@ def test_photos_of_ground_alone_have_no_haze():
     assert haze_score(model, filled, scene).max() == 0
     grey = [replace(image, pixels=np.full((128, 160, 3), 200, np.uint8)) for image in images]
     assert haze_score(model, grey, scene).max() == 0, "flat, and of another color than open water"
+    steps = np.repeat(np.array([-24, 24], np.int16), 80)[None, :, None]
+    uneven = [replace(image, pixels=(image.pixels + steps).clip(0, 255).astype(np.uint8)) for image in images]
+    assert haze_score(model, uneven, scene).max() == 0, "flat parts of different colors, as of the ground"
 
 
 def test_haze_follows_its_amount_and_all_of_the_water_shows_the_gaussians_as_trained():

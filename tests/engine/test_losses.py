@@ -12,6 +12,7 @@ from swag_engine.training.losses import (
     grey_world,
     photometric,
     smoothness,
+    uncovered_pixels,
     uncovered_surface,
 )
 
@@ -214,3 +215,12 @@ def test_surfaces_are_pushed_to_be_opaque_and_open_water_is_not():
     assert value == pytest.approx((0.5 * (0.4 - CLOSED) + 0.5 - CLOSED) / 5)
     valid[0, 3:] = False
     assert uncovered_surface(torch.zeros(1, 5), target, behind, valid) == pytest.approx(0.5 * (1 - CLOSED) / 5)
+
+
+def test_pixels_of_surfaces_are_pushed_to_be_opaque_in_front_of_a_learned_color():
+    surface = torch.tensor([[True, True, True, False]])
+    alpha = torch.tensor([[0.2, 0.97, 0.99, 0.2]], requires_grad=True)
+    loss = uncovered_pixels(alpha, surface)
+    assert loss.item() == pytest.approx((0.78 + 0.01) / 4)
+    loss.backward()
+    assert alpha.grad.tolist() == [[-0.25, -0.25, 0, 0]]

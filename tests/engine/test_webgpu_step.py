@@ -124,7 +124,7 @@ def test_gradients_are_those_of_the_float64_reference(make, kernels, monkeypatch
     reference = replace(trainer.inputs, settings=replace(trainer.inputs.settings, backend="torch"))
     monkeypatch.setattr(trainer, "inputs", reference)
     monkeypatch.setattr(trainer.selection, "inputs", reference)
-    exact = DoubleTarget(target.camera, target.pixels, target.valid)
+    exact = DoubleTarget(target.camera, target.pixels, target.valid, surface=target.surface)
     result, expected = gradients(autograd(trainer), trainer.state, exact, config)
     assert loss == pytest.approx(result.loss, rel=1e-5)
     compared = [name for name in state.optimizer.moments if name in expected]
@@ -255,7 +255,8 @@ def test_arrays_are_in_parts_where_bindings_are_small(make, kernels, gpu, monkey
     whole = trainer.targets.at(trainer.state, 0.6)[0]
     height, width = whole.valid.shape[0] // 2, whole.valid.shape[1] // 2
     camera = whole.camera.resized(width)
-    target = replace(whole, camera=camera, pixels=whole.pixels[::2, ::2], valid=whole.valid[::2, ::2])
+    reduced = {name: getattr(whole, name)[::2, ::2] for name in ("pixels", "valid", "surface")}
+    target = replace(whole, camera=camera, **reduced)
     monkeypatch.setattr(gpu, "largest_binding", 4 * 9 * height * width)  # what SSIM needs
     step = check_step(trainer, kernels, target, config)
     assert len(step._resident.chunks) > 2 and step._resident.chunks[0].count * 180 <= gpu.largest_binding
