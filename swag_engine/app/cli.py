@@ -520,6 +520,24 @@ class Restore:
 
 
 @dataclass(frozen=True)
+class Haze:
+    """Find open water among the splats of a run of an earlier version, as training does at its end."""
+
+    run_folder: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
+    """Folder of the run, whose result files and checkpoint are written again."""
+    json: tyro.conf.FlagCreatePairsOff[bool] = False
+    """One JSON document on stdout instead of text."""
+
+    def run(self) -> int:
+        """Run the command and return its exit code."""
+        from ..experiments.find_haze import describe, find_haze
+
+        found = find_haze(self.run_folder)
+        show(found, self.json, describe(found))
+        return 0
+
+
+@dataclass(frozen=True)
 class Film:
     """Render a run along a camera path to an image sequence or a video, with alpha and depth."""
 
@@ -928,7 +946,7 @@ class Doctor:
 
 COMMANDS = (
     Inspect, Sfm, ImportCameras, Scale, Targets, Plan, Forecast, Train, Evaluate, Report, Chart, Ablate, Tradeoff,
-    Render, Restore, Film, Label, Search, Extract, Export, Ortho, Dem, Areas,
+    Render, Restore, Haze, Film, Label, Search, Extract, Export, Ortho, Dem, Areas,
     Profile, Change, Survey, Batch, Doctor,
 )  # fmt: skip
 

@@ -16,6 +16,7 @@ from swag_engine.effects.lamp import Lamp
 from swag_engine.evaluation.metrics import restored_error
 from swag_engine.experiments.develop_run import automatic_development
 from swag_engine.experiments.evaluate_run import evaluate_run, load_newest, load_run, render_run, true_image
+from swag_engine.experiments.find_haze import describe, find_haze
 from swag_engine.experiments.report import write_report
 from swag_engine.experiments.restore_photos import restore_photos
 from swag_engine.formats.export import ExportOptions, export_run
@@ -29,7 +30,7 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.splats.develop_splats import bake_development
 from swag_engine.splats.development import NO_DEVELOPMENT, Development
 from swag_engine.splats.haze import MOST_HAZE, with_haze
-from swag_engine.training.checkpoint import load_checkpoint
+from swag_engine.training.checkpoint import load_checkpoint, save_checkpoint
 from swag_engine.training.trainer import make_trainer, train
 from swag_engine.water.medium import Medium
 from tests.engine.exr_files import read_exr
@@ -110,6 +111,28 @@ def test_the_result_hides_open_water_and_keeps_how_to_show_it(runs):
     assert any(
         "look like open water" in note for note in json.loads((runs / "swag" / "metrics.json").read_text())["notes"]
     )
+
+
+def test_open_water_is_found_in_runs_of_earlier_versions(runs, tmp_path):
+    old = tmp_path / "old"
+    shutil.copytree(runs / "swag", old)
+    tensors, stored = load_checkpoint(old)
+    score = tensors.pop("haze")
+    save_checkpoint(old, stored["iteration"], tensors, stored)
+    new, splats = read_ply(old / "result.ply"), read_ply(old / "result.ply")
+    splats.opacities[:] = tensors["cloud.opacity_logits"].sigmoid()
+    del splats.extras["haze"]
+    RunFolder(old).write_result(splats, [0, 0, 1])
+    assert torch.equal(load_run(old).through(0).opacity_logits, tensors["cloud.opacity_logits"])
+    found = find_haze(old)
+    assert found["haze"] == int((score > 0.5).sum()) and f"{found['haze']} of " in describe(found)
+    torch.testing.assert_close(load_run(old).haze, score)
+    again = read_ply(old / "result.ply")
+    np.testing.assert_allclose(again.opacities, new.opacities, rtol=1e-3, atol=1e-6)
+    assert again.extras.keys() == {"confidence", "haze"}
+    (old / "result.ply").unlink()
+    with pytest.raises(InputError, match="no result yet"):
+        find_haze(old)
 
 
 def test_exports_and_renders_show_as_much_haze_as_is_asked_for(runs, tmp_path):
