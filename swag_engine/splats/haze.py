@@ -7,18 +7,17 @@ follow. numpy and torch arrays are taken alike; Blender imports this.
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..base.errors import InputError
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from .splats import Splats
 
-    Values = TypeVar("Values", float, np.ndarray, Tensor)
+Values = Any
+"""A number, a numpy array or a torch tensor; a function returns what it takes."""
 
 HAZE = "haze"
 """Property of splats in files: how sure it is that a splat is open water and no surface, 0..MOST_HAZE."""
@@ -37,12 +36,12 @@ def haze_amount(water: float, haze: float) -> float:
     return max(water, haze)
 
 
-def opacity_without_haze(score: "Values") -> "Values":
+def opacity_without_haze(score: Values) -> Values:
     """Return the fraction of the trained opacity that splats have in files, by their score."""
     return 1 - score
 
 
-def haze_gain(score: "Values", amount: float) -> "Values":
+def haze_gain(score: Values, amount: float) -> Values:
     """Return the factor from the opacity in files to the one that is shown.
 
     Args:

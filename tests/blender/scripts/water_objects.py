@@ -62,7 +62,7 @@ def render_haze(folder, width, height, focal):
 def write_and_select_haze(folder):
     """Exports show the haze that is seen, films that of each frame; splats of open water can be selected."""
     made = random_splats(20, 1)
-    made.extras["haze"] = np.float32([0.9, 0.4, 0.05] + [0] * 17)
+    made.extras["haze"] = np.array([0.9, 0.4, 0.05] + [0] * 17, "f4")
     made.opacities[:3] = 0.01
     obj = splats.new_splat_object("reef", made, scene.collection)
     water.remember_water(obj, None, 0.0)
