@@ -7,14 +7,12 @@ follow. numpy and torch arrays are taken alike; Blender imports this.
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..base.errors import InputError
-
-if TYPE_CHECKING:
-    from .splats import Splats
+from .splats import Splats
 
 Values = Any
 """A number, a numpy array or a torch tensor; a function returns what it takes."""
@@ -51,7 +49,7 @@ def haze_gain(score: Values, amount: float) -> Values:
     return 1 + amount * score / (1 - score)
 
 
-def with_haze(splats: "Splats", amount: float) -> "Splats":
+def with_haze(splats: Splats, amount: float) -> Splats:
     """Show haze in splats of a file.
 
     Args:
