@@ -11,7 +11,7 @@ from pathlib import Path
 from contracts import ROOT, package_folder
 
 LINKED = (
-    "tests", "benchmarks", "swag_engine",
+    "tests", "benchmarks", "swag_engine", "swag_blender",
     # What scripts import by its name alone, since they run inside Blender without a package.
     "tests/blender/window.py", "tests/blender/scripts/files.py", "tests/blender/scripts/pictures.py",
     "tests/blender/scripts/labels.py", "tests/blender/scripts/panels.py",

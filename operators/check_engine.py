@@ -20,7 +20,7 @@ class SWAG_OT_check_engine(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the engine is there and no job runs."""
+        """Whether the engine is there, and the job may start."""
         return can_run_engine(cls, context)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:

@@ -9,6 +9,7 @@ class SWAG_OT_find_cameras(PhotosJob):
     bl_idname = "swag.find_cameras"
     bl_label = "Find Cameras"
     job = JOB
+    heavy = True
 
 
 CLASSES = (SWAG_OT_find_cameras,)

@@ -7,7 +7,7 @@ import bpy
 from ..swag_blender import color_chart
 from ..swag_blender.blender_types import present
 from ..swag_blender.job import Job, can_run_engine
-from ..swag_blender.operator_base import splats_are_active
+from ..swag_blender.operator_base import active_run, splats_are_active
 
 
 class SWAG_OT_find_color_chart(Job):
@@ -19,8 +19,8 @@ class SWAG_OT_find_color_chart(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object has splats, the engine is there and no job runs."""
-        return can_run_engine(cls, context) and splats_are_active(cls, context)
+        """Whether the active object has splats, the engine is there, and the job may start."""
+        return can_run_engine(cls, context, active_run(context)) and splats_are_active(cls, context)
 
     def request(self, context: bpy.types.Context) -> dict[str, Any]:
         """The request for the run of the splats."""

@@ -12,6 +12,7 @@ class SWAG_OT_forecast(SceneJob):
     bl_idname = "swag.forecast"
     bl_label = "Forecast"
     job = "Forecast"
+    heavy = True  # it measures the time of this machine
 
     def question(self, swag: SwagScene) -> dict[str, Any]:
         """The request with the scene's settings."""

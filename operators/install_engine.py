@@ -19,10 +19,11 @@ class SWAG_OT_install_engine(Job):
     bl_label = "Install Engine"
     bl_options = set()
     job = "Installation"
+    heavy = goes_on = True
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether packages can be had and no job runs."""
+        """Whether packages can be had and the job may start."""
         return can_install(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:

@@ -6,9 +6,9 @@ import bpy
 
 from ..swag_blender import labels
 from ..swag_blender.blender_types import present, with_properties
-from ..swag_blender.job import Job
+from ..swag_blender.job import Job, may_start
 from ..swag_blender.labelling import label_request, take_run_labels
-from ..swag_blender.operator_base import splats_are_active
+from ..swag_blender.operator_base import active_run, splats_are_active
 
 
 @with_properties
@@ -26,8 +26,8 @@ class SWAG_OT_label_run(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object has splats and no job runs."""
-        return super().poll(context) and splats_are_active(cls, context)
+        """Whether the active object has splats, and the job may start."""
+        return may_start(cls, context, active_run(context)) and splats_are_active(cls, context)
 
     def request(self, context: bpy.types.Context) -> dict[str, Any]:
         """The request for the run of the splats."""

@@ -20,7 +20,7 @@ class SWAG_OT_look_up_engine(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether packages can be had and no job runs."""
+        """Whether packages can be had and the job may start."""
         return can_install(cls, context)
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:

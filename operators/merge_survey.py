@@ -30,7 +30,7 @@ class SWAG_OT_merge_survey(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether a survey is chosen, the engine is there and no job runs."""
+        """Whether a survey is chosen, the engine is there, and the job may start."""
         if survey.chosen_survey(present(context.scene)) is None:
             cls.poll_message_set("Choose the folder of a survey first")
             return False

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..swag_blender.blender_types import OperatorResult
+from ..swag_blender.blender_types import OperatorResult, present
 from ..swag_blender.properties import status_of
 
 
@@ -15,16 +15,16 @@ class SWAG_OT_pause(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether a training runs that was not asked to stop."""
-        status = status_of(context)
-        if status.job != "Training" or status.stopping:
+        training = status_of(context).find("Training")
+        if training is None or training.stopping:
             cls.poll_message_set("No training is running")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Switch between running and paused."""
-        status = status_of(context)
-        status.paused = not status.paused
+        training = present(status_of(context).find("Training"))
+        training.paused = not training.paused
         return {"FINISHED"}
 
 

@@ -2,8 +2,10 @@
 
 from typing import Any
 
-from ..swag_blender.job import SceneJob
-from ..swag_blender.properties import SwagScene
+import bpy
+
+from ..swag_blender.job import SceneJob, can_work_on_photos
+from ..swag_blender.properties import SwagScene, swag_of
 
 
 class SWAG_OT_plan(SceneJob):
@@ -12,6 +14,11 @@ class SWAG_OT_plan(SceneJob):
     bl_idname = "swag.plan"
     bl_label = "Plan Effects"
     job = "Plan"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether photos are chosen, the engine is there and no job writes to their folder."""
+        return can_work_on_photos(cls, context, swag_of(context.scene).scene_path)
 
     def question(self, swag: SwagScene) -> dict[str, Any]:
         """The request for a plan."""

@@ -21,7 +21,7 @@ class SWAG_OT_plan_survey(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether photos are chosen, the engine is there and no job runs."""
+        """Whether photos are chosen, the engine is there, and the job may start."""
         return can_work_on_photos(cls, context)
 
     def request(self, context: bpy.types.Context) -> dict[str, Any]:

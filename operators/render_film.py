@@ -19,7 +19,7 @@ class SWAG_OT_render_film(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the scene has a camera and splats are shown, and no job runs."""
+        """Whether the scene has a camera and splats are shown, and the job may start."""
         if not super().poll(context):
             return False
         if not film.shown_objects(context):

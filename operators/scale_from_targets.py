@@ -37,8 +37,8 @@ class SWAG_OT_scale_from_targets(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether a scene is imported, the engine is there, and no job runs."""
-        return can_run_engine(cls, context) and scale.has_scene(cls, context)
+        """Whether a scene is imported, the engine is there, and the job may start."""
+        return scale.has_scene(cls, context) and can_run_engine(cls, context, scale.scene_folder(context))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for the targets."""

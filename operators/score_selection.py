@@ -8,8 +8,8 @@ import bpy
 
 from ..swag_blender import edit_score
 from ..swag_blender.blender_types import present
-from ..swag_blender.job import Job
-from ..swag_blender.operator_base import splats_are_active
+from ..swag_blender.job import Job, may_start
+from ..swag_blender.operator_base import active_run, splats_are_active
 
 
 class SWAG_OT_score_selection(Job):
@@ -21,8 +21,8 @@ class SWAG_OT_score_selection(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object has splats and no job runs."""
-        return super().poll(context) and splats_are_active(cls, context)
+        """Whether the active object has splats, and the job may start."""
+        return may_start(cls, context, active_run(context)) and splats_are_active(cls, context)
 
     def request(self, context: bpy.types.Context) -> dict[str, Any]:
         """The request with the selected splats."""

@@ -17,6 +17,7 @@ class SWAG_OT_train(Job):
     bl_idname = "swag.train"
     bl_label = "Train"
     job = "Training"
+    heavy = True
 
     resume: Annotated[
         bool,
@@ -27,7 +28,7 @@ class SWAG_OT_train(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether photos are chosen, the engine is there and no job runs."""
+        """Whether photos are chosen, the engine is there, and the job may start."""
         return can_work_on_photos(cls, context)
 
     @classmethod

@@ -8,7 +8,7 @@ import bpy
 from ..swag_engine.base.errors import InputError
 from .blender_types import set_button
 from .find_cameras import free_scene_folder
-from .properties import status_of, swag_of
+from .properties import swag_of
 from .sidebar import draw_job, draw_outcome
 
 JOB = "Import Cameras"
@@ -41,9 +41,8 @@ def make_request(chosen: str, photos: str, points: str, scene_folder: str) -> di
 
 def draw_import_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw the files and the button, or the import that runs, and how it failed."""
-    swag, status = swag_of(context.scene), status_of(context)
-    if status.job == JOB:
-        draw_job(layout, context)
+    swag = swag_of(context.scene)
+    if draw_job(layout, context, JOB):
         return
     column = layout.column()
     column.use_property_split = True
@@ -53,8 +52,7 @@ def draw_import_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) 
     column.prop(swag, "cameras_points")
     button = layout.operator("swag.import_cameras", icon="IMPORT")
     set_button(button, filepath=swag.cameras_file, photos_folder=swag.cameras_photos, points_file=swag.cameras_points)
-    if status.failed and status.last_job == JOB:
-        draw_outcome(layout, context)
+    draw_outcome(layout, context, JOB, only_failed=True)
 
 
 def _absolute(path: str) -> Path:

@@ -45,9 +45,7 @@ FUZZY_SIZE = 4.0
 def _select_again(settings: Any, context: bpy.types.Context) -> None:
     for obj in proposed_objects(context):
         labels.select(obj, wanted(obj, settings))
-    status = status_of(context)
-    if status.last_job == "PSNR":
-        status.last_job = ""  # it was of another selection
+    status_of(context).forget("PSNR")  # it was of another selection
 
 
 @with_properties
@@ -120,7 +118,7 @@ def can_score(context: bpy.types.Context) -> bool:
         obj is not None
         and obj in proposed_objects(context)
         and bool(obj.get(RUN_KEY))
-        and not status_of(context).job
+        and status_of(context).find("PSNR") is None
         and not engine_problem()
         and splat_selection.selected_count(obj) > 0
     )
@@ -177,13 +175,9 @@ def draw_clean_up(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
 
 def draw_score(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw the button that computes the PSNR without the selection, the job, or its outcome."""
-    status = status_of(context)
-    if status.job == "PSNR":
-        draw_job(layout, context)
-        return
-    layout.operator("swag.score_selection", icon="IMAGE_DATA")
-    if status.last_job == "PSNR":
-        draw_outcome(layout, context)
+    if not draw_job(layout, context, "PSNR"):
+        layout.operator("swag.score_selection", icon="IMAGE_DATA")
+        draw_outcome(layout, context, "PSNR")
 
 
 def register() -> None:

@@ -9,7 +9,6 @@ import bpy
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.run_folder import RunFolder, read_json
 from .blender_types import present
-from .properties import status_of
 from .run_list import folder_of, photographed_run, shown_run
 from .sidebar import SwagPanel, draw_job, draw_outcome
 
@@ -92,13 +91,11 @@ class SWAG_PT_color_chart(SwagPanel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, status = present(self.layout), status_of(context)
-        if status.job == "Color chart":
-            draw_job(layout, context)
+        layout = present(self.layout)
+        if draw_job(layout, context, "Color chart"):
             return
         layout.operator("swag.find_color_chart", icon="COLOR")
-        if status.failed and status.last_job == "Color chart":
-            draw_outcome(layout, context)
+        draw_outcome(layout, context, "Color chart", only_failed=True)
         chart = chart_of(folder_of(present(shown_run(context))))
         rows = rows_of(chart)
         if not rows:

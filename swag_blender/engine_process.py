@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES: tuple[str, ...] = ("torch", "pycolmap")
 """A Python that has these packages is assumed to have all that the engine needs."""
 CANCEL_SECONDS = 60.0
-"""Time that a cancelled child gets to save its state before it is terminated."""
+"""Time without an event after which a cancelled child is terminated."""
 TERMINATE_SECONDS = 5.0
 """Time that a terminated child gets before it is killed."""
 CLOSE_SECONDS = 2.0
@@ -127,6 +127,9 @@ class Engine:
     Args:
         command: what to run; the engine's worker by default.
 
+    Attributes:
+        terminated: whether it did not stop after `cancel` and was ended.
+
     Raises:
         EngineError: it cannot be started.
     """
@@ -157,7 +160,7 @@ class Engine:
         self.log: deque[str] = deque(maxlen=200)
         self._lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._deadline: float | None = None
-        self._terminated = self._ended = False
+        self.terminated = self._ended = self._hurried = False
         self._readers = [
             threading.Thread(target=_read, args=(self._process.stdout, self._lines.put), daemon=True),
             threading.Thread(target=_read, args=(self._process.stderr, _into(self.log)), daemon=True),
@@ -199,17 +202,23 @@ class Engine:
                     self._print_log()
                 raise EngineError(event["message"])
             events.append(event)
+            if self._deadline is not None and not self.terminated:
+                self._deadline = time.monotonic() + CANCEL_SECONDS
         if self._ended and not events:
             raise EngineError(self._how_it_ended())
         if self._deadline is not None and time.monotonic() > self._deadline:
             self._terminate_or_kill()
         return events
 
-    def cancel(self) -> None:
-        """Ask for a stop that keeps the result so far; `poll` terminates and then kills a child that does not stop."""
-        if self._deadline is None:
-            self._deadline = time.monotonic() + CANCEL_SECONDS
-            self.send({"request": "cancel"})
+    def cancel(self, now: bool = False) -> None:
+        """Ask for a stop that keeps the result so far; `poll` terminates and then kills a child that does not stop.
+
+        Args:
+            now: also leave out the evaluation that a training ends with.
+        """
+        if self._deadline is None or now and not self._hurried:
+            self._deadline, self._hurried = time.monotonic() + CANCEL_SECONDS, now
+            self.send({"request": "cancel"} | ({"now": True} if now else {}))
 
     def stop(self) -> None:
         """End the child within a few seconds; files that it has saved stay."""
@@ -233,19 +242,19 @@ class Engine:
         self.stop()
 
     def _terminate_or_kill(self) -> None:
-        if self._terminated:
+        if self.terminated:
             self._process.kill()
         else:
             self._process.terminate()
-            self._terminated, self._deadline = True, time.monotonic() + TERMINATE_SECONDS
+            self.terminated, self._deadline = True, time.monotonic() + TERMINATE_SECONDS
 
     def _how_it_ended(self) -> str:
         code = self._process.wait()
         self._readers[1].join(1.0)
         self._print_log()
         last = next((line.strip() for line in reversed(self.log) if line.strip()), "")
-        if self._terminated:
-            return f"The engine did not stop within {CANCEL_SECONDS:.0f} s and was ended. {GO_ON}"
+        if self.terminated:
+            return f"The engine did nothing for {CANCEL_SECONDS:.0f} s after Cancel and was ended. {GO_ON}"
         # The worker handles the first signal itself and ends with the code that shells give to it.
         number = -code if code < 0 else code - 128
         if number == signal.SIGTERM:
@@ -301,12 +310,10 @@ def wait_for_result(engine: Engine, on_event: Callable[[dict[str, Any]], None] |
             engine.cancel()
 
 
-def stop_all() -> bool:
-    """End every child. Returns whether there was one."""
-    was_running = bool(_running)
-    for engine in list(_running):
+def stop_all(*kept: Engine) -> None:
+    """End every child but some that go on."""
+    for engine in _running.difference(kept):
         engine.stop()
-    return was_running
 
 
 def register() -> None:

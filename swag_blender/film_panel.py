@@ -5,7 +5,6 @@ import bpy
 from . import scene_import
 from .blender_types import present
 from .film import film_of
-from .properties import status_of
 from .sidebar import SwagPanel, draw_job, draw_outcome
 
 
@@ -18,9 +17,8 @@ class SWAG_PT_film(SwagPanel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, scene, status = present(self.layout), present(context.scene), status_of(context)
-        if status.job == "Film":
-            draw_job(layout, context)
+        layout, scene = present(self.layout), present(context.scene)
+        if draw_job(layout, context, "Film"):
             return
         column = layout.column(align=True)
         column.operator("swag.add_turntable", icon="FILE_REFRESH")
@@ -51,8 +49,7 @@ class SWAG_PT_film(SwagPanel):
         row = layout.row()
         row.scale_y = 1.4
         row.operator("swag.render_film", icon="RENDER_ANIMATION")
-        if status.last_job == "Film":
-            draw_outcome(layout, context)
+        draw_outcome(layout, context, "Film")
 
 
 register, unregister = bpy.utils.register_classes_factory((SWAG_PT_film,))

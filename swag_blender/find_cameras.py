@@ -135,18 +135,18 @@ def draw_photos(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
     Where the chosen photos could not be imported, another button finds their cameras.
     """
-    swag, status, width = swag_of(context.scene), status_of(context), present(context.region).width
-    if status.job in JOBS:
-        draw_job(layout, context)
+    swag, width = swag_of(context.scene), present(context.region).width
+    if draw_job(layout, context, *JOBS):
         return
     row = layout.row()
     row.scale_y = 1.4
     row.operator("swag.open_photos", icon="IMAGE_DATA")
     if swag.scene_folder:
         layout.label(text=Path(swag.scene_path).name, icon="FILE_FOLDER", translate=False)
-    if status.failed and status.last_job in JOBS:
-        draw_outcome(layout, context)
-        if status.last_job != JOB:
+    ended = status_of(context).ended(*JOBS)
+    if ended is not None and ended.failed:
+        draw_outcome(layout, context, *JOBS)
+        if ended.name != JOB:
             chosen = swag.scene_path
             button = layout.operator(
                 "swag.find_cameras",

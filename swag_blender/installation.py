@@ -10,7 +10,7 @@ import bpy
 from ..swag_engine.base.errors import InputError
 from . import EXTENSION, engine_process
 from .engine_process import Engine
-from .job import no_job_runs
+from .job import Job, may_start
 from .preferences import package_index, preferences
 from .properties import status_of
 
@@ -43,9 +43,9 @@ def start_installer(look_only: bool) -> Engine:
     return Engine([sys.executable, str(script), json.dumps(task)])
 
 
-def can_install(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Whether packages can be had and no job runs, for `poll` of an operator that needs both."""
-    if not no_job_runs(operator, context):
+def can_install(operator: type[Job], context: bpy.types.Context) -> bool:
+    """Whether packages can be had and the job may start, for its `poll`."""
+    if not may_start(operator, context):
         return False
     if not (bpy.app.online_access or preferences().wheels_folder):
         operator.poll_message_set("Allow online access in Preferences > System > Network, or set a folder of wheels")
@@ -83,5 +83,6 @@ def remove_environment(context: bpy.types.Context) -> None:
         ) from error
     status = status_of(context)
     status.doctor = ""
-    # How the last job ended is about an engine that is gone.
-    status.last_job, status.message, status.failed = "", "", False
+    # How jobs ended is about an engine that is gone.
+    for job in [job.name for job in status.jobs]:
+        status.forget(job)

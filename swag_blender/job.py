@@ -1,10 +1,12 @@
-"""Base classes of operators that run a child process: modal with a window, blocking and printing without one."""
+"""Base classes of operators that run a child process: beside the user's work with a window, blocking without one."""
 
-import contextlib
+import os
 import tempfile
 import time
 import traceback
-from typing import Any
+from pathlib import Path
+from types import FunctionType, MethodType
+from typing import Any, cast
 
 import bpy
 
@@ -21,21 +23,31 @@ REDRAW_SECONDS = 0.5
 PRINT_SECONDS = 1.0
 """Shortest time between two printed lines of progress."""
 NO_PHOTOS = "Choose photos or a video first"
+WRITE_TO_SCENE = ("plan", "scale")
+"""Requests that write files to the folder of the photos."""
 LOG_NAME = "SWAG Log"
-last_log: list[str] = []
-"""Lines that the engine wrote to its log during the last job."""
+logs: dict[str, list[str]] = {}
+"""Lines that the engine wrote to its log during the last job of each name, the job that ended last at the end."""
 
 
 class Job(bpy.types.Operator):
     """Operator that gives `job` (a name to show), `request`, `on_event` and `on_result`.
 
-    One job runs at a time. `window_manager.swag` shows it, and its `stopping` stops it.
+    With a window, the operator only starts the child, and a `RunningJob` follows it. `window_manager.swag` shows all
+    jobs.
+
+    Attributes:
+        heavy: the job takes the whole machine; one such job runs at a time.
+        goes_on: the job goes on when another file is opened.
+        memory_mb: free memory without which the job does not start beside others, MB. The engine takes 420 before it
+            has read Gaussians or photos (report of a tiny run).
     """
 
     # Without REGISTER: Adjust Last Operation and Repeat Last would call `execute`, which blocks the window to the end.
     bl_options = {"UNDO"}
     job: str
-    _engine: Engine | None = None
+    heavy = goes_on = False
+    memory_mb = 1500
 
     def request(self, context: bpy.types.Context) -> dict[str, Any]:
         """The request for the engine. Raises EngineError or InputError."""
@@ -44,6 +56,10 @@ class Job(bpy.types.Operator):
     def start(self, context: bpy.types.Context) -> Engine:
         """Start the child process and send the request. Raises EngineError or InputError."""
         request = self.request(context)
+        folder = folder_of(request)
+        if reason := works_on(context, folder):
+            raise InputError(f"{reason}.")
+        present(status_of(context).find(self.job)).folder = folder
         engine = Engine()
         engine.send(request)
         return engine
@@ -60,8 +76,8 @@ class Job(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether no job runs."""
-        return no_job_runs(cls, context)
+        """Whether the job may start beside those that run."""
+        return may_start(cls, context)
 
     # -- without a window ---------------------------------------------------------------------------------------------
 
@@ -69,7 +85,7 @@ class Job(bpy.types.Operator):
         """Run to the end for a script; without blocking the window after a dialog or file browser."""
         if bpy.app.background or not self.options.is_invoke:
             return self.run_blocking(context)
-        return self.run_modal(context)
+        return self.run_beside(context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Run without blocking the window; Blender calls this for buttons."""
@@ -77,14 +93,14 @@ class Job(bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> OperatorResult:
         """Run without blocking the window; to the end where there is none."""
-        return self.run_blocking(context) if bpy.app.background else self.run_modal(context)
+        return self.run_blocking(context) if bpy.app.background else self.run_beside(context)
 
     def run_blocking(self, context: bpy.types.Context) -> OperatorResult:
         """Run to the end and print progress. For `execute`: a call from a script returns when all is done."""
         if self._must_wait(context):
             return {"CANCELLED"}
         status = status_of(context)
-        status.begin(self.job)
+        status.begin(self.job, self.heavy)
         printed = -PRINT_SECONDS
 
         def on_event(event: dict[str, Any]) -> None:
@@ -92,87 +108,120 @@ class Job(bpy.types.Operator):
             if event["event"] != "progress":
                 self.on_event(context, event)
                 return
-            status.show(event)
+            shown = present(status.find(self.job))
+            shown.show(event)
             if time.monotonic() - printed >= PRINT_SECONDS or event["iteration"] == event["iterations"]:
                 printed = time.monotonic()
-                print(f"{self.job}: {', '.join((status.text, *status.figures()))}", flush=True)
+                print(f"{self.job}: {', '.join((shown.text, *shown.figures()))}", flush=True)
 
         try:
             with self.start(context) as engine:
                 try:
                     result = wait_for_result(engine, on_event)
                 finally:
-                    keep_log(engine)
-            return self._succeed(context, result)
+                    keep_log(self.job, engine)
+            message = self.on_result(context, result)
         except (EngineError, InputError) as error:
             return self._fail(context, error)
-        finally:
-            # Only an unexpected exception leaves it set.
-            status.job = ""
+        except BaseException:
+            status.forget(self.job)
+            raise
+        status.end(self.job, message, False)
+        self.report({"INFO"}, message)
+        return {"FINISHED"}
 
     # -- with a window ------------------------------------------------------------------------------------------------
 
-    def run_modal(self, context: bpy.types.Context) -> OperatorResult:
-        """Start, and read events from a timer while the user continues to work. For `invoke`."""
+    def run_beside(self, context: bpy.types.Context) -> OperatorResult:
+        """Start, and let a `RunningJob` read events while the user continues to work. For `invoke`."""
         if self._must_wait(context):
             return {"CANCELLED"}
-        window_manager = present(context.window_manager)
-        status_of(context).begin(self.job)
+        status_of(context).begin(self.job, self.heavy)
         try:
-            self._engine = self.start(context)
+            engine = self.start(context)
         except (EngineError, InputError) as error:
             return self._fail(context, error)
-        self._drawn, self._paused = 0.0, False
-        self._timer = window_manager.event_timer_add(TIMER_SECONDS, window=context.window)
-        window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
-        """Handle the timer; Blender calls this for every event."""
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        status, engine = status_of(context), present(self._engine)
-        if status.stopping:
-            engine.cancel()
-        elif status.paused != self._paused:
-            self._paused = status.paused
-            engine.send({"request": "pause" if self._paused else "go_on"})
-            redraw(context)
-        try:
-            outcome = self._follow(context)
-        except (EngineError, InputError) as error:
-            outcome = self._fail(context, error)
-        except Exception as error:
-            traceback.print_exc()
-            outcome = self._fail(context, error)
-        if outcome:
-            self._close(context)
-            redraw(context)
-        return outcome or {"PASS_THROUGH"}
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """End the job; Blender calls this when another file is opened or a window or a dialog before it is closed."""
-        if self._engine:
-            self._close(context)
-            status_of(context).job = ""
+        except BaseException:
+            status_of(context).forget(self.job)
+            raise
+        follow(RunningJob(self, engine))
+        # Neither FINISHED nor CANCELLED: the result makes the step of undo.
+        return {"INTERFACE"}
 
     def _must_wait(self, context: bpy.types.Context) -> bool:
         """Tell the user where another job was started while a dialog of this one was open; returns whether it was."""
-        running = status_of(context).job
-        if running:
-            self.report({"ERROR"}, f"{running} is running: wait for its end, or cancel it.")
-        return bool(running)
+        reason = obstacle(type(self), context)
+        if reason:
+            self.report({"ERROR"}, f"{reason}.")
+        return bool(reason)
 
-    def _follow(self, context: bpy.types.Context) -> OperatorResult | None:
-        """Handle the events that arrived; returns how the operator ended, None while it runs."""
-        events = present(self._engine).poll()
+    def _fail(self, context: bpy.types.Context, error: Exception) -> OperatorResult:
+        status_of(context).end(self.job, str(error), True)
+        self.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
+
+
+class RunningJob:
+    """A job that runs while the user works: Blender frees its operator before the end.
+
+    It has the attributes that the operator had, and calls the methods of the operator's class.
+
+    Args:
+        operator: the operator that started the job.
+        engine: its child process.
+    """
+
+    def __init__(self, operator: Job, engine: Engine) -> None:
+        self.__dict__ |= vars(operator)
+        self.operator, self.engine = type(operator), engine
+        self._drawn, self._paused = 0.0, False
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self.__dict__["operator"], name)
+        return MethodType(value, self) if isinstance(value, FunctionType) else value
+
+    def advance(self, context: bpy.types.Context) -> bool:
+        """Pass on what the user asked for and handle the events that arrived; returns whether the job goes on."""
+        status = status_of(context)
+        shown = present(status.find(self.job))
+        if shown.stopping:
+            self.engine.cancel(shown.stopping_now)
+        elif shown.paused != self._paused:
+            self._paused = shown.paused
+            self.engine.send({"request": "pause" if self._paused else "go_on"})
+            redraw(context)
+        try:
+            message = self._handle_events(context)
+            if message is None:
+                return True
+            status.end(self.job, message, False)
+        except (EngineError, InputError) as error:
+            self._fail(context, error)
+        except Exception as error:
+            traceback.print_exc()
+            self._fail(context, error)
+        else:
+            if "UNDO" in self.bl_options:
+                bpy.ops.ed.undo_push(message=self.bl_label)
+        self.stop()
+        redraw(context)
+        return False
+
+    def stop(self) -> None:
+        """End the child."""
+        self.engine.stop()
+        keep_log(self.job, self.engine)
+
+    def _handle_events(self, context: bpy.types.Context) -> str | None:
+        """Handle the events that arrived; returns what to tell the user at the end, None before."""
+        events = self.engine.poll()
         # Several previews may have arrived while Blender was busy: only the last one is shown.
         previews = [event for event in events if event["event"] == "preview"]
         for event in events:
             if event["event"] == "result":
-                return self._succeed(context, event)
+                return str(self.on_result(context, event))
             if event["event"] == "progress":
-                status_of(context).show(event)
+                present(status_of(context).find(self.job)).show(event)
             elif event not in previews[:-1]:
                 self.on_event(context, event)
         self.on_timer(context)
@@ -181,25 +230,19 @@ class Job(bpy.types.Operator):
             self._drawn = time.monotonic()
         return None
 
-    def _close(self, context: bpy.types.Context) -> None:
-        engine = present(self._engine)
-        engine.stop()
-        keep_log(engine)
-        with contextlib.suppress(ReferenceError, RuntimeError):
-            present(context.window_manager).event_timer_remove(self._timer)
+    def _fail(self, context: bpy.types.Context, error: Exception) -> None:
+        """Store how the job failed; what a user stops has not failed, unless it had to be killed."""
+        status, message = status_of(context), str(error)
+        failed = not present(status.find(self.job)).stopping or self.engine.terminated
+        status.end(self.job, message, failed)
+        if failed:
+            self.show_failure(context, message)
 
-    def _succeed(self, context: bpy.types.Context, event: dict[str, Any]) -> OperatorResult:
-        message = self.on_result(context, event)
-        status_of(context).end(message, False)
-        self.report({"INFO"}, message)
-        return {"FINISHED"}
-
-    def _fail(self, context: bpy.types.Context, error: Exception) -> OperatorResult:
-        status = status_of(context)
-        # What a user stops has not failed.
-        status.end(str(error), not status.stopping)
-        self.report({"INFO"} if status.stopping else {"ERROR"}, str(error))
-        return {"CANCELLED"}
+    def show_failure(self, context: bpy.types.Context, message: str) -> None:
+        """Show why the job failed, beside the pointer: its panel may be closed."""
+        present(context.window_manager).popup_menu(
+            lambda menu, _: present(menu.layout).label(text=message), title=self.job, icon="ERROR"
+        )
 
 
 class SceneJob(Job):
@@ -210,7 +253,7 @@ class SceneJob(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether photos are chosen, the engine is there and no job runs."""
+        """Whether photos are chosen, the engine is there and the job may start."""
         return can_work_on_photos(cls, context)
 
     def question(self, swag: SwagScene) -> dict[str, Any]:
@@ -244,7 +287,7 @@ class ImportJob(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the engine is there and no job runs."""
+        """Whether the engine is there and the job may start."""
         return can_run_engine(cls, context)
 
     def question(self) -> dict[str, Any]:
@@ -275,9 +318,63 @@ def no_job_runs(operator: type[bpy.types.Operator], context: bpy.types.Context) 
     return True
 
 
-def can_run_engine(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Whether the engine is there and no job runs, for `poll` of an operator that needs both."""
-    if not no_job_runs(operator, context):
+def may_start(operator: type[Job], context: bpy.types.Context, folder: str = "") -> bool:
+    """Whether a job may start beside those that run, for its `poll`.
+
+    Args:
+        operator: the job.
+        context: has the jobs that run.
+        folder: the folder that the job would work on; "" where that is not known yet.
+    """
+    if reason := obstacle(operator, context) or works_on(context, folder):
+        operator.poll_message_set(reason)
+        return False
+    return True
+
+
+def obstacle(operator: type[Job], context: bpy.types.Context) -> str:
+    """Why a job cannot start beside those that run; "" where it can."""
+    running = status_of(context).running
+    for job in running:
+        if job.name == operator.job or job.heavy and operator.heavy:
+            return f"{job.name} is running: wait for its end, or cancel it"
+    free = free_memory_mb() if running else None
+    if free is not None and free < operator.memory_mb:
+        return (
+            f"{running[-1].name} is running, and {free / 1000:.1f} GB of memory are free (at least "
+            f"{operator.memory_mb / 1000:.1f} GB are needed): wait for its end, or cancel it"
+        )
+    return ""
+
+
+def works_on(context: bpy.types.Context, folder: str) -> str:
+    """A sentence without its point about the job that works on a folder; "" where none does."""
+    for job in status_of(context).running:
+        if folder and job.folder == folder:
+            return f"{job.name} is working on {folder}: wait for its end, or cancel it"
+    return ""
+
+
+def folder_of(request: dict[str, Any]) -> str:
+    """The folder that a request works on, which two must not do at once; "" for one that only reads photos."""
+    names = ["out", "run", "survey"]
+    if request["request"] in WRITE_TO_SCENE:
+        names.append("scene")
+    return next((os.path.abspath(request[name]) for name in names if request.get(name)), "")
+
+
+def free_memory_mb() -> int | None:
+    """Memory that is free, MB; None where the system does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) // 1000 for line in lines if line.startswith("MemAvailable:")), None)
+
+
+def can_run_engine(operator: type[Job], context: bpy.types.Context, folder: str = "") -> bool:
+    """Whether the engine is there and the job may start, as `may_start` does."""
+    if not may_start(operator, context, folder):
         return False
     if problem := engine_problem():
         operator.poll_message_set(problem)
@@ -285,12 +382,12 @@ def can_run_engine(operator: type[bpy.types.Operator], context: bpy.types.Contex
     return True
 
 
-def can_work_on_photos(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Whether photos are chosen, the engine is there and no job runs, for `poll` of an operator that needs all."""
+def can_work_on_photos(operator: type[Job], context: bpy.types.Context, folder: str = "") -> bool:
+    """Whether photos are chosen, the engine is there and the job may start, as `may_start` does."""
     if not swag_of(context.scene).scene_folder:
         operator.poll_message_set(NO_PHOTOS)
         return False
-    return can_run_engine(operator, context)
+    return can_run_engine(operator, context, folder)
 
 
 def chosen_scene(swag: SwagScene) -> str:
@@ -300,15 +397,22 @@ def chosen_scene(swag: SwagScene) -> str:
     return swag.scene_path
 
 
-def keep_log(engine: Engine) -> None:
-    """Keep the engine's log for show_log."""
-    last_log[:] = engine.log
+def keep_log(job: str, engine: Engine) -> None:
+    """Keep the engine's log of a job for show_log."""
+    logs.pop(job, None)
+    logs[job] = list(engine.log)
 
 
-def show_log(context: bpy.types.Context) -> None:
-    """Open the log of the last job in a text editor, in a new window if none is open; print it without a window."""
+def show_log(context: bpy.types.Context, job: str) -> None:
+    """Open the log of a job in a text editor, in a new window if none is open; print it without a window.
+
+    Args:
+        context: has the windows.
+        job: name of the job; "" for the one that ended last.
+    """
     text = bpy.data.texts.get(LOG_NAME) or bpy.data.texts.new(LOG_NAME)
-    text.from_string("\n".join(last_log) + "\n")
+    lines = logs[job] if job in logs else list(logs.values())[-1]
+    text.from_string("\n".join(lines) + "\n")
     if bpy.app.background:
         print(text.as_string())
         return
@@ -332,28 +436,56 @@ def redraw(context: bpy.types.Context) -> None:
                     region.tag_redraw()
 
 
-_stopped_by_load = ""
-"""Name of the job that was running when another file was opened."""
+_jobs: list[RunningJob] = []
+"""The jobs that run while the user works."""
+_stopped_by_load: list[str] = []
+"""Names of the jobs that were running when another file was opened."""
+
+
+def follow(job: RunningJob) -> None:
+    """Follow a job until its end. Blender's timers go on when the window that started it is closed."""
+    _jobs.append(job)
+    if not bpy.app.timers.is_registered(_advance):
+        bpy.app.timers.register(_advance, first_interval=TIMER_SECONDS, persistent=True)
+
+
+def _advance() -> float | None:
+    """Advance all jobs; a timer's function."""
+    context = bpy.context
+    windows = present(context.window_manager).windows
+    # Not one of the Preferences: results select objects. A result in the middle of a transform would be lost in undo.
+    main = next(window for window in windows if window.parent is None)
+    if any(operator.bl_idname.startswith("TRANSFORM_OT_") for window in windows for operator in window.modal_operators):
+        return TIMER_SECONDS
+    with context.temp_override(window=main):
+        for job in list(_jobs):
+            if not job.advance(context):
+                _jobs.remove(job)
+    return TIMER_SECONDS if _jobs else None
 
 
 @bpy.app.handlers.persistent
 def _before_load(*_: object) -> None:
-    global _stopped_by_load
-    _stopped_by_load = status_of(bpy.context).job
-    stop_all()
+    _jobs[:] = [job for job in _jobs if job.goes_on]
+    kept = {job.job for job in _jobs}
+    _stopped_by_load[:] = [job.name for job in status_of(bpy.context).running if job.name not in kept]
+    stop_all(*(job.engine for job in _jobs))
 
 
 @bpy.app.handlers.persistent
 def _after_load(*_: object) -> None:
-    # The file may have been saved while a job ran; no job runs now.
+    # The file may have been saved while a job ran.
     status = status_of(bpy.context)
-    status.begin(_stopped_by_load)
-    if _stopped_by_load:
-        status.end("Stopped, because another file was opened; what was saved until then is kept.", False)
+    cast(Any, status.jobs).clear()
+    for name in _stopped_by_load:
+        status.begin(name)
+        status.end(name, "Stopped, because another file was opened; what was saved until then is kept.", False)
+    for job in _jobs:
+        status.begin(job.job, job.heavy)
 
 
 def register() -> None:
-    """Stop the running job when another file is opened."""
+    """Stop the running jobs when another file is opened."""
     bpy.app.handlers.load_pre.append(_before_load)
     bpy.app.handlers.load_post.append(_after_load)
 
@@ -362,3 +494,6 @@ def unregister() -> None:
     """Undo `register`."""
     bpy.app.handlers.load_post.remove(_after_load)
     bpy.app.handlers.load_pre.remove(_before_load)
+    _jobs.clear()
+    if bpy.app.timers.is_registered(_advance):
+        bpy.app.timers.unregister(_advance)

@@ -7,7 +7,7 @@ import bpy
 from . import maps
 from .blender_types import present
 from .job import Job, can_run_engine
-from .operator_base import splats_are_active
+from .operator_base import active_run, splats_are_active
 
 
 class MapJob(Job):
@@ -18,8 +18,8 @@ class MapJob(Job):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object has splats, the engine is there and no job runs."""
-        return splats_are_active(cls, context) and can_run_engine(cls, context)
+        """Whether the active object has splats, the engine is there, and the job may start."""
+        return splats_are_active(cls, context) and can_run_engine(cls, context, active_run(context))
 
     def request(self, context: bpy.types.Context) -> dict[str, Any]:
         """The request for the run of the splats."""

@@ -6,7 +6,6 @@ import bpy
 
 from . import maps, splats
 from .blender_types import present, set_button
-from .properties import status_of
 from .sidebar import SwagPanel, draw_job, draw_outcome, draw_wrapped
 
 
@@ -19,10 +18,9 @@ class SWAG_PT_maps(SwagPanel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, status, obj = present(self.layout), status_of(context), context.active_object
+        layout, obj = present(self.layout), context.active_object
         width = present(context.region).width
-        if status.job == maps.JOB:
-            draw_job(layout, context)
+        if draw_job(layout, context, maps.JOB):
             return
         if not splats.is_splats(obj):
             draw_wrapped(layout, "Select an object with splats first.", width, icon="INFO")
@@ -48,8 +46,7 @@ class SWAG_PT_maps(SwagPanel):
         column.operator("swag.make_change", icon="MOD_TIME")
         column.prop(settings, "later")
         column.prop(settings, "free_scale")
-        if status.last_job == maps.JOB:
-            draw_outcome(layout, context)
+        draw_outcome(layout, context, maps.JOB)
 
 
 class SWAG_PT_made_maps(SwagPanel):

@@ -1,11 +1,14 @@
 """Base classes of operators."""
 
+import os
+
 import bpy
 
 from ..swag_engine.base.errors import InputError
 from . import splats
 from .blender_types import OperatorResult, present
 from .engine_process import EngineError
+from .runs import RUN_KEY
 from .splat_selection import edited_objects
 
 
@@ -65,3 +68,10 @@ def splats_are_active(operator: type[bpy.types.Operator], context: bpy.types.Con
         operator.poll_message_set("Select an object with splats first")
         return False
     return True
+
+
+def active_run(context: bpy.types.Context) -> str:
+    """Folder of the run of the active object; "" without one."""
+    obj = context.active_object
+    folder = obj.get(RUN_KEY) if obj else None
+    return os.path.abspath(folder) if folder else ""

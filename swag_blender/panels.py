@@ -91,14 +91,13 @@ class SWAG_PT_train(SwagPanel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether photos are chosen, or a training runs."""
-        return bool(swag_of(context.scene).scene_folder) or status_of(context).job == "Training"
+        return bool(swag_of(context.scene).scene_folder) or status_of(context).find("Training") is not None
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, swag, status = present(self.layout), swag_of(context.scene), status_of(context)
+        layout, swag = present(self.layout), swag_of(context.scene)
         width = present(context.region).width
-        if status.job in ("Training", "Forecast"):
-            draw_job(layout, context)
+        if draw_job(layout, context, "Training", "Forecast"):
             return
         layout.use_property_split = True
         layout.use_property_decorate = False
@@ -128,8 +127,8 @@ class SWAG_PT_train(SwagPanel):
             column.scale_y = 0.8
             column.label(text=seconds)
             column.label(text=f"{psnr}, {memory}")
-        if status.last_job == "Training" or status.failed and status.last_job == "Forecast":
-            draw_outcome(layout, context)
+        draw_outcome(layout, context, "Training")
+        draw_outcome(layout, context, "Forecast", only_failed=True)
         if can_continue:
             draw_wrapped(layout, f"{swag.stopped_at} Press Continue to finish it.", width, icon="RECOVER_LAST")
 
@@ -144,20 +143,18 @@ class SWAG_PT_effects(SwagPanel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether no training runs."""
-        return status_of(context).job != "Training"
+        return status_of(context).find("Training") is None
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, swag, status = present(self.layout), swag_of(context.scene), status_of(context)
+        layout, swag = present(self.layout), swag_of(context.scene)
         plan, width = swag.plan, present(context.region).width
-        if status.job == "Plan":
-            draw_job(layout, context)
+        if draw_job(layout, context, "Plan"):
             return
         row = layout.row(align=True)
         row.operator("swag.plan", text="Plan Again" if plan.lines else "Plan", icon="VIEWZOOM")
         row.operator("swag.reset_effects", text="", icon="LOOP_BACK")
-        if status.failed and status.last_job == "Plan":
-            draw_outcome(layout, context)
+        draw_outcome(layout, context, "Plan", only_failed=True)
         if not plan.lines:
             draw_wrapped(
                 layout, "Plan determines from the photos which effects training should model.", width, icon="INFO"
@@ -183,7 +180,7 @@ class SWAG_PT_train_more(SwagPanel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether no training runs."""
-        return status_of(context).job != "Training"
+        return status_of(context).find("Training") is None
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
@@ -322,15 +319,13 @@ class SWAG_PT_label(SwagPanel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, status = present(self.layout), status_of(context)
+        layout = present(self.layout)
         layout.use_property_split = True
         layout.use_property_decorate = False
-        if status.job == "Labelling":
-            draw_job(layout, context)
+        if draw_job(layout, context, "Labelling"):
             return
         label_list.draw_labelling(layout, present(context.active_object))
-        if status.last_job == "Labelling":
-            draw_outcome(layout, context)
+        draw_outcome(layout, context, "Labelling")
 
 
 class SWAG_PT_export(SwagPanel):

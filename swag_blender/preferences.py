@@ -69,15 +69,14 @@ class SwagPreferences(bpy.types.AddonPreferences):
         """Draw the preferences; Blender calls this."""
         layout, status, width = present(self.layout), status_of(context), present(context.region).width
         problem = engine_process.engine_problem()
-        if status.job in JOBS:
-            draw_job(layout, context)
+        if draw_job(layout, context, *JOBS):
+            pass
         elif problem:
             self.draw_install(layout, context)
         else:
             layout.label(text="The engine is installed: you can train.", icon="CHECKMARK")
             layout.operator("swag.check_engine", icon="VIEWZOOM")
-        if not status.job and status.last_job in JOBS:
-            draw_outcome(layout, context)
+        draw_outcome(layout, context, *JOBS)
         if status.doctor:
             draw_doctor(layout.box(), json.loads(status.doctor))
         header, body = layout.panel("swag_advanced", default_closed=True)

@@ -1,4 +1,4 @@
-"""Properties of a scene (saved in the .blend) and of the job that runs (not saved)."""
+"""Properties of a scene (saved in the .blend) and of the jobs that run (not saved)."""
 
 import json
 import os
@@ -9,6 +9,7 @@ from typing import Annotated, Any, cast
 import bpy
 from bpy.props import (
     BoolProperty,
+    CollectionProperty,
     EnumProperty,
     FloatProperty,
     FloatVectorProperty,
@@ -354,23 +355,21 @@ for _name, _default, _described in settings_of(TrainSettings):
 
 
 @with_properties
-class SwagStatus(PropertyGroup):
-    """`window_manager.swag`: the job that runs now, for panels and scripts."""
+class SwagJob(PropertyGroup):
+    """A job that runs or has ended; `name` is that of the job."""
 
-    job: Annotated[str, StringProperty(description="Name of the job that runs; empty when none does")]
-    last_job: Annotated[str, StringProperty(description="Name of the last job that ended")]
+    running: Annotated[bool, BoolProperty(description="Whether the job has not ended")]
+    heavy: Annotated[bool, BoolProperty(description="Whether the job takes the whole machine")]
+    folder: Annotated[str, StringProperty(description="Folder that no other job may work on; empty for none")]
     stopping: Annotated[bool, BoolProperty(description="Whether the job was asked to stop")]
+    stopping_now: Annotated[bool, BoolProperty(description="Whether it was asked to leave out what is still to do")]
     paused: Annotated[bool, BoolProperty(description="Whether the training is paused")]
-    download_mb: Annotated[
-        int, IntProperty(description="Megabytes that Install Engine would download; 0 until looked up")
-    ]
-    packages_mb: Annotated[int, IntProperty(description="Megabytes of all its packages; 0 until looked up")]
-    doctor: Annotated[str, StringProperty(description="What the last check of the engine's Python found, as JSON")]
     curve: Annotated[str, StringProperty(description="PSNR on the validation photos so far, in dB")]
     factor: Annotated[float, FloatProperty(min=0.0, max=1.0, subtype="FACTOR")]
     text: Annotated[str, StringProperty(description="Step that the job does now")]
-    message: Annotated[str, StringProperty(description="How the last job ended")]
-    failed: Annotated[bool, BoolProperty(description="Whether the last job ended with an error")]
+    evaluates: Annotated[bool, BoolProperty(description="Whether the training has ended and its result is evaluated")]
+    message: Annotated[str, StringProperty(description="How the job ended")]
+    failed: Annotated[bool, BoolProperty(description="Whether the job ended with an error, or had to be killed")]
     iteration: Annotated[int, IntProperty()]
     gaussians: Annotated[int, IntProperty()]
     loss: Annotated[float, FloatProperty()]
@@ -378,21 +377,20 @@ class SwagStatus(PropertyGroup):
     speed: Annotated[float, FloatProperty(description="Iterations per second")]
     seconds_left: Annotated[float, FloatProperty()]
 
-    def begin(self, job: str) -> None:
-        """Reset everything for a new job."""
-        for name in SwagStatus.__annotations__:
-            if name not in ("doctor", "download_mb", "packages_mb"):
-                self.property_unset(name)
-        self.job, self.text = job, "Starting"
-
-    def end(self, message: str, failed: bool) -> None:
-        """Store how the job ended."""
-        self.job, self.last_job, self.message, self.failed = "", self.job, message, failed
+    @property
+    def shown_text(self) -> str:
+        """What the job does now, with what is still done where it was asked to stop."""
+        if self.stopping_now:
+            return "Stopping now"
+        if self.stopping:
+            return f"Stopping: {self.text[:1].lower()}{self.text[1:]}" if self.evaluates else "Stopping"
+        return "Paused" if self.paused else self.text
 
     def show(self, event: dict[str, Any]) -> None:
         """Store the values of a `progress` event."""
         self.factor = event["iteration"] / max(1, event["iterations"])
         self.text = event.get("text") or progress_text(event)
+        self.evaluates = event["stage"] == "evaluate"
         if event["stage"] == "train":
             self.iteration = event["iteration"]
             self.gaussians = event["gaussians"]
@@ -416,6 +414,67 @@ class SwagStatus(PropertyGroup):
         ]
 
 
+@with_properties
+class SwagStatus(PropertyGroup):
+    """`window_manager.swag`: the jobs that run, and how those before ended, for panels and scripts."""
+
+    jobs: Annotated[Sequence[SwagJob], CollectionProperty(type=SwagJob)]
+    download_mb: Annotated[
+        int, IntProperty(description="Megabytes that Install Engine would download; 0 until looked up")
+    ]
+    packages_mb: Annotated[int, IntProperty(description="Megabytes of all its packages; 0 until looked up")]
+    doctor: Annotated[str, StringProperty(description="What the last check of the engine's Python found, as JSON")]
+
+    @property
+    def running(self) -> list[SwagJob]:
+        """The jobs that run, in the order of their start."""
+        return [job for job in self.jobs if job.running]
+
+    @property
+    def job(self) -> str:
+        """Name of the job that runs, of the one started last where several do; "" where none does."""
+        return next((job.name for job in reversed(self.running)), "")
+
+    @property
+    def message(self) -> str:
+        """How the last job ended."""
+        return next((job.message for job in reversed(self.jobs) if not job.running), "")
+
+    @property
+    def failed(self) -> bool:
+        """Whether the last job ended with an error."""
+        return any(job.failed for job in [job for job in self.jobs if not job.running][-1:])
+
+    def find(self, job: str) -> SwagJob | None:
+        """The running job of a name; None where it does not run."""
+        return next((one for one in self.running if one.name == job), None)
+
+    def ended(self, *jobs: str) -> SwagJob | None:
+        """The one of these jobs that ended last; None where none did, or one runs."""
+        found = [one for one in self.jobs if one.name in jobs]
+        return found[-1] if found and not any(one.running for one in found) else None
+
+    def begin(self, job: str, heavy: bool = False, folder: str = "") -> SwagJob:
+        """Add a job, in the place of an earlier one of its name."""
+        self.forget(job)
+        added = cast(Any, self.jobs).add()
+        added.name, added.running, added.heavy, added.folder, added.text = job, True, heavy, folder, "Starting"
+        return cast(SwagJob, added)
+
+    def end(self, job: str, message: str, failed: bool) -> None:
+        """Store how a job ended."""
+        jobs = cast(Any, self.jobs)
+        index = jobs.find(job)
+        jobs[index].running, jobs[index].message, jobs[index].failed = False, message, failed
+        jobs.move(index, len(jobs) - 1)
+
+    def forget(self, job: str) -> None:
+        """Remove a job from the list."""
+        jobs = cast(Any, self.jobs)
+        if (index := jobs.find(job)) >= 0:
+            jobs.remove(index)
+
+
 def progress_text(event: dict[str, Any]) -> str:
     """Text of a `progress` event."""
     what = "Iteration" if event["stage"] == "train" else "Photo"
@@ -432,11 +491,11 @@ def swag_of(scene: bpy.types.Scene | None) -> SwagScene:
 
 
 def status_of(context: bpy.types.Context) -> SwagStatus:
-    """The job that runs now."""
+    """The jobs of Blender's session."""
     return cast(Any, context.window_manager).swag
 
 
-_CLASSES = (SwagScene, SwagStatus)
+_CLASSES = (SwagScene, SwagJob, SwagStatus)
 
 
 def register() -> None:

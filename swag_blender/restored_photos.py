@@ -6,7 +6,7 @@ import bpy
 
 from . import colors
 from .blender_types import present
-from .properties import status_of, swag_of
+from .properties import swag_of
 from .run_list import photographed_run, shown_run
 from .sidebar import SwagPanel, draw_job, draw_outcome
 
@@ -42,13 +42,11 @@ class SWAG_PT_restored_photos(SwagPanel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, status = present(self.layout), status_of(context)
-        if status.job == JOB:
-            draw_job(layout, context)
+        layout = present(self.layout)
+        if draw_job(layout, context, JOB):
             return
         layout.operator("swag.restore_photos", icon="IMAGE_DATA")
-        if status.last_job == JOB:
-            draw_outcome(layout, context)
+        draw_outcome(layout, context, JOB)
 
 
 register, unregister = bpy.utils.register_classes_factory((SWAG_PT_restored_photos,))

@@ -19,8 +19,7 @@ from .effects import NO_WATER
 from .properties import time_text
 from .run_quality import Quality, quality_of
 from .runs import RUN_KEY
-from .sidebar import draw_wrapped
-from .web_page import open_page
+from .sidebar import draw_job, draw_outcome, draw_wrapped
 
 REPORT = "report.html"
 """Name of the report in a run's folder."""
@@ -124,24 +123,9 @@ def _read_metrics(run: RunFolder, _changed: int) -> tuple[dict[str, str], list[s
     return figures, sentences, quality_of(metrics)
 
 
-def has_report(context: bpy.types.Context) -> bool:
-    """Whether the shown run has a report."""
-    shown = shown_run(context)
-    return shown is not None and (folder_of(shown) / REPORT).is_file()
-
-
-def open_report(context: bpy.types.Context, folder: str) -> None:
-    """Open the report of a run, of the shown one where `folder` is "", in the web browser.
-
-    Raises:
-        InputError: there is no report, or no browser.
-    """
-    shown = shown_run(context)
-    run = Path(folder) if folder or shown is None else folder_of(shown)
-    page = run / REPORT
-    if not page.is_file():
-        raise InputError(f"{run} has no {REPORT}: a training writes it at its end.")
-    open_page(page)
+def report_of(folder: Path) -> Path:
+    """The report of a run, which may not exist."""
+    return folder / REPORT
 
 
 def draw_runs(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -177,6 +161,7 @@ def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         _draw_figures(layout, [folder_of(obj).name for obj in (shown, other) if obj], columns)
     for note in notes_of(folder_of(shown)):
         draw_wrapped(layout, note, width, icon="INFO")
+    draw_job(layout, context, "Report") or draw_outcome(layout, context, "Report", only_failed=True)
     set_button(layout.operator("swag.open_report", icon="URL"), folder=str(folder_of(shown)))
 
 

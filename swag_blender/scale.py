@@ -1,5 +1,6 @@
 """Length of a metre in an imported scene, from a distance that the user knows, or from coded targets."""
 
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -93,6 +94,11 @@ def has_scene(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool
     return True
 
 
+def scene_folder(context: bpy.types.Context) -> str:
+    """Folder of the imported scene that the active object belongs to, or of the only one."""
+    return os.path.abspath(present(scene_import.active_root(context))[scene_import.ROOT_KEY])
+
+
 def targets_request(context: bpy.types.Context, family: str, size: float) -> dict[str, Any]:
     """The engine's request for the scale of the imported scene from coded targets.
 
@@ -102,8 +108,7 @@ def targets_request(context: bpy.types.Context, family: str, size: float) -> dic
         size: edge length of the targets in metres.
 
     """
-    root = present(scene_import.active_root(context))
-    return {"request": "scale", "scene": root[scene_import.ROOT_KEY], "targets": family, "size": size}
+    return {"request": "scale", "scene": scene_folder(context), "targets": family, "size": size}
 
 
 def take_scale(scene_name: str, event: dict[str, Any]) -> str:

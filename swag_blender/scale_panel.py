@@ -24,13 +24,12 @@ class SWAG_PT_scale(SwagPanel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether there is something to scale, or its targets are looked for."""
-        return scale.scaled_object(context) is not None or status_of(context).job == scale.JOB
+        return scale.scaled_object(context) is not None or status_of(context).find(scale.JOB) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, status, width = present(self.layout), status_of(context), present(context.region).width
-        if status.job == scale.JOB:
-            draw_job(layout, context)
+        layout, width = present(self.layout), present(context.region).width
+        if draw_job(layout, context, scale.JOB):
             return
         obj = scale.scaled_object(context)
         measured = georeference_of(scene_import.find_root(obj))
@@ -47,8 +46,7 @@ class SWAG_PT_scale(SwagPanel):
         row = layout.row(align=True)
         row.operator("swag.pick_scale", icon="EYEDROPPER")
         row.operator("swag.set_scale", text="From Selection", icon="CON_DISTLIMIT")
-        if status.failed and status.last_job == scale.JOB:
-            draw_outcome(layout, context)
+        draw_outcome(layout, context, scale.JOB, only_failed=True)
 
 
 register, unregister = bpy.utils.register_classes_factory((SWAG_PT_scale,))

@@ -7,8 +7,8 @@ import bpy
 
 from ..swag_engine.base.text import sparkline
 from . import WORDS
-from .blender_types import present
-from .properties import status_of
+from .blender_types import present, set_button
+from .properties import SwagJob, status_of
 
 CHARACTER_WIDTH = 6.4
 """Mean width of a character in Blender's interface font, in pixels at a scale of 1."""
@@ -24,33 +24,50 @@ class SwagPanel(bpy.types.Panel):
     bl_translation_context = WORDS
 
 
-def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the job that runs: progress, Pause and Cancel, figures, the curve of PSNR."""
-    status = status_of(context)
-    text = "Stopping" if status.stopping else "Paused" if status.paused else status.text
-    layout.progress(factor=status.factor, text=text)
+def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, *jobs: str) -> bool:
+    """Draw those of these jobs that run: progress, Pause and Cancel, figures, the curve of PSNR.
+
+    Returns whether one runs.
+    """
+    running = [job for job in status_of(context).running if job.name in jobs]
+    for job in running:
+        layout.progress(factor=job.factor, text=job.shown_text)
+        if job.evaluates and job.stopping:
+            draw_wrapped(layout, "The result is kept.", present(context.region).width)
+        row = layout.row(align=True)
+        if job.name == "Training" and not job.stopping:
+            row.operator("swag.pause", text="Resume" if job.paused else "Pause", icon="PLAY" if job.paused else "PAUSE")
+        draw_cancel(row, job, text="Stop Now" if job.stopping else "Cancel")
+        figures = job.figures()
+        if figures:
+            grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
+            for figure in figures:
+                grid.label(text=figure)
+        curve = [float(psnr) for psnr in job.curve.split()]
+        if len(curve) > 1:
+            layout.label(text=f"{curve[0]:.1f} {sparkline(curve)} {curve[-1]:.1f} dB")
+    return bool(running)
+
+
+def draw_cancel(layout: bpy.types.UILayout, job: SwagJob, text: str) -> None:
+    """Draw the button that cancels a job, which stops it at once where it was cancelled before."""
     row = layout.row(align=True)
-    if status.job == "Training":
-        row.operator(
-            "swag.pause", text="Resume" if status.paused else "Pause", icon="PLAY" if status.paused else "PAUSE"
-        )
-    row.operator("swag.cancel", text="Cancel", icon="CANCEL")
-    figures = status.figures()
-    if figures:
-        grid = layout.grid_flow(row_major=True, columns=2, even_columns=True, align=True)
-        for figure in figures:
-            grid.label(text=figure)
-    curve = [float(psnr) for psnr in status.curve.split()]
-    if len(curve) > 1:
-        layout.label(text=f"{curve[0]:.1f} {sparkline(curve)} {curve[-1]:.1f} dB")
+    row.enabled = not job.stopping_now
+    set_button(row.operator("swag.cancel", text=text, icon="CANCEL"), job=job.name)
 
 
-def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw how the last job ended; after an error with the button that shows its log."""
-    status = status_of(context)
-    draw_wrapped(layout, status.message, present(context.region).width, icon="ERROR" if status.failed else "CHECKMARK")
-    if status.failed:
-        layout.operator("swag.show_log", icon="TEXT")
+def draw_outcome(layout: bpy.types.UILayout, context: bpy.types.Context, *jobs: str, only_failed: bool = False) -> bool:
+    """Draw how the one of these jobs ended that ended last; after an error with the button that shows its log.
+
+    Returns whether there is something to draw.
+    """
+    job = status_of(context).ended(*jobs)
+    if job is None or only_failed and not job.failed:
+        return False
+    draw_wrapped(layout, job.message, present(context.region).width, icon="ERROR" if job.failed else "CHECKMARK")
+    if job.failed:
+        set_button(layout.operator("swag.show_log", icon="TEXT"), job=job.name)
+    return True
 
 
 def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: Icon = "NONE") -> None:

@@ -7,7 +7,7 @@ import bpy
 from ..swag_engine.formats.survey_folder import COARSE
 from . import survey, survey_map, survey_watch
 from .blender_types import present, set_button
-from .properties import status_of, swag_of
+from .properties import swag_of
 from .sidebar import SwagPanel, draw_job, draw_outcome, draw_wrapped
 
 JOBS = ("Survey Plan", "Survey Merge")
@@ -23,10 +23,9 @@ class SWAG_PT_survey(SwagPanel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel; Blender calls this."""
-        layout, status, scene = present(self.layout), status_of(context), present(context.scene)
+        layout, scene = present(self.layout), present(context.scene)
         width = present(context.region).width
-        if status.job in JOBS:
-            draw_job(layout, context)
+        if draw_job(layout, context, *JOBS):
             return
         settings, folder = survey.survey_of(scene), survey.chosen_survey(scene)
         layout.prop(settings, "folder", text="")
@@ -35,8 +34,7 @@ class SWAG_PT_survey(SwagPanel):
         else:
             survey_watch.follow()
             _draw_jobs(layout, context, str(folder.path))
-        if status.last_job in JOBS:
-            draw_outcome(layout, context)
+        draw_outcome(layout, context, *JOBS)
         button = layout.operator("swag.open_survey", icon="FILE_FOLDER")
         set_button(button, directory=str(folder.path) if folder is not None else "")
         if folder is None and not swag_of(scene).scene_folder:

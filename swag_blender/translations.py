@@ -369,6 +369,11 @@ GERMAN = {
     "A Python that has the engine's packages; empty: the environment of Install Engine": (
         "Ein Python mit den Paketen des Rechenkerns; leer: die Umgebung von „Rechenkern einrichten“"
     ),
+    "Job": "Auftrag",
+    "Name of the job; empty: the one that ended last": "Name des Auftrags; leer: der zuletzt beendete",
+    "Name of the job; empty: the one that was started last": "Name des Auftrags; leer: der zuletzt begonnene",
+    "The result is kept.": "Das Ergebnis bleibt erhalten.",
+    "Stop Now": "Sofort abbrechen",
     "A job is running: wait for its end, or cancel it": "Ein Auftrag läuft: sein Ende abwarten oder ihn abbrechen",
     "Add Water to Objects": "Objekten Wasser hinzufügen",
     (
@@ -439,7 +444,6 @@ GERMAN = {
         "Anteil der Splats im freien Wasser, der gezeigt wird: 0 keine, 1 wie trainiert. Es wird mindestens so viel "
         "gezeigt wie vom Wasser"
     ),
-    "Open Water": "Freies Wasser",
     "By how sure it is that the splat is open water; the slider Haze shows such splats": (
         "Danach, wie sicher der Splat freies Wasser ist; der Regler Trübung zeigt solche Splats"
     ),
@@ -584,7 +588,6 @@ GERMAN = {
     "Stop the running job; a training keeps its result so far": (
         "Den laufenden Auftrag abbrechen; ein Training behält sein bisheriges Ergebnis"
     ),
-    "The job is stopping already": "Der Auftrag hält schon an",
     "The masks in the scene's folder labels, or salient regions where it has none": (
         "Die Masken im Ordner labels der Szene, oder auffällige Bereiche, wo sie keine hat"
     ),

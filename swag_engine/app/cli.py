@@ -32,6 +32,7 @@ DESCRIPTION = """Underwater photos to 3D Gaussian splats. COMMAND --help says wh
 Exit codes: 0 done, 1 a bug, 2 bad input or usage; with what exists kept, 130 interrupted by Ctrl-C and 143 by SIGTERM.
 Progress and errors go to stderr; with --json stdout carries one JSON document and nothing else."""
 STOPPING = "Stopping after this iteration; press Ctrl-C again to stop at once."
+STOPPING_TRAINING = "Stopping after this iteration; press Ctrl-C again to skip the evaluation."
 STARTED = time.monotonic()
 """Time that a time budget counts from: loading Python and its packages belongs to the run."""
 
@@ -266,16 +267,19 @@ class Train:
         """Run the command and return its exit code."""
         from ..experiments.forecast import time_text
         from ..experiments.train_and_report import train_and_report
+        from ..training.trainer import EVALUATION_STOPPED
         from .progress import training_progress
 
-        with interrupts.deferred(STOPPING), training_progress() as on_event:
+        with interrupts.deferred(STOPPING_TRAINING), training_progress() as on_event:
             result = train_and_report(
                 self.scene, self.out, self.settings, self.resume, on_event, interrupts.should_stop,
-                weights_dir=self.weights_dir, started=STARTED,
+                weights_dir=self.weights_dir, started=STARTED, should_stop_now=interrupts.should_stop_now,
             )  # fmt: skip
         metrics = result["metrics"]
         quality = "No test views: the scene has too few photos to keep some out of training."
-        if metrics["views"]:
+        if metrics["evaluation_stopped"]:
+            quality = EVALUATION_STOPPED
+        elif metrics["views"]:
             quality = (
                 f"Test views: PSNR {metrics['test_psnr']:.2f} dB, SSIM {metrics['test_ssim']:.3f} "
                 f"(median-image baseline: {metrics['control_psnr']:.2f} dB)."

@@ -139,6 +139,8 @@ def progress_line(event: dict[str, Any]) -> str:
     """
     if event["stage"] == "load":
         return f"Photo {event['iteration']} of {event['iterations']}"
+    if event["stage"] == "evaluate":
+        return str(event["text"])
     psnr = "not yet"
     if event["psnr"] is not None:
         psnr = f"{event['psnr']:.2f} dB {sparkline([psnr for *_, psnr in event['curve']], BARS)}"

@@ -359,8 +359,25 @@ class MergeSurveyRequest:
 
 
 @dataclass(frozen=True)
+class ReportRequest:
+    """Write the report of a run that was killed before it had one.
+
+    Attributes:
+        run: Folder of the run.
+    """
+
+    run: Path
+
+
+@dataclass(frozen=True)
 class CancelRequest:
-    """Stop the request at hand; what exists is kept."""
+    """Stop the request at hand; what exists is kept.
+
+    Attributes:
+        now: Also stop the evaluation that a training ends with.
+    """
+
+    now: bool = False
 
 
 @dataclass(frozen=True)
@@ -395,6 +412,7 @@ Request = (
     | ChangeRequest
     | PlanSurveyRequest
     | MergeSurveyRequest
+    | ReportRequest
     | CancelRequest
     | PauseRequest
     | GoOnRequest
@@ -421,6 +439,7 @@ REQUESTS: dict[str, type[Request]] = {
     "change": ChangeRequest,
     "plan_survey": PlanSurveyRequest,
     "merge_survey": MergeSurveyRequest,
+    "report": ReportRequest,
     "cancel": CancelRequest,
     "pause": PauseRequest,
     "go_on": GoOnRequest,

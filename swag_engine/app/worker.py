@@ -35,6 +35,7 @@ from .protocol import (
     PauseRequest,
     PlanRequest,
     PlanSurveyRequest,
+    ReportRequest,
     Request,
     RestoreRequest,
     ScaleRequest,
@@ -69,7 +70,7 @@ class Worker:
     def __init__(self, requests: TextIO, events: TextIO) -> None:
         self.requests, self.events = requests, events
         self.waiting: queue.SimpleQueue[Request | InputError | None] = queue.SimpleQueue()
-        self.stop = threading.Event()
+        self.stop, self.now = threading.Event(), threading.Event()
         self.going = threading.Event()
         self.going.set()
         self.writing = threading.Lock()
@@ -104,6 +105,8 @@ class Worker:
                 elif isinstance(request, CancelRequest):
                     if self.unanswered:
                         self.end()
+                        if request.now:
+                            self.now.set()
                 else:
                     self.unanswered += 1
                     self.waiting.put(request)
@@ -122,6 +125,10 @@ class Worker:
                 break
         return interrupts.should_stop() or self.stop.is_set()
 
+    def should_stop_now(self) -> bool:
+        """Return whether the evaluation that a training ends with is to stop, too."""
+        return interrupts.should_stop_now() or self.now.is_set()
+
     def run(self) -> None:
         """Answer requests, one after the other, until the stream of requests ends or a signal comes.
 
@@ -134,6 +141,7 @@ class Worker:
             with self.counting:
                 self.unanswered -= 1
                 self.stop.clear()
+                self.now.clear()
                 self.going.set()
             self.send(event)
 
@@ -193,7 +201,7 @@ class Worker:
             with interrupts.deferred():
                 return train_and_report(
                     request.scene, request.out, request.settings, request.resume, self.send, self.should_stop,
-                    preview=True,
+                    preview=True, should_stop_now=self.should_stop_now,
                 )  # fmt: skip
         if isinstance(request, ForecastRequest):
             from ..experiments.forecast import forecast_scene
@@ -255,6 +263,10 @@ class Worker:
                 progress = self.stoppable("The merge was stopped before it was done.")
                 merged = merge_survey(request.survey, progress, request.partial)
             return {"event": "result", "request": "merge_survey", "survey": str(request.survey)} | merged
+        if isinstance(request, ReportRequest):
+            from ..experiments.report import write_report
+
+            return {"event": "result", "request": "report", "report": str(write_report(request.run))}
         assert isinstance(request, ExportRequest)
         from ..formats.export import export_run
 

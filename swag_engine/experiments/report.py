@@ -19,6 +19,7 @@ from ..scene.images import load_images
 from ..scene.split import split_views
 from ..settings.settings import TrainSettings
 from ..training.pacing.memory import TOO_LITTLE, is_shortage
+from ..training.trainer import EVALUATION_STOPPED
 from .color_chart import DELTA_E
 from .develop_run import automatic_development
 from .evaluate_run import compare_view, load_run, machine
@@ -143,7 +144,9 @@ def command_line(scene: Path, out: Path, settings: TrainSettings) -> str:
 def _summary(scene: Path, metrics: dict[str, Any], state: dict[str, Any], gaussians: int) -> list[str]:
     reached = f"{gaussians:,} Gaussians after {state['iteration']:,} iterations and {_time(state['seconds'])}"
     lines = [f"{reached}, trained on the photos of {scene}."]
-    if metrics.get("views"):
+    if metrics.get("evaluation_stopped"):
+        lines.append(f"{EVALUATION_STOPPED} The command `evaluate RUN` scores the test photos.")
+    elif metrics.get("views"):
         lines.append(
             f"On {len(metrics['views'])} test photos, which training does not use: PSNR "
             f"{number(metrics['test_psnr'], 2)} dB, SSIM {number(metrics['test_ssim'], 3)}. For comparison, the "

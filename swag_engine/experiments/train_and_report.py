@@ -21,6 +21,7 @@ def train_and_report(
     preview: bool = False,
     weights_dir: Path | None = None,
     started: float | None = None,
+    should_stop_now: Callable[[], bool] = lambda: False,
 ) -> Event:
     """Train a scene, keep the outcome for later forecasts and write the report.
 
@@ -34,6 +35,7 @@ def train_and_report(
         preview: Write splats for a live preview.
         weights_dir: Folder where networks are searched first.
         started: time.monotonic() that a time budget counts from, now without it.
+        should_stop_now: Asked during the evaluation at the end; it stops, and the report says so.
 
     Returns:
         The `result` event of `train` with the path of the report, None where it could not be written.
@@ -43,7 +45,11 @@ def train_and_report(
     """
     started = time.monotonic() if started is None else started
     expected = None if resume else expected_outcome(scene_folder, settings)
-    result = train(scene_folder, out, settings, resume, on_event, should_stop, preview, weights_dir, started)
+    result = train(
+        scene_folder, out, settings, resume, on_event, should_stop, preview, weights_dir, started, should_stop_now
+    )
+    text = {"text": "Writing the report", "iteration": 1, "iterations": 1}
+    on_event({"event": "progress", "stage": "evaluate"} | text)
     record_outcome(out, expected, time.monotonic() - started)
     report, problem = try_write_report(out)
     if problem:

@@ -2,7 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -88,6 +89,11 @@ MOST_LOST_BY_FIT = 2.0
 """Mean loss of the validation images' PSNR, dB, up to which the last fit of the water is kept."""
 PROGRESS_SECONDS = 0.2
 """Seconds between two `progress` events."""
+EVALUATION_STOPPED = "The evaluation was stopped before its end: there are no figures of the test photos."
+
+
+class EvaluationStopped(Exception):
+    """The user stopped the evaluation at the end of a run."""
 
 
 def train(
@@ -100,6 +106,7 @@ def train(
     preview: bool = False,
     weights_dir: Path | None = None,
     started: float | None = None,
+    should_stop_now: Callable[[], bool] = lambda: False,
 ) -> Event:
     """Train a scene to a run folder.
 
@@ -117,6 +124,8 @@ def train(
         preview: Write splats for a live preview every few seconds.
         weights_dir: Folder where networks are looked for before the user's cache.
         started: time.monotonic() that a time budget counts from, now without it.
+        should_stop_now: Asked during the evaluation at the end, between two images; when it returns true, all files are
+            written without figures of the test images, and "evaluation_stopped" is true in the metrics.
 
     Returns:
         The `result` event.
@@ -127,7 +136,7 @@ def train(
     started = time.monotonic() if started is None else started
     with locked_folder(out):
         trainer = make_trainer(RunFolder(out), scene_folder, settings, resume, on_event, weights_dir, started)
-        return trainer.run_to_end(should_stop, preview)
+        return trainer.run_to_end(should_stop, preview, should_stop_now)
 
 
 def make_trainer(
@@ -254,8 +263,10 @@ class Trainer:
         whole: Whole | None = None,
     ) -> None:
         self.run, self.on_event, self.whole = run, on_event, whole
+        self._should_stop_now: Callable[[], bool] = lambda: False
         self.notes: list[str] = []
         self.training_psnr: float | None = None
+        self.overfitting = ""
         self.pacer = Pacer(budget)
         inputs = self.inputs = load_inputs(scene, settings, schedule, on_event)
         self.ledger = Ledger(torch.cuda.synchronize if inputs.device.type == "cuda" else None)
@@ -311,9 +322,11 @@ class Trainer:
 
     # -- the run ------------------------------------------------------------------------------------------------------
 
-    def run_to_end(self, should_stop: Callable[[], bool], preview: bool) -> Event:
+    def run_to_end(
+        self, should_stop: Callable[[], bool], preview: bool, should_stop_now: Callable[[], bool] = lambda: False
+    ) -> Event:
         """Train until the end or a stop, write all files and return the `result` event; arguments as of `train`."""
-        schedule, pacer = self.inputs.schedule, self.pacer
+        schedule, pacer, self._should_stop_now = self.inputs.schedule, self.pacer, should_stop_now
         pacer.start(self.state.iteration)
         saved = shown = reported = time.monotonic()
         validations = self._validations_due
@@ -352,10 +365,20 @@ class Trainer:
         self.state.synchronize()
         self.guard.check_result(self.state.guarded, self.state.optimizer)
         self.save()  # before anything that takes long: whoever stops a run may not wait for it
-        haze = none_if_out_of_memory(self._haze)
-        limit = none_if_out_of_memory(lambda: self._restoration_limit(haze)) if self._restores else None
-        self.save(limit, haze)
-        return self._finish(loss, interrupted, limit, haze)
+        limit: RestorationLimit | None = None
+        haze: torch.Tensor | None = None
+        scores: list[ViewScore] | None = None
+        seconds = pacer.seconds
+        if interrupted:  # all that can be opened, should the process be killed before the end
+            self._write_splats(None, None)
+            self._write_metrics(interrupted, None, seconds)
+        with suppress(EvaluationStopped):
+            haze = none_if_out_of_memory(self._haze)
+            limit = none_if_out_of_memory(lambda: self._restoration_limit(haze)) if self._restores else None
+            self.save(limit, haze)
+            seconds = pacer.seconds
+            scores = self._evaluate(loss)
+        return self._finish(interrupted, limit, haze, scores, seconds)
 
     def iterate(self) -> float:
         """Make one iteration and return its loss; one that runs out of memory is abandoned and the run reduced.
@@ -617,69 +640,61 @@ class Trainer:
         assert isinstance(medium, Medium)
         noise = (self.whole and self.whole.noise) or estimate_noise(inputs.training, inputs.scene.views)
         colors = self.whole.colors if self.whole else None
-        cameras = [image.camera for image in inputs.training]
+        cameras = self._steps("Restored colors: photo", [image.camera for image in inputs.training])
         limit, restored, _ = restoration_limit(
             state.cloud, cameras, medium, noise, state.effects.lamp, inputs.settings.backend, colors, haze
         )
         self.notes += filter(None, [describe_restored(restored)])
-        static = map(state.motion.static_pixels, photos_to_fit(inputs.training))
+        photos = self._steps("Comparison with restored photo", list(photos_to_fit(inputs.training)))
+        static = map(state.motion.static_pixels, photos)
         model = SceneModel(state.cloud, state.effects)
         return fit_to_photos(model, limit, static, noise, inputs.settings.sh_degree, haze)
 
-    def _finish(
-        self, loss: float, interrupted: bool, limit: RestorationLimit | None, haze: torch.Tensor | None
-    ) -> Event:
-        """Write results and figures; return the `result` event."""
-        state, inputs = self.state, self.inputs
-        seconds, dropped = self.pacer.seconds, state.dropout
-        if inputs.validation and state.iteration:
+    def _steps(self, what: str, steps: Sequence[T]) -> Iterator[T]:
+        """Iterate over parts of the evaluation at the end with a `progress` event for each.
+
+        Raises:
+            EvaluationStopped: When the user asks for it.
+        """
+        for number, step in enumerate(steps, 1):
+            if self._should_stop_now():
+                raise EvaluationStopped
+            text = f"{what} {number} of {len(steps)}"
+            self.on_event(
+                {"event": "progress", "stage": "evaluate", "text": text, "iteration": number, "iterations": len(steps)}
+            )
+            yield step
+
+    def _evaluate(self, loss: float) -> list[ViewScore]:
+        """Score validation images, where there are any, and test images, and return the scores of these."""
+        inputs, dropped = self.inputs, self.state.dropout
+        if self._should_stop_now():
+            raise EvaluationStopped
+        if inputs.validation and self.state.iteration:
             self._validate(loss)
-        cloud = without_haze(limit.apply(state.cloud) if limit else state.cloud, haze)
-        splats = cloud.rows(slice(state.free_count)).to_splats()
-        if haze is not None and haze.any():
-            splats.extras[HAZE] = to_numpy(haze[: state.free_count])
-        if limit:
-            splats.extras[CONFIDENCE] = to_numpy(limit.least_confidence[: state.free_count])
-        if self.guidance:
-            self.guidance.write(self.run.path, splats, inputs.scene.up.tolist(), state.cloud)
-        else:
-            self.run.write_result(splats, inputs.scene.up)
-        scores = self._scores(inputs.test, state.cloud)
-        test_psnr, test_ssim = mean_score(scores)
+        self.overfitting = dropout_note(dropped, self.training_psnr, self.state.psnr)
+        images = self._steps("Evaluating test photo", inputs.test)
+        return [score for image in images for score in self._scores([image], self.state.cloud)]
+
+    def _finish(
+        self,
+        interrupted: bool,
+        limit: RestorationLimit | None,
+        haze: torch.Tensor | None,
+        scores: list[ViewScore] | None,
+        seconds: float,
+    ) -> Event:
+        """Write results and figures, and return the `result` event; arguments as of `_write_metrics`."""
+        state, inputs = self.state, self.inputs
+        self._write_splats(limit, haze)
         guard_note = self.guard.note(state.guarded, state.iteration)
         kernels = KERNELS.get(inputs.settings.backend)
         failure = kernels.failure if isinstance(kernels, WebGpuKernels) else ""
         self.notes += filter(None, [state.motion.note, guard_note, state.relief.note, failure])
-        metrics: Event = {
-            "test_psnr": test_psnr,
-            "test_ssim": test_ssim,
-            "control_psnr": median_image_psnr(inputs.training, inputs.test),
-            "psnr": state.psnr,
-            "ssim": state.ssim,
-            "iteration": state.iteration,
-            "iterations": state.clock.planned(state.iteration),
-            "gaussians": state.free_count,
-            "seconds": round(seconds, 2),
-            "ledger": self.ledger.milliseconds(),
-            "interrupted": interrupted,
-            "background": self._background(),
-            "water": self.selection.water.note,
-            "effects": self.selection.switched_on(state),
-            "trials": state.trials,
-            "overfitting": dropout_note(dropped, self.training_psnr, state.psnr),
-            "notes": self.notes,
-            "views": {score.name: {"psnr": score.psnr, "ssim": score.ssim} for score in scores},
-        }
-        self.run.log(
-            {
-                "iteration": state.iteration,
-                "seconds": round(seconds, 3),
-                **{k: metrics[k] for k in ("test_psnr", "test_ssim")},
-            }
-        )
+        metrics = self._write_metrics(interrupted, scores, seconds)
+        self.run.log({name: metrics[name] for name in ("iteration", "seconds", "test_psnr", "test_ssim")})
         if state.effects.medium:
             write_json(self.run.water, state.effects.medium.to_json(inputs.settings.metres_per_unit))
-        self.run.write_metrics(metrics)
         self.run.preview.unlink(missing_ok=True)
         return {
             "event": "result",
@@ -689,6 +704,56 @@ class Trainer:
             "metrics": metrics,
             "interrupted": interrupted,
         }
+
+    def _write_splats(self, limit: RestorationLimit | None, haze: torch.Tensor | None) -> None:
+        state, up = self.state, self.inputs.scene.up
+        cloud = without_haze(limit.apply(state.cloud) if limit else state.cloud, haze)
+        splats = cloud.rows(slice(state.free_count)).to_splats()
+        if haze is not None and haze.any():
+            splats.extras[HAZE] = to_numpy(haze[: state.free_count])
+        if limit:
+            splats.extras[CONFIDENCE] = to_numpy(limit.least_confidence[: state.free_count])
+        if self.guidance:
+            self.guidance.write(self.run.path, splats, up.tolist(), state.cloud)
+        else:
+            self.run.write_result(splats, up)
+
+    def _write_metrics(self, interrupted: bool, scores: list[ViewScore] | None, seconds: float) -> Event:
+        """Write metrics.json.
+
+        Args:
+            interrupted: Whether the training was stopped.
+            scores: Scores of the test images, None where the evaluation was stopped.
+            seconds: Duration of the training.
+
+        Returns:
+            The metrics.
+        """
+        state, inputs = self.state, self.inputs
+        test_psnr, test_ssim = mean_score(scores or [])
+        metrics: Event = {
+            "test_psnr": test_psnr,
+            "test_ssim": test_ssim,
+            "control_psnr": math.nan if scores is None else median_image_psnr(inputs.training, inputs.test),
+            "psnr": state.psnr,
+            "ssim": state.ssim,
+            "iteration": state.iteration,
+            "iterations": state.clock.planned(state.iteration),
+            "gaussians": state.free_count,
+            "seconds": round(seconds, 2),
+            "ledger": self.ledger.milliseconds(),
+            "interrupted": interrupted,
+            "evaluation_stopped": scores is None,
+            "background": self._background(),
+            "water": self.selection.water.note,
+            "effects": self.selection.switched_on(state),
+            "trials": state.trials,
+            "overfitting": self.overfitting,
+            "notes": self.notes,
+            "views": {score.name: {"psnr": score.psnr, "ssim": score.ssim} for score in scores or []},
+        }
+        self.run.write_metrics(metrics)
+        return metrics
 
     def _background(self) -> list[float]:
         """Display color (3,) behind the Gaussians: black where the water that was there has been removed."""

@@ -180,6 +180,12 @@ def restore(request):
     send(event="result", request="restore", out=request["out"], photos=2)
 
 
+def report(request):
+    page = Path(request["run"]) / "report.html"
+    page.write_text("a report")
+    send(event="result", request="report", report=str(page))
+
+
 def plan_survey(request):
     from tests.scenes.hand_made_survey import make_survey
 
@@ -219,6 +225,7 @@ def main():
                 "import_cameras": import_cameras,
                 "chart": chart,
                 "restore": restore,
+                "report": report,
                 "plan_survey": plan_survey,
                 "merge_survey": merge_survey,
             }[request["request"]]

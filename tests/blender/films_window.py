@@ -98,7 +98,7 @@ def steps():
     scene.frame_end, scene.swag_film.output = 2000, os.environ["SWAG_OUT"] + "/film"
     with bpy.context.temp_override(window=window, area=area):
         bpy.ops.swag.render_film("INVOKE_DEFAULT")
-        yield from until(lambda: status.factor > 0 or not status.job)
+        yield from until(lambda: not status.job or status.find("Film").factor > 0)
         bpy.ops.swag.cancel()
     yield from until(lambda: not status.job)
     report["film"] = {"message": status.message, "failed": status.failed, "frame": scene.frame_current}

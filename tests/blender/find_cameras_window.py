@@ -37,7 +37,7 @@ def steps():
     yield 0.5
     with bpy.context.temp_override(window=browser, area=files):
         bpy.ops.file.execute()
-    yield from until(lambda: status.job == "Find Cameras" and status.text == "Matching photos")
+    yield from until(lambda: status.job == "Find Cameras" and status.find("Find Cameras").text == "Matching photos")
     bpy.ops.swag.cancel()
     yield from until(lambda: not status.job)
     report["cancelled"] = {

@@ -15,7 +15,7 @@ from window import click, install, open_sidebar, photograph, press_until, report
 
 # Commands of the buttons, and their columns in the sidebar.
 TRAIN, CONTINUE = ("bpy.ops.swag.train(resume=False)", 0.25), ("bpy.ops.swag.train(resume=True)", 0.62)
-PAUSE, CANCEL = ("bpy.ops.swag.pause()", 0.25), ("bpy.ops.swag.cancel()", 0.62)
+PAUSE, CANCEL = ("bpy.ops.swag.pause()", 0.25), ('bpy.ops.swag.cancel(job="Training")', 0.62)
 
 
 def timed(function, seconds):
@@ -46,6 +46,15 @@ def steps():
         yield from until(lambda: not status.job)
         report["imported"] = {"failed": status.failed, "message": status.message, "found": swag.found}
         region.tag_redraw()
+
+    # A job goes on when the window that it was started in is closed, as the Preferences are.
+    bpy.ops.wm.window_new()
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[-1]):
+        bpy.ops.swag.inspect_scene("INVOKE_DEFAULT")
+        bpy.ops.wm.window_close()
+    yield from until(lambda: not status.job)
+    windows = len(bpy.context.window_manager.windows)
+    report["checked"] = {"failed": status.failed, "message": status.message, "windows": windows}
 
     swag.iterations, swag.width = 50, 64
     viewport = next(region for region in area.regions if region.type == "WINDOW")
@@ -81,31 +90,36 @@ def steps():
 
     yield from click(*TRAIN)
     yield from until(lambda: status.job == "Training")
-    yield from until(lambda: status.iteration > 0 and status.factor > 0)
+    training = lambda: status.find("Training")  # noqa: E731
+    yield from until(lambda: training().iteration > 0 and training().factor > 0)
     yield from until(clouds)
     # Time that the extension's timer blocks the window during training; drawing without a graphics card is not in it.
     job = sys.modules["bl_ext.user_default.swag_splatting.swag_blender.job"]
     report["blocked_seconds"] = []
-    job.Job._follow = timed(job.Job._follow, report["blocked_seconds"])
+    job.RunningJob._handle_events = timed(job.RunningJob._handle_events, report["blocked_seconds"])
     yield from until(lambda: len(report["blocked_seconds"]) > 30)
-    report["training"] = {"iteration": status.iteration, "gaussians": status.gaussians, "figures": status.figures()}
+    report["training"] = {
+        "iteration": training().iteration,
+        "gaussians": training().gaussians,
+        "figures": training().figures(),
+    }
     report["preview"] = len(clouds()[0].data.points)
 
     yield from click(*PAUSE)
-    yield from until(lambda: status.paused)
+    yield from until(lambda: training().paused)
     paused_at = -1
-    while paused_at != status.iteration:  # events under way arrive
-        paused_at = status.iteration
+    while paused_at != training().iteration:  # events under way arrive
+        paused_at = training().iteration
         yield 1.5
     yield 1.5
-    report["iterations_while_paused"] = status.iteration - paused_at
+    report["iterations_while_paused"] = training().iteration - paused_at
     yield from click(*PAUSE)
-    yield from until(lambda: not status.paused and status.iteration > paused_at)
+    yield from until(lambda: not training().paused and training().iteration > paused_at)
 
     yield from click(*CANCEL)
     yield 0.5
-    report["asked first"] = not status.stopping
-    yield from press_until("Return", lambda: status.stopping or not status.job)
+    report["asked first"] = not training().stopping
+    yield from press_until("Return", lambda: not status.job or training().stopping)
     yield from until(lambda: not status.job)
     report["end"] = {
         "failed": status.failed, "message": status.message, "interrupted": swag.result_interrupted,
@@ -113,7 +127,7 @@ def steps():
     }  # fmt: skip
 
     yield from click(*CONTINUE)
-    yield from until(lambda: status.job == "Training" and status.iteration > report["training"]["iteration"])
+    yield from until(lambda: status.job == "Training" and training().iteration > report["training"]["iteration"])
     bpy.ops.wm.read_homefile(use_empty=True)
     yield 0.2
     status = bpy.context.window_manager.swag

@@ -123,11 +123,11 @@ def steps():
     kept = {"run": swag().run_path, "plan": len(swag().plan.lines)}
     report["undone"] = kept | {"object is back": back, "job": status().job}
     yield from press_in_viewport("Escape")
-    report["after escape"] = "" if status().stopping else status().job
+    report["after escape"] = "" if status().find("Training").stopping else status().job
     run_operator("swag.cancel", "INVOKE_DEFAULT")
     yield 0.5
-    report["asked first"] = not status().stopping
-    yield from press_until("Return", lambda: status().stopping or not status().job)
+    report["asked first"] = not status().find("Training").stopping
+    yield from press_until("Return", lambda: not status().job or status().find("Training").stopping)
     yield from until(lambda: not status().job)
     report["stopped"], report["continues"] = status().message, swag().can_continue and swag().run_path
 

@@ -126,10 +126,11 @@ def test_a_reason_is_given_only_where_it_holds(blender, fake_engine, tmp_path):
     for operator, (runs, reasons) in found.items():
         when, name = operator.split()
         assert len(reasons) == (not runs), operator
-        assert any("A job is running" in reason for reason in reasons) <= (when == "busy"), operator
+        assert any("Training is running" in reason for reason in reasons) <= (when == "busy"), operator
         if when == "idle" and name in ("swag.train", "swag.plan", "swag.forecast", "swag.inspect_scene"):
             assert reasons == ["Choose photos or a video first"]
-    assert found["busy swag.import_scene"][1] == ["A job is running: wait for its end, or cancel it"]
+    assert found["busy swag.find_cameras"][1] == ["Training is running: wait for its end, or cancel it"]
+    assert found["busy swag.import_scene"] == [True, []]
 
 
 def test_every_effect_has_a_small_picture(blender):

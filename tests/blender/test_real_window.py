@@ -44,6 +44,8 @@ def test_train_and_cancel_with_the_pointer(real_blender, folder, shared_python):
     assert report["version"].startswith("5.2")
     assert not report["imported"]["failed"]
     assert report["imported"]["found"].startswith("10 of 10 photos have a camera, 300 points")
+    checked = report["checked"]
+    assert checked["windows"] == 1 and not checked["failed"] and checked["message"].startswith("10 of 10 photos")
     assert report["training"]["iteration"] > 0 and report["preview"] > 0
     seconds = sorted(report["blocked_seconds"][:-1])  # without the last, in which the result is imported
     assert len(seconds) > 5 and seconds[-1] < 0.1, f"Blender's window is blocked for {seconds[-1]:.2f} s"

@@ -118,6 +118,12 @@ def test_two_runs_stand_side_by_side_with_their_figures(blender, tmp_path, reef,
     assert "has no report yet" in found["report"]
 
 
+def test_a_report_that_is_missing_is_written_when_it_is_opened(blender, tmp_path, reef, fake_engine):
+    run = make_run(tmp_path / "run", reef)
+    opened = blender.run("runs.missing_report", run, SWAG_ENGINE_PYTHON=fake_engine)
+    assert opened == ["a report", "the same report"]
+
+
 @pytest.mark.main_version
 def test_the_engine_imports_the_cameras_of_an_opened_run(blender, tmp_path, tiny_scene):
     run = make_run(tmp_path / "run", tiny_scene)

@@ -78,7 +78,7 @@ def test_a_worker_that_ignores_a_cancel_is_killed(blender, fake_engine, tmp_path
     scene = tmp_path / "deaf"
     scene.mkdir()
     message = blender.run("train.cancel", scene, SWAG_ENGINE_PYTHON=fake_engine)
-    assert message == "The engine did not stop within 0 s and was ended. " + GO_ON
+    assert message == "The engine did nothing for 0 s after Cancel and was ended. " + GO_ON
 
 
 def test_a_worker_ends_with_the_file_the_extension_and_blender(blender, fake_engine, tmp_path):

@@ -48,7 +48,7 @@ def job(operator, **options):
     call(operator, **options)
     yield from until(lambda: not status.job)
     assert not status.failed, status.message
-    report[status.last_job] = status.message
+    report[status.jobs[-1].name] = status.message
 
 
 def scroll(lines):
@@ -99,18 +99,18 @@ def steps():
     swag.recipe, swag.iterations, swag.width, swag.max_gaussians = "swag", 2000, 480, 40_000
     call(bpy.ops.swag.train)
     clouds = lambda: [o for o in bpy.data.objects if "swag_run" in o]  # noqa: E731
-    yield from until(lambda: (clouds() and len(status.curve.split()) > 1) or not status.job)
+    yield from until(lambda: (clouds() and len(status.find("Training").curve.split()) > 1) or not status.job)
     with bpy.context.temp_override(window=window, area=area, region=region):
         bpy.ops.view3d.view_camera()
     yield from photograph("4-training")
     call(bpy.ops.swag.pause)
     yield 5.0  # events under way arrive
-    report["paused_at"] = status.iteration
+    report["paused_at"] = status.find("Training").iteration
     yield from photograph("5-paused")
     yield 2.0
-    report["iteration_after_pause"] = status.iteration
+    report["iteration_after_pause"] = status.find("Training").iteration
     call(bpy.ops.swag.pause)
-    yield from until(lambda: status.iteration > report["paused_at"])
+    yield from until(lambda: status.find("Training").iteration > report["paused_at"])
     bpy.ops.swag.cancel()  # the button asks first
     yield from until(lambda: not status.job)
     report["cancelled"] = [status.message, swag.can_continue, swag.stopped_at]

@@ -157,6 +157,20 @@ def test_ctrl_c_again_ends_at_once_and_sigterm_again_does_not(monkeypatch):
     assert interrupts.exit_code == 143
 
 
+def test_ctrl_c_again_during_an_evaluation_ends_that_and_a_third_time_everything():
+    interrupts = Interrupts()
+    with interrupts.deferred():
+        interrupts.should_stop()
+        interrupts._handle(signal.SIGTERM, None)
+        assert not interrupts.should_stop_now()
+        interrupts._handle(signal.SIGTERM, None)
+        assert not interrupts.should_stop_now(), "a service sends it to all processes at once"
+        interrupts._handle(signal.SIGINT, None)
+        assert interrupts.should_stop_now() and interrupts.exit_code == 143
+        with pytest.raises(KeyboardInterrupt):
+            interrupts._handle(signal.SIGINT, None)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_acts_at_once_until_the_work_asks_for_it(number):
     interrupts = Interrupts()

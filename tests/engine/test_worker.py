@@ -236,6 +236,28 @@ def test_a_paused_run_can_be_ended(worker, tiny_scene, tmp_path, how):
     assert (tmp_path / "run" / "result.ply").exists()
 
 
+@pytest.mark.parametrize("now", [False, True])
+def test_stopping_now_skips_the_evaluation_and_writes_what_exists(worker, tiny_scene, tmp_path, now):
+    settings = {"iterations": 100_000, "width": 64, "max_gaussians": 400, "sh_degree": 0}
+    run = tmp_path / "run"
+    worker.send(request="train", scene=str(tiny_scene), out=str(run), settings=settings)
+    while worker.until("progress")["stage"] != "train":
+        pass
+    worker.send(request="cancel", now=now)
+    texts = []
+    while (event := worker.until("progress", "result", "error"))["event"] == "progress":
+        texts += [event["text"]] if event["stage"] == "evaluate" else []
+    assert event["interrupted"] and event["metrics"]["evaluation_stopped"] is now
+    assert (event["metrics"]["test_psnr"] is None) is now and bool(event["metrics"]["views"]) is not now
+    assert any(text.startswith("Evaluating test photo 1 of ") for text in texts) is not now
+    assert json.loads((run / "metrics.json").read_text()) == event["metrics"] and (run / "result.ply").exists()
+    report = Path(event["report"])
+    assert ("The evaluation was stopped" in report.read_text()) is now
+    report.unlink()
+    worker.send(request="report", run=str(run))
+    assert worker.until("result", "error")["report"] == str(report) and report.exists()
+
+
 def test_a_cancel_with_nothing_to_cancel_does_not_end_the_next_training(lasting_worker, tiny_scene, tmp_path):
     lasting_worker.send(request="cancel")
     lasting_worker.send(request="pause")

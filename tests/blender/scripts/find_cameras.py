@@ -127,7 +127,7 @@ def open_photos(photos, with_cameras):
     done = []
     for chosen in (photos, *with_cameras):
         assert bpy.ops.swag.open_photos(filepath=chosen) == {"FINISHED"}
-        done.append([status.last_job, swag.scene_folder])
+        done.append([status.jobs[-1].name, swag.scene_folder])
     return done
 
 

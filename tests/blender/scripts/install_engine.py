@@ -31,9 +31,9 @@ def install_check_and_remove(wheels):
     found["doctor"] = status.doctor
     found["check"] = message_of(bpy.ops.swag.check_engine)
     status.begin("Installation")
-    status.end("An old error", True)
+    status.end("Installation", "An old error", True)
     bpy.ops.swag.remove_engine()
-    found["outcome after removal"] = (status.last_job, status.message, status.failed)
+    found["outcome after removal"] = (status.message, status.failed)
     found["exists after removal"] = engine_process.environment_folder().exists()
     found["check after removal"] = message_of(bpy.ops.swag.check_engine)
     return found

@@ -1,12 +1,14 @@
 """Jobs without a window: options, dialogs, undo, messages."""
 
+import gc
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import bpy
 from bl_ext.user_default.swag_splatting import operators
-from bl_ext.user_default.swag_splatting.swag_blender import job
+from bl_ext.user_default.swag_splatting.swag_blender import engine_process, job, splats
 from bl_ext.user_default.swag_splatting.swag_blender.training import Training
 from bl_ext.user_default.swag_splatting.swag_engine.formats.ply import write_ply
 from pictures import random_splats
@@ -28,34 +30,138 @@ def options():
     return {cls.bl_idname: sorted(cls.bl_options) for cls in classes}
 
 
-def close_dialog():
-    """The running job after Blender has closed the file dialog of another one, whose operator did not start."""
-    status.begin("Training")
-    asked: Any = SimpleNamespace(_engine=None)
-    operators.import_scene.SWAG_OT_import_scene.cancel(asked, bpy.context)
-    return status.job
-
-
 def start_beside(folder):
-    status.begin("Training")
+    status.begin("Training", heavy=True)
     # As a file dialog calls it, which does not ask `poll`.
     told: list[Any] = []
-    importer = operators.import_scene.SWAG_OT_import_scene
-    asked: Any = SimpleNamespace(report=lambda kind, text: told.append(text))
-    asked._must_wait = lambda context: importer._must_wait(asked, context)
+    importer = operators.find_cameras.SWAG_OT_find_cameras
+    asked: Any = object.__new__(
+        type(
+            "Asked",
+            (),
+            dict(_must_wait=importer._must_wait, job=importer.job, heavy=importer.heavy, memory_mb=importer.memory_mb),
+        )
+    )
+    asked.report = lambda kind, text: told.append(text)
     assert importer.run_blocking(asked, bpy.context) == {"CANCELLED"}
     return {"message": told[0], "job": status.job}
 
 
 def cancel():
-    """Whether the job is asked to stop, and whether one that ended before the answer is."""
+    """What Cancel and Stop Now ask a job for, and what Cancel does once it has ended."""
     status.begin("Training")
+    status.begin("Maps")
+    found = []
+    for _ in range(2):
+        bpy.ops.swag.cancel(job="Training")
+        found.append([(job.stopping, job.stopping_now) for job in status.running])
+    status.end("Training", "", False)
+    found.append(list(bpy.ops.swag.cancel(job="Training")))
     bpy.ops.swag.cancel()
-    found = {"running": status.stopping}
-    status.begin("")
-    asked: Any = SimpleNamespace()
-    operators.cancel.SWAG_OT_cancel.execute(asked, bpy.context)
-    return found | {"ended": status.stopping}
+    return [*found, [(job.name, job.stopping) for job in status.running]]
+
+
+def texts_while_stopping():
+    """What a training shows that is cancelled before and during its evaluation, and then stopped at once."""
+    training = status.begin("Training")
+    bpy.ops.swag.cancel()
+    found = [training.shown_text]
+    step = {"event": "progress", "stage": "evaluate", "text": "Evaluating test photo 3 of 7"}
+    training.show(step | {"iteration": 3, "iterations": 7})
+    found.append(training.shown_text)
+    bpy.ops.swag.cancel()
+    return [*found, training.shown_text]
+
+
+def reasons(*names):
+    """Why the buttons of operators are disabled; "" for those that are not."""
+    found = {}
+    for cls in (cls for module in operators._MODULES for cls in module.CLASSES):
+        if cls.bl_idname in names:
+            said: list[str] = []
+            stand_in: Any = type(cls.__name__, (cls,), {"poll_message_set": staticmethod(said.append)})
+            found[cls.bl_idname] = "" if stand_in.poll(bpy.context) else said[0]
+    return [found[name] for name in names]
+
+
+def train_beside():
+    """Start a training as with a window."""
+    cls: Any = job.Job
+    blocking, cls.execute = cls.execute, cls.run_beside
+    try:
+        return bpy.ops.swag.train()
+    finally:
+        cls.execute = blocking
+
+
+def advance_until(condition):
+    """Let time pass for the jobs that run beside the user's work, as with a window."""
+    started = time.monotonic()
+    while not condition():
+        assert time.monotonic() - started < 30
+        job._jobs[:] = [running for running in job._jobs if running.advance(bpy.context)]
+        time.sleep(0.01)
+
+
+def beside(folder):
+    """Jobs that run beside a training whose operator has ended, and what undo takes back."""
+    scene = bpy.context.scene
+    scene.swag.scene_folder = folder
+    other = splats.new_splat_object("other", random_splats(20, 1), scene.collection)
+    splats.select_only(bpy.context, [other])
+    bpy.ops.ed.undo_push(message="before")
+    found: dict[str, Any] = {"started": list(train_beside())}
+    gc.collect()
+    advance_until(lambda: status.find("Training").iteration == 6)
+    other["swag_run"] = scene.swag.run_folder
+    names = ("swag.train", "swag.find_cameras", "swag.inspect_scene", "swag.make_orthomosaic", "swag.label_run")
+    found["same run"] = reasons(*names)
+    other["swag_run"] = folder
+    found["other run"] = reasons(*names)
+    enough, job.free_memory_mb = job.free_memory_mb, lambda: 200
+    found["no memory"] = reasons("swag.inspect_scene")
+    job.free_memory_mb = enough
+    bpy.ops.swag.inspect_scene()
+    found["checked"] = [status.message, [one.name for one in status.running]]
+    bpy.ops.swag.cancel()
+    advance_until(lambda: not status.job)
+    found["message"], found["failed"] = status.message, status.failed
+    found["workers"] = len(engine_process._running)
+    found["objects"] = [len(obj.data.points) for obj in bpy.data.objects if obj.name != "other"]
+    bpy.ops.ed.undo()
+    found["undone"] = [obj.name for obj in bpy.data.objects]
+    return found
+
+
+def killed(folder):
+    """How a training ended that ignores Cancel: its message, and whether it is shown as a warning."""
+    running: Any = job.RunningJob
+    running.show_failure = lambda *_: None  # a popup needs a window
+    engine_process.CANCEL_SECONDS = engine_process.TERMINATE_SECONDS = 0.3
+    bpy.context.scene.swag.scene_folder = folder
+    train_beside()
+    advance_until(lambda: status.find("Training").iteration == 6)
+    bpy.ops.swag.cancel()
+    advance_until(lambda: not status.job)
+    return [status.message, status.failed]
+
+
+def load_beside_an_installation():
+    """Jobs that run after another file was opened, and how the others ended."""
+    for name in ("Training", "Installation"):
+        status.begin(name)
+    stopped: list[str] = []
+    for name in ("Training", "Installation"):
+        engine: Any = type("Engine", (), {"stop": lambda self, name=name: stopped.append(name)})()
+        engine_process._running.add(engine)
+        running: Any = SimpleNamespace(job=name, engine=engine, goes_on=name == "Installation", heavy=True)
+        job._jobs.append(running)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    now = bpy.context.window_manager.swag
+    found = {"stopped": stopped, "running": [one.name for one in now.running], "message": now.message}
+    job._jobs.clear()
+    engine_process._running.clear()
+    return found
 
 
 def state():

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import types
+from typing import Any
 
 import bpy
 import numpy as np
@@ -277,7 +278,8 @@ def own_drawing(folder, width, height, focal):
             return getattr(bpy.context, name)
 
     picture = gpu.types.GPUOffScreen(width, height, format="RGBA16F")
-    with bpy.context.temp_override(window=window, area=area), picture.bind():
+    bound: Any = picture.bind()
+    with bpy.context.temp_override(window=window, area=area), bound:
         framebuffer = gpu.state.active_framebuffer_get()
         framebuffer.clear(color=(0, 0, 0, 1), depth=1.0)
         ViewportDrawing().draw(Context(), [obj])

@@ -112,19 +112,19 @@ def operators_and_menu():
 
 
 def curve_and_figures():
-    status.begin("Training")
+    training = status.begin("Training")
     for iteration, psnr in ((1, None), (2, 10.0), (3, 10.0), (4, 12.5), (5, 20.0)):
-        status.show(
+        training.show(
             {
                 "event": "progress", "stage": "train", "iteration": iteration, "iterations": 5, "gaussians": 7,
                 "loss": 0.5, "psnr": psnr, "iterations_per_second": 2.0, "seconds_left": 65.0,
             }
         )  # fmt: skip
     return {
-        "curve": status.curve,
-        "drawn": sparkline([float(value) for value in status.curve.split()]),
+        "curve": training.curve,
+        "drawn": sparkline([float(value) for value in training.curve.split()]),
         "flat": sparkline([3.0, 3.0]),
-        "figures": status.figures(),
+        "figures": training.figures(),
     }
 
 
@@ -148,10 +148,10 @@ def forecast(folder):
 def press_pause(paused):
     """Whether Pause is enabled without a training, and the state after pressing it in one."""
     enabled = bpy.ops.swag.pause.poll()
-    status.begin("Training")
-    status.paused = paused
+    training = status.begin("Training")
+    training.paused = paused
     bpy.ops.swag.pause()
-    return {"enabled when idle": enabled, "paused": status.paused}
+    return {"enabled when idle": enabled, "paused": training.paused}
 
 
 def idle_after_training(folder):
@@ -290,13 +290,14 @@ def reasons(folder):
     """For each operator: whether it can run, and the reason that its button shows, without and with a job."""
     found = {}
     for when in ("idle", "busy"):
-        status.job = "Training" if when == "busy" else ""
+        if when == "busy":
+            status.begin("Training", heavy=True)
         for module in operators._MODULES:
             for cls in (cls for cls in module.CLASSES if issubclass(cls, bpy.types.Operator) and hasattr(cls, "poll")):
                 said: list[str] = []
                 stand_in: Any = type(cls.__name__, (cls,), {"poll_message_set": staticmethod(said.append)})
                 found[f"{when} {cls.bl_idname}"] = [bool(stand_in.poll(bpy.context)), said]
-    status.job = ""
+    status.forget("Training")
     return found
 
 
@@ -313,7 +314,7 @@ def pictures():
 def sizes_before_and_in_the_run(scene, folder):
     """For each choice of a user: the numbers in the panel, and those in config.json of the run."""
     swag.scene_folder = scene
-    found = {"unknown": swag.known_size is None}
+    found: dict[str, Any] = {"unknown": swag.known_size is None}
     for name, chosen in (("draft", {}), ("standard", {}), ("own", {"width": 40, "iterations": 20})):
         swag.preset = "standard" if name == "own" else name
         for setting, number in chosen.items():

@@ -3,8 +3,10 @@
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import bpy
+from bl_ext.user_default.swag_splatting import operators
 from bl_ext.user_default.swag_splatting.swag_blender import (
     labels,
     open_run,
@@ -118,6 +120,22 @@ def compare(first, second):
         "swapped": Path(run_list.shown_run(bpy.context)["swag_run"]).name,
         "report": refusal(bpy.ops.swag.open_report),
     }
+
+
+def missing_report(run):
+    """Pages that Open Report opens where there is none as yet, and when pressed again."""
+    assert bpy.ops.swag.open_run(directory=run) == {"FINISHED"}
+    Path(run, "checkpoint-0000100.safetensors").touch()
+    opened: list[str] = []
+    module: Any = operators.open_report
+    opening, module.open_page = module.open_page, lambda page: opened.append(page.read_text())
+    try:
+        bpy.ops.swag.open_report()
+        Path(run, "report.html").write_text("the same report")
+        bpy.ops.swag.open_report()
+    finally:
+        module.open_page = opening
+    return opened
 
 
 def cameras(run):

@@ -25,7 +25,7 @@ KINDS = (
     bpy.types.AddonPreferences,
     bpy.types.FileHandler,
 )
-OF_SCRIPTS = ("SwagStatus", "SwagSurveyJob", "SwagSurveyJobs")
+OF_SCRIPTS = ("SwagStatus", "SwagJob", "SwagSurveyJob", "SwagSurveyJobs")
 """Groups of properties whose values alone panels show."""
 
 
