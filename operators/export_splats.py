@@ -136,7 +136,7 @@ class SWAG_OT_export_splats(ReportingOperator, ExportHelper):
     def _update_forecast(self, context: bpy.types.Context) -> bool:
         """Show the size of the file; returns whether the options have changed."""
         path, settings = Path(self._filepath()), ExportSettings.from_dialog(self)
-        of = f"{path.suffix.lower()} {settings}"
+        of = f"{path.suffix.lower()} {path.parent.is_dir()} {settings}"
         if of == self.forecast_of:
             return False
         self.forecast_of, self.forecast = of, expected_size(context, path, settings)

@@ -7,12 +7,13 @@ from bpy.props import FloatProperty, IntProperty
 
 from ..swag_blender import floaters
 from ..swag_blender.blender_types import present, with_properties
-from ..swag_blender.operator_base import SplatsOperator
+from ..swag_blender.operator_base import SteppedOperator
 from ..swag_blender.splat_selection import Mode, change_selection, edited_objects
+from ..swag_blender.steps import Steps
 
 
 @with_properties
-class SWAG_OT_find_floaters(SplatsOperator):
+class SWAG_OT_find_floaters(SteppedOperator):
     """Select splats in front of the surfaces that the photos show, and splats that few photos see"""
 
     bl_idname = "swag.find_floaters"
@@ -41,6 +42,13 @@ class SWAG_OT_find_floaters(SplatsOperator):
         layout.use_property_split = True
         for name in ("in_front", "photos", "mode"):
             layout.prop(self, name)
+
+    def steps(self, context: bpy.types.Context) -> Steps[None]:
+        """Compute what the cameras see."""
+        objects = edited_objects(context)
+        for index, obj in enumerate(objects):
+            for fraction in floaters.observing(context, obj):
+                yield (index + fraction) / len(objects)
 
     def work(self, context: bpy.types.Context) -> str:
         """Select them."""

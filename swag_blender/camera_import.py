@@ -6,6 +6,7 @@ from typing import Any
 import bpy
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.base.files import require_parent
 from .blender_types import set_button
 from .find_cameras import free_scene_folder
 from .properties import swag_of
@@ -26,13 +27,13 @@ def make_request(chosen: str, photos: str, points: str, scene_folder: str) -> di
         scene_folder: folder of the new scene; "" for a free one beside the file.
 
     Raises:
-        InputError: no file was chosen.
+        InputError: no file was chosen, or the folder that the new scene lies in does not exist.
     """
     if not chosen:
         raise InputError("Choose the file with the cameras, such as the XML of Metashape.")
     file = _absolute(chosen)
     out = _absolute(scene_folder) if scene_folder else free_scene_folder(file)
-    request = {"request": "import_cameras", "file": str(file), "out": str(out)}
+    request = {"request": "import_cameras", "file": str(file), "out": str(require_parent(out))}
     for name, path in (("photos", photos), ("points", points)):
         if path:
             request[name] = str(_absolute(path))

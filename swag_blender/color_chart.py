@@ -1,15 +1,20 @@
 """A color chart in the photos of a run: the engine's request, and the panel that shows what was found."""
 
 import functools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
+from mathutils import Vector
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.formats.run_folder import RunFolder, read_json
+from ..swag_engine.scene.cameras import Camera
 from .blender_types import present
 from .run_list import folder_of, photographed_run, shown_run
+from .scene_import import PHOTO_KEY
 from .sidebar import SwagPanel, draw_job, draw_outcome
 
 ROWS = {
@@ -23,13 +28,36 @@ LISTED = 5
 """Photos that are listed by name, at most."""
 
 
-def request(obj: bpy.types.Object) -> dict[str, Any]:
+def request(obj: bpy.types.Object, marked: str) -> dict[str, Any]:
     """The engine's request to find a color chart in the photos of the run of a splat object.
+
+    Args:
+        obj: a splat object.
+        marked: photo and corners that `marked_corners` has written; "" for a search.
 
     Raises:
         InputError: the splats are from no run.
     """
-    return {"request": "chart", "run": str(photographed_run(obj))}
+    run = {"request": "chart", "run": str(photographed_run(obj))}
+    return run | {"marked": marked} if marked else run
+
+
+def position_in_photo(camera: Camera, ray: Vector) -> tuple[float, float] | None:
+    """Where a camera sees a direction of Blender's world, in fractions of the photo from its upper left corner.
+
+    None beside the photo.
+    """
+    x, y, z = camera.K @ camera.world_to_camera[:3, :3] @ np.array(ray, np.float64)
+    if z <= 0:
+        return None
+    place = float(x / z / camera.width), float(y / z / camera.height)
+    return place if all(0 <= value <= 1 for value in place) else None
+
+
+def marked_corners(camera: bpy.types.Object, corners: Sequence[tuple[float, float]]) -> str:
+    """The photo of a camera and corners in fractions of it, as the request has them."""
+    numbers = ",".join(f"{value:.6f}" for corner in corners for value in corner)
+    return f"{camera.get(PHOTO_KEY, camera.name)}:{numbers}"
 
 
 def describe(event: dict[str, Any]) -> str:
@@ -94,7 +122,9 @@ class SWAG_PT_color_chart(SwagPanel):
         layout = present(self.layout)
         if draw_job(layout, context, "Color chart"):
             return
-        layout.operator("swag.find_color_chart", icon="COLOR")
+        column = layout.column(align=True)
+        column.operator("swag.find_color_chart", icon="COLOR")
+        column.operator("swag.mark_color_chart", icon="EYEDROPPER")
         draw_outcome(layout, context, "Color chart", only_failed=True)
         chart = chart_of(folder_of(present(shown_run(context))))
         rows = rows_of(chart)

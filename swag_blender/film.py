@@ -14,6 +14,7 @@ from bpy.props import BoolProperty, EnumProperty, PointerProperty, StringPropert
 from bpy.types import PropertyGroup
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.base.files import require_parent
 from ..swag_engine.formats.camera_path import PathFrame, write_camera_path
 from ..swag_engine.formats.cameras import transform_camera
 from ..swag_engine.formats.ply import write_ply
@@ -168,11 +169,12 @@ def output_folder(scene: bpy.types.Scene, obj: bpy.types.Object) -> Path:
     """The absolute path of the film folder of a scene whose splats are those of `obj`.
 
     Raises:
-        InputError: none is chosen and the splats are from no run on this machine.
+        InputError: none is chosen and the splats are from no run on this machine, or the folder that it lies in does
+            not exist.
     """
     chosen, run = film_of(scene).output, _run_of(obj)
     if chosen:
-        return Path(os.path.abspath(bpy.path.abspath(chosen)))
+        return require_parent(Path(os.path.abspath(bpy.path.abspath(chosen))))
     if run is None:
         raise InputError("Choose the folder of the film first: the splats are from no run on this machine.")
     return run / "film"

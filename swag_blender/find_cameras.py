@@ -7,6 +7,7 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.base.files import require_parent
 from ..swag_engine.scene.cameras import CAMERA_PAGE
 from ..swag_engine.scene.model_folders import scene_with_model
 from . import scene_import
@@ -77,13 +78,13 @@ def make_request(chosen: str, scene_folder: str) -> dict[str, Any]:
         scene_folder: folder of the new scene; "" for a free one beside the photos or the video.
 
     Raises:
-        InputError: nothing was chosen.
+        InputError: nothing was chosen, or the folder that the new scene lies in does not exist.
     """
     if not chosen:
         raise InputError("Choose the folder of the photos, or a video.")
     source = _folder_or_video(chosen)
     out = Path(bpy.path.abspath(scene_folder)).absolute() if scene_folder else free_scene_folder(source)
-    return {"request": "sfm", "photos": str(source), "out": str(out)}
+    return {"request": "sfm", "photos": str(source), "out": str(require_parent(out))}
 
 
 def _folder_or_video(chosen: str) -> Path:

@@ -14,6 +14,7 @@ from ..swag_engine.base.errors import InputError
 from ..swag_engine.scene.cameras import Camera
 from . import labels, scene_import, splat_selection
 from .cameras import cameras_of
+from .steps import Steps, run_to_end
 from .visibility import View, blend
 
 GAP = 0.05
@@ -46,8 +47,11 @@ class Observations:
     all_cameras: int
 
 
-_last: tuple[bytes, Observations] | None = None
-"""The last observations, and a digest of what they were computed from: the user tries several thresholds."""
+MAX_KEPT = 4
+"""Observations that are kept."""
+
+_kept: dict[bytes, Observations] = {}
+"""The last observations, by a digest of what they were computed from: the user tries several thresholds."""
 
 
 def find(context: bpy.types.Context, obj: bpy.types.Object, in_front: float, photos: int) -> np.ndarray:
@@ -68,7 +72,11 @@ def find(context: bpy.types.Context, obj: bpy.types.Object, in_front: float, pho
 
 def observe(context: bpy.types.Context, obj: bpy.types.Object) -> Observations:
     """Compute which splats of an object the cameras see, and where. Raises InputError without cameras."""
-    global _last
+    return run_to_end(observing(context, obj))
+
+
+def observing(context: bpy.types.Context, obj: bpy.types.Object) -> Steps[Observations]:
+    """Do as `observe` in steps of one camera each; what is known already takes no step."""
     root = scene_import.find_root(obj)
     cameras = cameras_of(context, [root] if root else [])
     if not cameras:
@@ -78,20 +86,25 @@ def observe(context: bpy.types.Context, obj: bpy.types.Object) -> Observations:
     digest = hashlib.blake2b()
     for array in (positions, sizes, opacities, drawn, *(c.K for c in cameras), *(c.world_to_camera for c in cameras)):
         digest.update(array.tobytes())
-    if _last is None or _last[0] != digest.digest():
-        _last = digest.digest(), _observe(cameras, positions, sizes, opacities, drawn)
-    return _last[1]
+    key = digest.digest()
+    if key not in _kept:
+        found = yield from _observing(cameras, positions, sizes, opacities, drawn)
+        while len(_kept) >= MAX_KEPT:
+            del _kept[next(iter(_kept))]
+        _kept[key] = found
+    return _kept[key]
 
 
-def _observe(
+def _observing(
     cameras: list[Camera], positions: np.ndarray, sizes: np.ndarray, opacities: np.ndarray, drawn: np.ndarray
-) -> Observations:
+) -> Steps[Observations]:
     count = len(positions)
     used = cameras[:: max(-(-len(cameras) * count // MAX_PROJECTIONS), 1)]
     reference = used[:: max(len(used) // RANGE_CAMERAS, 1)]
     gap = GAP * _median_range(reference, positions, sizes, opacities, drawn)
     photos, front, whole = np.zeros(count, np.int64), np.zeros(count), np.zeros(count)
-    for camera in used:
+    for index, camera in enumerate(used):
+        yield index / len(used)
         blended = blend(View.of_camera(camera), positions, sizes, opacities, drawn)
         ranges = np.linalg.norm(positions - camera.centre, axis=1)
         surface = blended.surfaces(ranges)[blended.cell]

@@ -12,9 +12,9 @@ from bpy.types import PropertyGroup
 from mathutils import Matrix, Vector
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.base.files import require_parent
 from . import colors
 from .blender_types import present, with_properties
-from .nodes import map_material
 from .runs import RUN_KEY
 
 JOB = "Map"
@@ -127,13 +127,15 @@ def make_request(context: bpy.types.Context, kind: str) -> dict[str, Any]:
         kind: a key of FILES.
 
     Raises:
-        InputError: the splats are from no run on this machine, or a setting is missing.
+        InputError: the splats are from no run on this machine, a setting is missing, or the folder that the maps'
+            folder lies in does not exist.
     """
     scene, obj = present(context.scene), present(context.active_object)
     settings, run = maps_of(scene), bpy.path.abspath(obj.get(RUN_KEY, ""))
     if not run or not os.path.isdir(run):
         raise InputError(f"The splats of {obj.name} are from no run on this machine: open the run folder first.")
-    folder = Path(os.path.abspath(bpy.path.abspath(settings.output))) if settings.output else Path(run, "maps")
+    chosen = os.path.abspath(bpy.path.abspath(settings.output)) if settings.output else ""
+    folder = require_parent(Path(chosen)) if chosen else Path(run, "maps")
     request: dict[str, Any] = {"request": kind, "run": run, "out": str(folder / FILES[kind]), "pixel": settings.pixel}
     request["plane"] = _viewing_direction(context, obj) if settings.plane == "VIEW" else settings.plane.lower()
     if kind == "ortho":
@@ -175,13 +177,16 @@ def show_map(name: str, event: dict[str, Any]) -> str:
     shown = next((child for child in obj.children if child.get(MAP_KEY) == kind), None)
     if shown is not None:
         _remove(shown)
-    data = _curve(event) if kind == "profile" else _plane(event)
-    data.name = f"{obj.name} {TITLES[kind]}"
-    shown = bpy.data.objects.new(data.name, data)
+    title = f"{obj.name} {TITLES[kind]}"
+    if kind == "profile":
+        shown = bpy.data.objects.new(title, _curve(event, title))
+        shown.matrix_basis = Matrix(event["to_map"]).inverted()
+    else:
+        shown = bpy.data.objects.new(title, None)
+        _show_picture(shown, event)
     for collection in obj.users_collection:
         collection.objects.link(shown)
     shown.parent, shown.hide_render = obj, True
-    shown.matrix_basis = Matrix(event["to_map"]).inverted()
     lines = lines_of_result(event)
     shown[MAP_KEY], shown[FILE_KEY], shown[LINES_KEY] = kind, event["out"], json.dumps(lines)
     return " ".join([f"{TITLES[kind]}: {event['out']}.", *event["notes"]])
@@ -230,23 +235,24 @@ def _viewing_direction(context: bpy.types.Context, obj: bpy.types.Object) -> str
     return ",".join(f"{value:.9g}" for value in direction.normalized())
 
 
-def _plane(event: dict[str, Any]) -> bpy.types.Mesh:
-    """A rectangle with the picture of a map, above the splats, in the frame of the map."""
+def _show_picture(obj: bpy.types.Object, event: dict[str, Any]) -> None:
+    """Make an empty show the picture of a map above the splats; viewports draw it in every shading, Solid too."""
+    image = _image(event["preview"])
+    obj.empty_display_type, obj.empty_display_size, obj.use_empty_image_alpha = "IMAGE", 1.0, True
+    obj.data = cast(Any, image)
     left, bottom, right, top = event["extent"]
-    corners = [(x, y, event["top"]) for x, y in ((left, bottom), (right, bottom), (right, top), (left, top))]
-    mesh = bpy.data.meshes.new(TITLES[event["request"]])
-    mesh.from_pydata(corners, [], [(0, 1, 2, 3)])
-    places: Any = mesh.uv_layers.new(name="UVMap")
-    for index, place in enumerate(((0, 0), (1, 0), (1, 1), (0, 1))):
-        places.data[index].uv = place
-    mesh.materials.append(map_material.material(_image(event["preview"])))
-    return mesh
+    # The longer side of the image is drawn one unit long.
+    width, height = (int(side) for side in cast(Any, image.size))
+    longer = max(width, height, 1)
+    sides = (right - left) * longer / max(width, 1), (top - bottom) * longer / max(height, 1), 1.0, 1.0
+    centre = Matrix.Translation(((left + right) / 2, (bottom + top) / 2, event["top"]))
+    obj.matrix_basis = Matrix(event["to_map"]).inverted() @ centre @ Matrix.Diagonal(sides)
 
 
-def _curve(event: dict[str, Any]) -> bpy.types.Curve:
+def _curve(event: dict[str, Any], name: str) -> bpy.types.Curve:
     """The line of a profile along the surface, in the frame of the map; its diagram is an image of the file."""
     _image(event["files"][1])
-    curve = bpy.data.curves.new(TITLES["profile"], "CURVE")
+    curve = bpy.data.curves.new(name, "CURVE")
     curve.dimensions, curve.bevel_depth = "3D", CURVE_THICKNESS * event["length"]
     if event["curve"]:
         spline = curve.splines.new("POLY")
@@ -265,10 +271,10 @@ def _image(path: str) -> bpy.types.Image:
 
 def _remove(obj: bpy.types.Object) -> None:
     """Remove an object that shows a map, and what it shows."""
-    data: Any = obj.data
-    used = list(data.materials)
+    data = obj.data
     bpy.data.objects.remove(obj)
-    bpy.data.batch_remove([data, *used])
+    if isinstance(data, bpy.types.Curve):  # the image of a file is used again
+        bpy.data.curves.remove(data)
 
 
 def register() -> None:

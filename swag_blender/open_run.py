@@ -65,7 +65,7 @@ def open_run(context: bpy.types.Context, path: Path) -> tuple[bpy.types.Object, 
     if context.mode == "OBJECT" and present(context.view_layer).objects.get(obj.name):
         splats.select_only(context, [obj])
     framing.frame_first_splats(context, [obj])
-    return obj, f"{len(loaded):,} splats of the run {run.path.name}."
+    return obj, f"{len(loaded):,} splats of the run in {run.path}."
 
 
 def know_run(obj: bpy.types.Object, run: RunFolder) -> None:

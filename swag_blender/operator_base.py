@@ -1,6 +1,7 @@
 """Base classes of operators."""
 
 import os
+import time
 
 import bpy
 
@@ -10,6 +11,12 @@ from .blender_types import OperatorResult, present
 from .engine_process import EngineError
 from .runs import RUN_KEY
 from .splat_selection import edited_objects
+from .steps import Steps
+
+STEP_SECONDS = 0.1
+"""Time for steps of long work before the window is drawn again."""
+TIMER_SECONDS = 0.01
+"""Time between two turns of long work."""
 
 
 class ReportingOperator(bpy.types.Operator):
@@ -60,6 +67,60 @@ class SplatsOperator(ReportingOperator):
         """Whether an object with splats is selected."""
         cls.poll_message_set("Select an object with splats first")
         return bool(edited_objects(context))
+
+
+class SteppedOperator(SplatsOperator):
+    """Operator on the selected splat objects that gives `steps`, long work whose results `work` then finds kept.
+
+    A button takes the steps from a timer: the window shows how far they are, and Escape stops them. A script and Adjust
+    Last Operation take them within `work`.
+    """
+
+    def steps(self, context: bpy.types.Context) -> Steps[None]:
+        """Do the long part. Raises InputError."""
+        raise NotImplementedError
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Take the steps without blocking the window; Blender calls this for buttons."""
+        if bpy.app.background:
+            return self.execute(context)
+        window_manager = present(context.window_manager)
+        self._steps = self.steps(context)
+        self._timer = window_manager.event_timer_add(TIMER_SECONDS, window=context.window)
+        window_manager.progress_begin(0, 100)
+        window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Take steps, or stop at Escape; Blender calls this for every event. The splats stay as they are meanwhile."""
+        if event.type == "ESC" and event.value == "PRESS":
+            self.cancel(context)
+            self.report({"INFO"}, f"{self.bl_label} was stopped; nothing is changed.")
+            return {"CANCELLED"}
+        if event.type != "TIMER":
+            return {"RUNNING_MODAL"}
+        begin = time.perf_counter()
+        try:
+            while time.perf_counter() - begin < STEP_SECONDS:
+                fraction = next(self._steps)
+            present(context.window_manager).progress_update(100 * fraction)
+            present(context.workspace).status_text_set(f"{self.bl_label}: {fraction:.0%}; Escape: stop")
+            return {"RUNNING_MODAL"}
+        except StopIteration:
+            self.cancel(context)
+            return self.execute(context)
+        except InputError as error:
+            self.cancel(context)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Stop taking steps; Blender calls this when it removes the operator."""
+        self._steps.close()
+        window_manager = present(context.window_manager)
+        window_manager.event_timer_remove(self._timer)
+        window_manager.progress_end()
+        present(context.workspace).status_text_set(None)
 
 
 def splats_are_active(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:

@@ -262,7 +262,7 @@ class SwagScene(PropertyGroup):
         """A sentence that says where the run in the run folder stopped."""
         saved = [path.stem.rpartition("-")[2] for path in Path(self.run_path).glob("checkpoint-*.safetensors")]
         where = f"stopped at iteration {int(max(saved))}" if saved else "stopped before its first checkpoint"
-        return f"The run {os.path.basename(self.run_path)} {where}."
+        return f"The run in {self.run_path} {where}."
 
     def train_settings(self) -> dict[str, Any]:
         """The settings for the engine."""

@@ -28,6 +28,8 @@ ROOT_KEY = "swag_scene"
 """Property of the root: the scene's folder."""
 SIZE_KEY = "swag_size"
 """Property of a camera: image width, image height, pixel width / pixel height."""
+PHOTO_KEY = "swag_photo"
+"""Property of a camera: name of the photo, which Blender's name of the object may shorten or number."""
 SENSOR_WIDTH = 36.0
 """Sensor width of the cameras in mm; any value works, because the focal length is computed from it."""
 DEFAULT_CUBE = "Cube"
@@ -278,6 +280,7 @@ def camera_object(camera: dict[str, Any], root: bpy.types.Object, collection: bp
         background.frame_method = "STRETCH"
         data.show_background_images = True
     obj = bpy.data.objects.new(camera["name"], data)
+    obj[PHOTO_KEY] = camera["name"]
     obj[SIZE_KEY] = (float(camera["width"]), float(camera["height"]), camera["fy"] / camera["fx"])
     obj.parent = root
     obj.matrix_basis = Matrix(np.linalg.inv(camera["world_to_camera"]).tolist()) @ OPENCV_TO_BLENDER

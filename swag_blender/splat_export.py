@@ -10,6 +10,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.base.files import require_parent
 from ..swag_engine.formats.cameras import PosedImage, transform_camera, write_cameras
 from ..swag_engine.formats.export import ExportOptions, cameras_folder, georeferenced_frame, with_water
 from ..swag_engine.formats.gltf import COLMAP_UP, Z_UP
@@ -97,7 +98,7 @@ def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings
     Raises:
         InputError: nothing to save, wrong settings, or a file that cannot be written.
     """
-    format = find_format(path)
+    format = find_format(require_parent(path))
     objects = _chosen_objects(context, settings)
     to_file, up, lies_at = _file_frame(objects, path, settings)
     parts = []
@@ -139,7 +140,7 @@ def expected_size(context: bpy.types.Context, path: Path, settings: ExportSettin
         # Frame and water change values, not their number: the size is found without them, which is quick.
         parts = [part for _, _, part in _selected_splats(context, objects, settings)]
         joined = replace(require_splats(concatenate(parts)), placement=lies_at)
-        size = find_format(path).size(path, joined, up, ())
+        size = find_format(require_parent(path)).size(path, joined, up, ())
     except InputError as error:
         return str(error)
     return f"{len(joined)} splats, {size / 1e6:.1f} MB"

@@ -21,6 +21,7 @@ from bpy.props import IntProperty, PointerProperty, StringProperty
 from bpy.types import PropertyGroup
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.base.files import require_parent
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.formats.survey_detail import finest_level, refine
 from ..swag_engine.formats.survey_folder import Box, Survey, SurveyFolder
@@ -121,14 +122,14 @@ def plan_request(context: bpy.types.Context) -> dict[str, Any]:
     """The engine's request to plan a survey of the chosen photos, without the folder of the photos.
 
     Raises:
-        InputError: the folder holds a survey already.
+        InputError: the folder holds a survey already, or the folder that it lies in does not exist.
     """
     scene = present(context.scene)
     if (known := chosen_survey(scene)) is not None:
         raise InputError(f"{known.path} holds a survey already: choose another folder in Survey.")
     return {
         "request": "plan_survey",
-        "out": survey_path(scene),
+        "out": str(require_parent(Path(survey_path(scene)))),
         "settings": swag_of(scene).train_settings(),
         "block_images": survey_of(scene).block_images,
     }
@@ -354,7 +355,7 @@ def describe(obj: bpy.types.Object) -> str:
     """A sentence about which tiles of a survey an object was given last."""
     levels = json.loads(obj[LEVELS_KEY])
     tiles = ", ".join(f"{count} of level {level}" for level, count in levels.items())
-    return f"{splats.count(obj):,} splats of the survey {Path(obj[SURVEY_KEY]).name}; tiles: {tiles}."
+    return f"{splats.count(obj):,} splats of the survey in {obj[SURVEY_KEY]}; tiles: {tiles}."
 
 
 def _survey_of(obj: bpy.types.Object) -> tuple[SurveyFolder, Tiles]:

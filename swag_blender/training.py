@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 
 from ..swag_engine.base.errors import InputError
+from ..swag_engine.base.files import require_parent
 from ..swag_engine.base.text import time_text
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.formats.run_folder import RunFolder
@@ -30,7 +31,7 @@ class Training:
         resume: continue the run in the run folder instead of starting a new one.
 
     Raises:
-        InputError: no images are chosen.
+        InputError: no images are chosen, or the folder that the run's folder lies in does not exist.
     """
 
     def __init__(self, context: bpy.types.Context, resume: bool) -> None:
@@ -38,7 +39,7 @@ class Training:
         swag = swag_of(scene)
         self._images = chosen_scene(swag)
         if not resume:
-            swag.run_folder = str(free_run_folder(Path(swag.run_path)))
+            swag.run_folder = str(free_run_folder(require_parent(Path(swag.run_path))))
         self._scene, self._run = scene.name, swag.run_path
         kept_through_undo.keep(scene)
         self._preview: tuple[Future[Splats], dict[str, Any]] | None = None

@@ -197,8 +197,8 @@ GERMAN = {
         "getrennt)"
     ),
     "Open Gaussian splats from PLY, GLB or SPZ files": "Gauß-Splats aus PLY-, GLB- oder SPZ-Dateien öffnen",
-    "Open the engine's log of the last job in a text editor": (
-        "Das Protokoll des Rechenkerns vom letzten Auftrag in einem Texteditor öffnen"
+    "Open the engine's log of the last job in a text editor, at its end": (
+        "Das Ende vom Protokoll des letzten Auftrags des Rechenkerns in einem Texteditor zeigen"
     ),
     "Pick Two Points": "Zwei Punkte",
     "Python": "Python",
@@ -1121,6 +1121,14 @@ GERMAN = {
     "Your own attenuation of red, green and blue": "Eigene Dämpfung von Rot, Grün und Blau",
     "Stop Early": "Vorzeitig enden",
     "Find Color Chart": "Farbtafel finden",
+    "Mark Color Chart": "Farbtafel markieren",
+    "Look through the camera of a photo and click the outer corners of the four corner patches, around the chart": (
+        "Durch die Kamera eines Fotos sehen und die äußeren Ecken der vier Eckfelder anklicken, um die Tafel herum"
+    ),
+    "Select an object with splats of a run first": "Zuerst ein Objekt mit Splats eines Laufs auswählen",
+    "Select the camera of a photo that shows the chart, or look through it": (
+        "Die Kamera eines Fotos auswählen, das die Farbtafel zeigt, oder durch sie sehen"
+    ),
     "Look for a 24-patch color chart in the photos of the run, and compare its patches with their known colors": (
         "In den Fotos des Laufs eine Farbtafel mit 24 Feldern suchen und die Felder mit bekannten Farben vergleichen"
     ),

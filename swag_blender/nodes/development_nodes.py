@@ -83,11 +83,16 @@ def remove(scene: bpy.types.Scene) -> None:
 
 
 def _compositor(scene: bpy.types.Scene) -> bpy.types.NodeTree:
-    """The compositor nodes of a scene; without any, new ones that show the render."""
+    """The compositor nodes of a scene; without any, new ones that show the render, computed by the processor.
+
+    Blender 5.2 and later use the graphics card by default: without a window that needs libEGL, and where this is
+    missing, Blender aborts at the first render.
+    """
     own: Any = scene
     scene.render.use_compositing = True
     if hasattr(scene, "compositing_node_group"):  # Blender 5.0 and later
         if own.compositing_node_group is None:
+            own.render.compositor_device = "CPU"
             own.compositing_node_group = tree = new_tree(scene.name, "CompositorNodeTree")
             add_socket(tree, "Image", "Color", "OUTPUT")
             layers: Any = tree.nodes.new("CompositorNodeRLayers")

@@ -15,6 +15,7 @@ import tyro
 
 from ..base import threads  # noqa: F401
 from ..base.errors import InputError
+from ..base.files import require_parent
 from ..experiments.grid import Grid
 from ..formats.export import ExportOptions, export_run
 from ..formats.export import describe as describe_export
@@ -611,7 +612,7 @@ class Export:
 
     def run(self) -> int:
         """Run the command and return its exit code."""
-        result = export_run(self.run_folder, self.format, self.out, self.options)
+        result = export_run(self.run_folder, self.format, require_parent(self.out), self.options)
         show(result, self.json, describe_export(result))
         return 0
 
@@ -710,7 +711,7 @@ class Extract:
         """Run the command and return its exit code."""
         from ..experiments.label_run import extract_run
 
-        count = extract_run(self.run_folder, self.label, self.out)
+        count = extract_run(self.run_folder, self.label, require_parent(self.out))
         show({"out": str(self.out), "gaussians": count}, self.json, f"{count} Gaussians: {self.out}")
         return 0
 

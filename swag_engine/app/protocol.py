@@ -228,9 +228,11 @@ class ChartRequest:
 
     Attributes:
         run: Folder of the run.
+        marked: As in `measure_chart`.
     """
 
     run: Path
+    marked: str = ""
 
 
 @dataclass(frozen=True)

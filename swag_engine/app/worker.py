@@ -234,7 +234,7 @@ class Worker:
 
             with interrupts.deferred():
                 progress = self.stoppable("The search for a color chart was stopped; nothing was written.")
-                document = measure_chart(request.run, progress=progress)
+                document = measure_chart(request.run, progress=progress, marked=request.marked)
             return {"event": "result", "request": "chart", "run": str(request.run)} | document
         if isinstance(request, RestoreRequest):
             from ..experiments.restore_photos import restore_photos

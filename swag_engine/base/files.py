@@ -44,6 +44,19 @@ def atomic_path(path: Path) -> Iterator[Path]:
             temporary.unlink()
 
 
+def require_parent(path: Path) -> Path:
+    """Return a file or folder that a user chose to write to, in a folder that exists: no typing error makes a folder.
+
+    Raises:
+        InputError: When the folder that it lies in does not exist.
+    """
+    if not path.parent.is_dir():
+        raise InputError(
+            f"There is no folder {path.parent} to write {path.name} to: create it, or choose another folder."
+        )
+    return path
+
+
 def not_writable(path: Path, error: OSError) -> InputError:
     """Make the error that says why a file or folder cannot be written, and what to do."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):

@@ -66,7 +66,11 @@ def parse_corners(texts: Sequence[str], scene: Scene) -> dict[str, np.ndarray]:
 
 
 def find_charts(
-    scene: Scene, kind: ChartKind, given: Mapping[str, np.ndarray], progress: Callable[[str, float], None]
+    scene: Scene,
+    kind: ChartKind,
+    given: Mapping[str, np.ndarray],
+    progress: Callable[[str, float], None],
+    marked: Mapping[str, np.ndarray] | None = None,
 ) -> list[ChartImage]:
     """Find the chart in the photos that show it.
 
@@ -75,6 +79,8 @@ def find_charts(
         kind: The chart.
         given: Corners (4, 2) of the chart in pixels of the photo's file, by name, for photos that are not searched.
         progress: Called with the stage and its fraction, 0..1.
+        marked: Corners (4, 2) in fractions of the width and height of the undistorted photo, by name. Where there are
+            some, no other photo is read.
 
     Returns:
         The photos, in the order of the scene.
@@ -83,11 +89,16 @@ def find_charts(
         InputError: Where no photo shows the chart, or it is not between the given corners.
     """
     found = []
-    for index, view in enumerate(scene.views):
-        progress("Find the color chart", index / len(scene.views))
+    views = [view for view in scene.views if not marked or view.name in marked]
+    for index, view in enumerate(views):
+        progress(f"Find the color chart: photo {index + 1} of {len(views)}", index / len(views))
         image = load_images(scene, [view], SEARCH_WIDTH)[0]
-        if view.name in given:
-            corners = _undistorted(given[view.name], view, image.camera)
+        if marked or view.name in given:
+            corners = (
+                marked[view.name] * [image.camera.width, image.camera.height]
+                if marked
+                else _undistorted(given[view.name], view, image.camera)
+            )
             observation = chart_at(image.pixels, image.valid, kind, corners)
             if observation is None:
                 raise InputError(

@@ -39,6 +39,7 @@ def measure_chart(
     corners: Sequence[str] = (),
     out: Path | None = None,
     progress: Callable[[str, float], None] = lambda stage, fraction: None,
+    marked: str = "",
 ) -> dict[str, Any]:
     """Find a color chart, and fit the correction that brings its patches to their known colors.
 
@@ -51,6 +52,8 @@ def measure_chart(
         corners: Corners of the chart in photos, as in `parse_corners`.
         out: File for the document instead of the run's chart.json; None for a scene writes nothing.
         progress: Called with the stage and its fraction, 0..1.
+        marked: Corners in the only photo to read, written as in `parse_corners`, but in fractions of the width and
+            height of the undistorted photo; "" for a search.
 
     Returns:
         The document in chart.json: the correction as a `Development`, which `--develop chart` applies; `delta_e`:
@@ -69,7 +72,9 @@ def measure_chart(
     in_run = run.config.exists()
     scene_folder, settings = (run.read_config()[:2]) if in_run else (folder, None)
     scene = load_scene(scene_folder)
-    found = find_charts(scene, kind, parse_corners(corners, scene), progress)
+    found = find_charts(
+        scene, kind, parse_corners(corners, scene), progress, parse_corners([marked] if marked else [], scene)
+    )
     observations = [image.observation for image in found]
     photographed = np.stack([observation.light for observation in observations])
     used = np.stack([observation.used for observation in observations])

@@ -17,6 +17,7 @@ from ..rendering.model import cloud_from_checkpoint
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import cache_folder, load_images
 from ..semantics.assign import Assignment, assign
+from ..semantics.describe_labels import describe_labels
 from ..semantics.embed import Clip, Descriptor, Embedder
 from ..semantics.labels import read_labels, read_semantics, write_semantics
 from ..semantics.providers import Progress, Provider, choose_provider, make_embedder, make_provider
@@ -84,6 +85,7 @@ def label_run(
     )  # fmt: skip
     found = assign(cloud, regions, {image.camera.name: image.camera for image in images})
     assignment = Assignment(found.features[:own], found.labels[:own], found.agreement[:own], found.gains)
+    regions = describe_labels(regions, splats, assignment.labels.cpu().numpy())
     about = {"regions": chosen, "embedder": embedder.name, "words": list(words), "photographs": len(images)}
     return write_semantics(folder, splats, up, regions, assignment, about, with_features)
 

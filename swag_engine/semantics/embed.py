@@ -256,8 +256,18 @@ def color_name(descriptor: np.ndarray) -> str:
         grid.sum(1) @ middles,
         grid.sum(0) @ middles,
     )
+    return _nearest(np.array(lab))
+
+
+def nearest_color(color: np.ndarray) -> str:
+    """Return the name of the nearest of COLORS to display values (3,) in 0..1."""
+    return _nearest(cv2.cvtColor(color.astype(np.float32)[None, None], cv2.COLOR_RGB2Lab)[0, 0])
+
+
+def _nearest(lab: np.ndarray) -> str:
+    """Return the name of the nearest of COLORS to L*a*b* (3,)."""
     known = cv2.cvtColor(np.array([list(COLORS.values())], np.float32) / 255, cv2.COLOR_RGB2Lab)[0]
-    return list(COLORS)[int(np.linalg.norm(known - np.array(lab), axis=1).argmin())]
+    return list(COLORS)[int(np.linalg.norm(known - lab, axis=1).argmin())]
 
 
 def _unit(embeddings: np.ndarray, network: Graph) -> np.ndarray:

@@ -90,6 +90,7 @@ class SceneRegions:
         prototypes: (L, 32) float32 of length 1, mean feature of each label.
         projection: From embeddings to features.
         notes: Sentences for the user.
+        described: Those of the labels that were named by the colors of their regions.
     """
 
     labels: tuple[str, ...]
@@ -98,6 +99,7 @@ class SceneRegions:
     prototypes: np.ndarray
     projection: Projection
     notes: tuple[str, ...]
+    described: frozenset[str] = frozenset()
 
     def pixel_fractions(self) -> np.ndarray:
         """Return the fraction of the images' pixels that each label has, (L + 1,), label 0 first."""
@@ -200,7 +202,9 @@ def common_labels(found: Mapping[str, ImageRegions], words: Sequence[str] = ()) 
             sums[number - 1] += feature
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     prototypes = sums / np.maximum(lengths, 1e-12)
-    return SceneRegions(tuple(labels), maps, features, prototypes, projection, tuple(_notes(found, words, labels)))
+    described = frozenset(labels) - {label for entry in found.values() for label in entry.labels}
+    notes = tuple(_notes(found, words, labels))
+    return SceneRegions(tuple(labels), maps, features, prototypes, projection, notes, described)
 
 
 def _image_regions(

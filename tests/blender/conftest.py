@@ -44,6 +44,10 @@ class Blender:
         self.printed = ""
         """What the last function, Blender and their child processes printed."""
 
+    def fresh(self):
+        """Another process of the same version, which the caller quits."""
+        return Blender(self.version, self._zip, self._make_folder, self._nodes)
+
     def _start(self):
         self.user = self._make_folder()
         self._log = Path(f"{self.user}.log")

@@ -31,6 +31,18 @@ def test_renders_follow_the_sliders_and_the_animated_water(blender):
     blender.run("colors.render_follows_sliders_and_water", seconds=120)
 
 
+def test_a_developed_render_needs_no_graphics_library(blender, tmp_path, monkeypatch):
+    """In a process of its own that cannot load libEGL; five seconds with its start."""
+    np.savez(tmp_path / "heap.npz", **heap())
+    (tmp_path / "libEGL.so.1").touch()
+    monkeypatch.setenv("LD_LIBRARY_PATH", str(tmp_path))
+    without = blender.fresh()
+    try:
+        without.run("colors.render_developed", tmp_path)
+    finally:
+        without.quit()
+
+
 def test_films_and_exported_files_are_developed(blender, tmp_path):
     sent = blender.run("colors.film_and_files", tmp_path)
     request = {"request": "film", "cameras": "a", "splats": "b", "out": "c", "colors": sent}

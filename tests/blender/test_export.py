@@ -113,6 +113,9 @@ def test_refusals_are_one_sentence(blender, tmp_path):
     named = {"not there": "nowhere.ply", "damaged": "text.ply", "unwritable": "x.ply", "full": "x.glb"}
     for case, message in messages.items():
         assert message.endswith(".") and "\n" not in message and named.get(case, "") in message, (case, message)
+    assert (
+        messages["no folder"].startswith(f"There is no folder {tmp_path / 'typo'}") and not (tmp_path / "typo").exists()
+    )
     assert "select" in messages["nothing"] and not list(tmp_path.glob("x.*"))
 
 

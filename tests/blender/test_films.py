@@ -47,6 +47,7 @@ def test_cropped_splats_are_not_filmed(blender):
 def test_what_cannot_be_filmed_is_refused_in_one_sentence(blender, fake_engine, tmp_path):
     found = blender.run("films.refusals", tmp_path / "film", SWAG_ENGINE_PYTHON=fake_engine)
     assert found["no folder"].startswith("Choose the folder of the film first")
+    assert found["typo"].startswith(f"There is no folder {tmp_path / 'film'}")
     assert found["lens"].startswith("camera is no perspective camera")
     assert found["scale"].startswith("reef is mirrored or not scaled equally")
     assert found["hidden"] == "There are no splats to film: all of them are hidden or cropped."

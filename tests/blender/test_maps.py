@@ -56,6 +56,7 @@ def test_maps_that_cannot_be_made_are_refused_in_one_sentence(blender, tmp_path)
     assert found["profile"].startswith("A profile needs two points: use Pick Profile")
     assert found["areas"].startswith("The splats have no labels")
     assert found["view"].startswith("There is no 3D viewport to see the map from")
+    assert found["no folder"].startswith(f"There is no folder {run / 'typo'}") and not (run / "typo").exists()
     assert found["folder"].startswith("Cannot write") and "choose another folder" in found["folder"]
     assert found["run"].startswith("The splats of reef are from no run on this machine")
     assert found["failed"] and not found["shown"] and "Traceback" not in blender.printed

@@ -40,8 +40,8 @@ def test_the_plan_is_a_list_of_effects_that_the_user_can_overrule(blender, fake_
 
 def test_a_stopped_run_can_be_continued_after_the_file_is_opened_again(blender, tmp_path):
     assert blender.run("panels.stopped_run", tmp_path) == [
-        "The run swag_run stopped before its first checkpoint.",
-        "The run swag_run stopped at iteration 1200.",
+        f"The run in {tmp_path / 'swag_run'} stopped before its first checkpoint.",
+        f"The run in {tmp_path / 'swag_run'} stopped at iteration 1200.",
     ]
 
 

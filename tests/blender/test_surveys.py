@@ -45,7 +45,7 @@ def test_a_survey_opens_with_the_finest_level_that_fits_and_with_what_a_run_has(
     found = blender.run("surveys.open_levels", made)
     whole, small = found["whole"], found["small"]
     assert whole["tiles"] == [ALL[0], 1024] and small["tiles"] == [ALL[1], 256] and found["objects"] == 1
-    assert whole["described"] == "1,024 splats of the survey plot; tiles: 16 of level 0."
+    assert whole["described"] == f"1,024 splats of the survey in {made}; tiles: 16 of level 0."
     shared = {
         "water": True, "background": [0.1, 0.2, 0.3], "exposure": 0.5, "up": [0.0, 0.0, 1.0],
         "folders": ["reef", "plot"], "run": "",
@@ -184,7 +184,11 @@ def test_a_survey_is_planned_and_merged_from_the_panel(blender, fake_engine, tmp
     assert found["command"] == f"python -m swag_engine survey run '{photos / 'swag_survey'}'"
     assert found["again"].endswith("holds a survey already: choose another folder in Survey.")
     message, failed, tiles = found["merged"]
-    assert message.startswith("1,024 splats of the survey swag_survey") and not failed and tiles == [ALL[0], 1024]
+    assert (
+        message.startswith(f"1,024 splats of the survey in {photos / 'swag_survey'}")
+        and not failed
+        and tiles == [ALL[0], 1024]
+    )
     assert message.endswith("tiles: 16 of level 0. A note of the merge.")
     assert {"swag.load_view", "swag.load_box", "swag.load_overview", "budget", "box"} <= set(
         found["drawn"]["SWAG_PT_survey_tiles"]

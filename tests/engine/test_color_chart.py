@@ -24,7 +24,7 @@ from swag_engine.colorchart.color_correction import (
 )
 from swag_engine.colorchart.find_chart import chart_at, find_chart
 from swag_engine.colorchart.scene_charts import _undistorted, parse_corners
-from swag_engine.experiments.color_chart import describe
+from swag_engine.experiments.color_chart import describe, measure_chart
 from swag_engine.experiments.report import write_report
 from swag_engine.experiments.restore_patches import even_values
 from swag_engine.scene.cameras import Camera
@@ -243,6 +243,22 @@ def test_the_command_measures_a_scene(scene, tmp_path, capsys):
     assert document["delta_e"]["corrected"] < document["delta_e"]["photos"] - 5
     assert document["beta_D"]["chart"] == pytest.approx(BETA_D, abs=0.01)
     assert not (scene / "chart.json").exists()
+
+
+def test_a_chart_that_is_not_found_is_measured_between_marked_corners(tmp_path):
+    shot = Shot(tilt=80, roll=30, place=(0, 0, 1.2))  # seen from the side
+    assert found(shot) is None
+    scene = write_scene(tmp_path / "dive", [shot, Shot(chart=None)])
+    corners = to_pixels(shot, to_world(shot, CLASSIC.patch_outline)) + np.random.default_rng(0).uniform(
+        -1.5, 1.5, (4, 2)
+    )
+    marked = "0.png:" + ",".join(f"{value:.6f}" for value in (corners / shot.size).ravel())
+    read = []
+    document = measure_chart(scene, progress=lambda stage, _: read.append(stage), marked=marked)
+    assert read == ["Find the color chart: photo 1 of 1"] and [photo["name"] for photo in document["photos"]] == [
+        "0.png"
+    ]
+    assert document["delta_e"]["corrected"] < document["delta_e"]["photos"] - 5
 
 
 def test_the_command_says_what_to_do_without_a_chart(scene, tmp_path, capsys):

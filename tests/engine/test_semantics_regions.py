@@ -11,10 +11,13 @@ from swag_engine.base.errors import InputError
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import Scene, load_scene
 from swag_engine.scene.images import TrainingImage, load_images
-from swag_engine.semantics.embed import Descriptor
+from swag_engine.semantics.describe_labels import describe_labels, unique_names
+from swag_engine.semantics.embed import Descriptor, Projection
 from swag_engine.semantics.masks import MaskFolder
-from swag_engine.semantics.regions import Region, find_regions, flatten_regions
+from swag_engine.semantics.regions import Region, SceneRegions, find_regions, flatten_regions
 from swag_engine.semantics.saliency import OPEN_WATER, Saliency, border_contrast
+from swag_engine.splats.splats import Splats
+from swag_engine.splats.transform import C0
 
 ROOT = Path(__file__).resolve().parents[2]
 REEF = ROOT / "tests" / "scenes" / "reef_wreck"
@@ -291,3 +294,23 @@ def test_contrast_is_the_mean_difference_from_the_most_similar_quarter_of_the_bo
     expected = [(0 + 1 + 3) / 3, (10 + 20 + 30) / 3, (5 + np.hypot(7, 5) + np.hypot(9, 5)) / 3]
     np.testing.assert_allclose(border_contrast(colors, border), expected)
     np.testing.assert_allclose(border_contrast(colors[:1], border[:1]), [40])  # at least one
+
+
+def test_labels_without_a_name_get_the_color_without_water_and_a_place():
+    """Three regions that the photos show black: one splat each, brown, brown and white without the water."""
+    index = np.zeros((20, 20), np.uint16)
+    index[:6, :6], index[14:, 14:], index[8:12, 8:12], index[:4, 16:] = 1, 2, 3, 4
+    labels = ("black", "black 2", "black 3", "coral")
+    regions = SceneRegions(
+        labels, {"a.jpg": index}, {}, np.zeros((4, 1)), Projection.fit(np.eye(4)), (), frozenset(labels[:3])
+    )
+    colors = np.array([(110, 70, 40), (110, 70, 40), (240, 240, 240), (20, 20, 20)]) / 255
+    splats = Splats(
+        np.zeros((4, 3), "f4"), np.tile(np.array([1, 0, 0, 0], "f4"), (4, 1)), np.ones((4, 3), "f4"),
+        np.ones(4, "f4"), ((colors - 0.5) / C0)[:, None].astype("f4"),
+    )  # fmt: skip
+    named = describe_labels(regions, splats, np.arange(1, 5))
+    assert named.labels == ("brown, top left", "brown, bottom right", "white", "coral")
+    assert unique_names([("red", "top"), ("red", "top"), ("red", "left")], {"red, left"}) == [
+        "red, top", "red, top (2)", "red, left (2)",
+    ]  # fmt: skip

@@ -4,7 +4,10 @@ import json
 from pathlib import Path
 
 import bpy
-from bl_ext.user_default.swag_splatting.swag_blender import color_chart, splats
+import numpy as np
+from bl_ext.user_default.swag_splatting.swag_blender import color_chart, scene_import, splats
+from bl_ext.user_default.swag_splatting.swag_blender.cameras import camera_of
+from mathutils import Vector
 from panels import RecordingPanel, context_of_a_sidebar
 from pictures import random_splats
 
@@ -46,4 +49,15 @@ def find(run, bare):
         file.write_text(text)
         damaged.append(drawn())
     found["damaged"] = damaged
+    pinhole = {"width": 400, "height": 300, "fx": 200, "fy": 200, "cx": 200, "cy": 150}
+    pose = np.eye(4)
+    pose[:3, :3] = [[0, 1, 0], [0, 0, -1], [-1, 0, 0]]
+    camera = scene_import.camera_object(
+        {"name": "a photo.jpg", "world_to_camera": pose, **pinhole}, None, scene.collection
+    )
+    bpy.context.view_layer.update()
+    seen = camera_of(camera, bpy.context.evaluated_depsgraph_get(), 400, 300, 1.0)
+    rays = [Vector(pose[:3, :3].T @ np.array(ray)) for ray in ((0, 0, 1), (-0.5, -0.375, 1), (0, 0, -1))]
+    found["places"] = [color_chart.position_in_photo(seen, ray) for ray in rays]
+    found["request"] = color_chart.request(obj, color_chart.marked_corners(camera, [(0.25, 0.5)] * 4))
     return found

@@ -387,6 +387,9 @@ def find_floaters():
     for x in (-1, 0, 1, 2, 3):
         new_camera().location = (x, 0, 5)
     bpy.context.view_layer.update()
+    taken = list(floaters.observing(bpy.context, obj))
+    assert taken == sorted(taken) and len(taken) >= 5 and taken[0] >= 0 and taken[-1] < 1, "a step a camera"
+    assert not list(floaters.observing(bpy.context, obj)), "what is known takes no step"
     seen = floaters.observe(bpy.context, obj)
     assert seen is floaters.observe(bpy.context, obj)
     assert seen.cameras == seen.all_cameras == 5 and seen.photos[4000:4040].mean() > 1 and not seen.photos[4040:].any()

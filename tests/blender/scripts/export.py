@@ -84,6 +84,7 @@ def refusals(folder):
         "suffix": refusal(save, filepath=str(folder / "x.obj")),
         "unwritable": refusal(save, filepath=str(folder / "occupied" / "x.ply")),
         "full": refusal(save, filepath="/dev/full/x.glb"),
+        "no folder": refusal(save, filepath=str(folder / "typo" / "x.ply")),
         "no root": refusal(save, filepath=str(folder / "x.ply"), frame="SCENE"),
     }
 

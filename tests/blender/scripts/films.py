@@ -281,6 +281,8 @@ def refusals(out):
     scene.frame_end = 2
     active(obj)
     found = {"no folder": refusal(bpy.ops.swag.render_film)}
+    scene.swag_film.output = f"{out}/typo"
+    found["typo"] = refusal(bpy.ops.swag.render_film)
     scene.swag_film.output = out
     camera.data.type = "ORTHO"
     found["lens"] = refusal(bpy.ops.swag.render_film)

@@ -30,15 +30,15 @@ def shown(obj):
     bpy.context.view_layer.update()
     found = {}
     for child in maps.shown_maps(obj):
-        mesh, to_world = child.data, np.array(child.matrix_world)
+        data, to_world = child.data, np.array(child.matrix_world)
         entry = {"lines": json.loads(child[maps.LINES_KEY]), "file": child[maps.FILE_KEY]}
-        if child.type == "MESH":
-            corners = np.array([vertex.co[:] for vertex in mesh.vertices])
+        if child.type == "EMPTY":  # whose image is drawn around its centre, the longer side as long as the empty
+            half = np.array([*data.size, 0]) / max(data.size) * child.empty_display_size / 2
+            corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * half
             entry["corners"] = (corners @ to_world[:3, :3].T + to_world[:3, 3]).tolist()
-            nodes = mesh.materials[0].node_tree.nodes
-            entry["image"] = next(list(n.image.size) for n in nodes if n.type == "TEX_IMAGE")
+            entry["image"] = list(data.size)
         else:
-            points = np.array([point.co[:3] for point in mesh.splines[0].points])
+            points = np.array([point.co[:3] for point in data.splines[0].points])
             entry["points"] = (points @ to_world[:3, :3].T + to_world[:3, 3]).tolist()
         found[child[maps.MAP_KEY]] = entry
     return found
@@ -71,7 +71,9 @@ def refusals(run):
     found["areas"] = refusal(operators.make_areas)
     settings.plane = "VIEW"
     found["view"] = refusal(operators.make_heights)
-    settings.plane, settings.output = "UP", f"{run}/config.json"
+    settings.plane, settings.output = "UP", f"{run}/typo/maps"
+    found["no folder"] = refusal(operators.make_heights)
+    settings.output = f"{run}/config.json"
     found["folder"] = refusal(operators.make_heights)
     obj["swag_run"] = "/elsewhere"
     found["run"] = refusal(operators.make_orthomosaic)
