@@ -16,12 +16,14 @@ class SWAG_OT_forecast(SceneJob):
 
     def question(self, swag: SwagScene) -> dict[str, Any]:
         """The request with the scene's settings."""
-        self._asked = swag.forecast_question()
-        return {"request": "forecast", "settings": swag.train_settings()}
+        settings = swag.train_settings()
+        self._asked, self._sized_by = swag.forecast_question(), swag.sized_by(settings)
+        return {"request": "forecast", "settings": settings}
 
     def take(self, swag: SwagScene, event: dict[str, Any]) -> str:
         """Store the forecast with the scene."""
         swag.keep_forecast(self._asked, event["presets"])
+        swag.keep_sizes(self._sized_by, event["sizes"])
         return "; ".join(" ".join(line) for line in swag.forecast_lines())
 
 

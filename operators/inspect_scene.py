@@ -20,14 +20,14 @@ class SWAG_OT_inspect_scene(SceneJob):
         swag.found = ""
         self._arrays = tempfile.TemporaryDirectory()
         settings = swag.train_settings()
-        self._asked = swag.sizes_question(settings)
+        self._asked = swag.sized_by(settings)
         return {"request": "inspect", "arrays": self._arrays.name, "settings": settings}
 
     def take(self, swag: SwagScene, event: dict[str, Any]) -> str:
         """Show what was found."""
         self._arrays.cleanup()
         swag.found = scene_import.describe(event)
-        swag.keep_sizes(self._asked, event.get("sizes", {}))
+        swag.keep_sizes(self._asked, event["sizes"])
         return f"{swag.found.splitlines()[0]}."
 
 

@@ -296,15 +296,15 @@ class ImportJob(Job):
 
     def request(self, context: bpy.types.Context) -> dict[str, Any]:
         """The whole request."""
-        question = self.question()
-        self._scene = present(context.scene).name
+        question, scene = self.question(), present(context.scene)
+        self._scene, self._settings = scene.name, swag_of(scene).train_settings()
         self._arrays = tempfile.TemporaryDirectory()
-        return question | {"arrays": self._arrays.name}
+        return question | {"arrays": self._arrays.name, "settings": self._settings}
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Build the objects, and put splats of this scene that were opened before below its root."""
         with self._arrays:
-            root, message = scene_import.add_to_scene(self._scene, event)
+            root, message = scene_import.add_to_scene(self._scene, event, self._settings)
         open_run.adopt_splats(root, bpy.data.scenes[self._scene])
         survey.adopt_surveys(root, bpy.data.scenes[self._scene])
         return message

@@ -105,9 +105,17 @@ class SWAG_PT_train(SwagPanel):
         column.prop(swag, "preset")
         if swag.preset == IN_TIME:
             column.prop(swag, "minutes")
+            draw_wrapped(
+                layout, "This machine is measured when training starts: the numbers follow from it.", width, icon="INFO"
+            )
         else:
             for name in SIZES:
                 column.prop(swag, name)
+            if swag.is_lowered:
+                draw_wrapped(
+                    layout, "Little memory is free: these numbers are lowered. Close other programs and press Check.",
+                    width, icon="ERROR",
+                )  # fmt: skip
             if not swag.known_size:
                 draw_wrapped(
                     layout, "Typical numbers: the photos set them when training starts. Check shows them.", width,

@@ -2,7 +2,9 @@
 
 import json
 import os
+import platform
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -24,7 +26,8 @@ from ..swag_engine.base.text import time_text
 from ..swag_engine.formats.run_folder import RunFolder
 from ..swag_engine.settings.field import Setting, settings_of
 from ..swag_engine.settings.jerlov import JERLOV, MOST
-from ..swag_engine.settings.presets import PRESETS, SIZES, Size
+from ..swag_engine.settings.presets import PRESETS, SIZES, Size, Surface
+from ..swag_engine.settings.recipes import recipe_of
 from ..swag_engine.settings.settings import TrainSettings
 from . import WORDS, effects
 from .blender_types import with_properties
@@ -33,8 +36,6 @@ from .setting_property import setting_property
 SETTINGS = tuple(name for name, _, _ in settings_of(TrainSettings))
 IN_TIME = "time"
 """Quality that stands for a time budget."""
-SIZED_BY = (*SIZES, "recipe", "effects", "sh_degree", "backend")
-"""Settings that the sizes of all qualities depend on."""
 OWN_WATER = "own"
 """Water type that stands for the user's own attenuation."""
 WATER_TYPES = {
@@ -56,7 +57,7 @@ assert list(WATER_TYPES) == list(JERLOV)
 def size_property(name: str, described: Setting) -> Any:
     """Make the property of a setting that the quality chooses where the user does not.
 
-    It shows the number of the quality, and `chosen_NAME` stores the user's own number, 0 for none.
+    It shows the number of the next run, and `chosen_NAME` stores the user's own number, 0 for none.
 
     Args:
         name: One of SIZES.
@@ -68,7 +69,7 @@ def size_property(name: str, described: Setting) -> Any:
     chosen = f"chosen_{name}"
 
     def value(swag: Any) -> int:
-        return getattr(swag, chosen) or getattr(swag.size, name)
+        return getattr(swag.run_size, name)
 
     def choose(swag: Any, number: int) -> None:
         setattr(swag, chosen, 0 if number == getattr(swag.size, name) else number)
@@ -279,8 +280,7 @@ class SwagScene(PropertyGroup):
 
     def shown_settings(self) -> dict[str, Any]:
         """The settings for a training: with the sizes that the panel shows, where they are those of the photos."""
-        shown = {name: getattr(self, name) for name in SIZES} if self.known_size else {}
-        return self.train_settings() | shown
+        return self.train_settings() | (self.run_size.numbers() if self.known_size else {})
 
     @property
     def size(self) -> Size:
@@ -288,23 +288,43 @@ class SwagScene(PropertyGroup):
         return self.known_size or PRESETS.get(self.preset, PRESETS[TrainSettings.preset])
 
     @property
+    def run_size(self) -> Size:
+        """Size of the next run: the user's own numbers, else those of the quality; no more Gaussians than are trained.
+
+        More than one Gaussian for each pixel of the surface that the photos show are never trained.
+        """
+        own = {name: number for name in SIZES if (number := getattr(self, f"chosen_{name}"))}
+        size = replace(self.size, **own)
+        if known := self._known_sizes():
+            most = Surface(**known["surface"]).gaussians(size.width)
+            size = replace(size, max_gaussians=min(size.max_gaussians, most))
+        return size
+
+    @property
     def known_size(self) -> Size | None:
         """Size that the engine found for the quality, these photos and settings on this machine; None before that."""
+        found = self._known_sizes().get("presets", {}).get(self.preset)
+        return Size(*(found[name] for name in SIZES)) if found else None
+
+    @property
+    def is_lowered(self) -> bool:
+        """Whether the known size was lowered to the free memory."""
+        return bool(self.known_size) and self._known_sizes()["presets"][self.preset]["lowered"]
+
+    def _known_sizes(self) -> dict[str, Any]:
+        """What the engine found for these photos and settings on this machine; empty before that."""
         kept = json.loads(self.sizes) if self.sizes else {}
-        known = (
-            kept["presets"].get(self.preset)
-            if kept.get("question") == self.sizes_question(self.train_settings())
-            else None
-        )
-        return Size(*(known[name] for name in SIZES)) if known else None
+        known: dict[str, Any] = kept["found"] if kept.get("asked") == self.sized_by(self.train_settings()) else {}
+        return known
 
-    def sizes_question(self, settings: dict[str, Any]) -> str:
-        """What the sizes of all qualities depend on, as text: the images, and some of the settings for the engine."""
-        return json.dumps([self.scene_path, {name: settings[name] for name in SIZED_BY}])
+    def sized_by(self, settings: dict[str, Any]) -> list[Any]:
+        """What the sizes of all qualities depend on: the images, the computer, and what an iteration costs."""
+        densify_until = recipe_of(settings["recipe"], settings["effects"]).densify_until
+        return [self.scene_path, platform.node(), settings["backend"], settings["sh_degree"], densify_until]
 
-    def keep_sizes(self, question: str, presets: dict[str, dict[str, Any]]) -> None:
-        """Store the sizes of each quality, and the question that they answer."""
-        self.sizes = json.dumps({"question": question, "presets": presets})
+    def keep_sizes(self, asked: list[Any], found: dict[str, Any]) -> None:
+        """Store the sizes that the engine found, and what they depend on; none where it found none."""
+        self.sizes = json.dumps({"asked": asked, "found": found}) if found else ""
 
     def _forecast_presets(self) -> dict[str, dict[str, Any]]:
         """What the forecast for the present settings says of each quality; empty without one."""
@@ -321,8 +341,6 @@ class SwagScene(PropertyGroup):
     def keep_forecast(self, question: str, presets: dict[str, dict[str, Any]]) -> None:
         """Store a forecast: the presets of its `result` event, and its question."""
         self.forecast = json.dumps({"question": question, "presets": presets})
-        asked = json.loads(question)[1]
-        self.keep_sizes(self.sizes_question(asked), presets)
 
     def forecast_lines(self) -> list[tuple[str, str, str, str]]:
         """Name, time, PSNR and memory of each quality; empty without a forecast for the present settings."""
@@ -372,6 +390,8 @@ class SwagJob(PropertyGroup):
     failed: Annotated[bool, BoolProperty(description="Whether the job ended with an error, or had to be killed")]
     iteration: Annotated[int, IntProperty()]
     gaussians: Annotated[int, IntProperty()]
+    max_gaussians: Annotated[int, IntProperty(description="Largest number of Gaussians of the training")]
+    width: Annotated[int, IntProperty(description="Width of the training images in pixels")]
     loss: Annotated[float, FloatProperty()]
     psnr: Annotated[float, FloatProperty(description="PSNR on the validation photos in dB; 0 until measured")]
     speed: Annotated[float, FloatProperty(description="Iterations per second")]
@@ -393,7 +413,8 @@ class SwagJob(PropertyGroup):
         self.evaluates = event["stage"] == "evaluate"
         if event["stage"] == "train":
             self.iteration = event["iteration"]
-            self.gaussians = event["gaussians"]
+            self.gaussians, self.max_gaussians = event["gaussians"], event["max_gaussians"]
+            self.width = event["width"]
             self.loss = event["loss"] or 0.0
             measured = f" {event['psnr'] or 0:.2f}"
             if event["psnr"] and not self.curve.endswith(measured):
@@ -408,7 +429,8 @@ class SwagJob(PropertyGroup):
             return []
         return [
             f"PSNR {self.psnr:.2f} dB" if self.psnr else "PSNR not yet",
-            f"{self.gaussians} Gaussians",
+            f"{self.gaussians} of {self.max_gaussians} Gaussians",
+            f"Photos {self.width} px wide",
             f"{self.speed:.1f} iterations/s",
             f"{time_text(self.seconds_left)} left",
         ]

@@ -16,7 +16,6 @@ from mathutils import Matrix, Vector
 from mathutils.kdtree import KDTree
 
 from ..swag_engine.base.errors import InputError
-from ..swag_engine.settings.settings import TrainSettings
 from . import framing
 from .blender_types import present
 from .georeference import apply_georeference
@@ -58,20 +57,21 @@ def describe(result: dict[str, Any]) -> str:
     return "\n".join((found, *result["warnings"]))
 
 
-def choose(scene: bpy.types.Scene, result: dict[str, Any]) -> str:
-    """Make the folder of an `inspect` result the scene's chosen images; returns its description."""
+def choose(scene: bpy.types.Scene, result: dict[str, Any], settings: dict[str, Any]) -> str:
+    """Make the folder of an `inspect` result for these settings the scene's chosen images; returns its description."""
     swag = swag_of(scene)
     swag.scene_folder, swag.found = result["scene"], describe(result)
-    swag.keep_sizes(swag.sizes_question(TrainSettings().to_json()), result.get("sizes", {}))
+    swag.keep_sizes(swag.sized_by(settings), result["sizes"])
     return swag.found
 
 
-def add_to_scene(scene_name: str, result: dict[str, Any]) -> tuple[bpy.types.Object, str]:
+def add_to_scene(scene_name: str, result: dict[str, Any], settings: dict[str, Any]) -> tuple[bpy.types.Object, str]:
     """Import an `inspect` or `sfm` result to a Blender scene, choose its folder, and show all of it in the viewports.
 
     Args:
         scene_name: name of the Blender scene that was open when the result was asked for.
         result: the event.
+        settings: those of the next run that the result was asked for with.
 
     Returns:
         The root, and what to tell the user.
@@ -87,7 +87,7 @@ def add_to_scene(scene_name: str, result: dict[str, Any]) -> tuple[bpy.types.Obj
         for window in present(bpy.context.window_manager).windows:
             if window.scene == scene:
                 framing.frame_viewports(window, root.children_recursive)
-    found, *doubts = choose(scene, result).splitlines()
+    found, *doubts = choose(scene, result, settings).splitlines()
     present(scene.view_layers[0]).update()  # world matrices of new objects
     return root, " ".join(filter(None, (f"{found}.", cube_note(scene, root), *doubts)))
 

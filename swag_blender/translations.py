@@ -598,6 +598,12 @@ GERMAN = {
     "Sizes that each quality gives the photos and what they depend on, as JSON": (
         "Größen, die jede Güte den Fotos gibt, und wovon sie abhängen, als JSON"
     ),
+    "Little memory is free: these numbers are lowered. Close other programs and press Check.": (
+        "Wenig Speicher ist frei: Diese Zahlen sind verringert. Andere Programme schließen und Prüfen drücken."
+    ),
+    "This machine is measured when training starts: the numbers follow from it.": (
+        "Dieser Rechner wird gemessen, wenn das Training beginnt: Daraus folgen die Zahlen."
+    ),
     "Typical numbers: the photos set them when training starts. Check shows them.": (
         "Typische Zahlen: Die Fotos bestimmen sie, wenn das Training beginnt. Prüfen zeigt sie."
     ),

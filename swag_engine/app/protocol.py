@@ -41,11 +41,13 @@ class SfmRequest:
         photos: Folder of images, or a video.
         out: Folder of the new scene; it must not exist or be empty.
         arrays: Folder for the arrays of the answer.
+        settings: Settings of the next run, whose sizes are part of the answer.
     """
 
     photos: Path
     out: Path
     arrays: Path
+    settings: TrainSettings = field(default_factory=TrainSettings)
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class ImportCamerasRequest:
         arrays: Folder for the arrays of the answer.
         photos: Folder of the photos, None for that of the file.
         points: PLY file of sparse points, None without one.
+        settings: Settings of the next run, whose sizes are part of the answer.
     """
 
     file: Path
@@ -80,6 +83,7 @@ class ImportCamerasRequest:
     arrays: Path
     photos: Path | None = None
     points: Path | None = None
+    settings: TrainSettings = field(default_factory=TrainSettings)
 
 
 @dataclass(frozen=True)

@@ -283,7 +283,7 @@ class Worker:
 
         progress = self.stoppable("Find Cameras was stopped; nothing was written.")
         made = reconstruct(request.photos, request.out, progress)
-        found = inspect(request.out, request.arrays)
+        found = inspect(request.out, request.arrays, request.settings)
         return found | {
             "request": "sfm",
             "notes": made["notes"],
@@ -300,7 +300,7 @@ class Worker:
 
         progress = self.stoppable("Import Cameras was stopped; nothing was written.")
         made = import_cameras(request.file, request.out, request.photos, request.points, progress)
-        found = inspect(request.out, request.arrays)
+        found = inspect(request.out, request.arrays, request.settings)
         return found | {"request": "import_cameras", "warnings": made["warnings"] + found["warnings"]}
 
     def label(self, request: LabelRequest) -> dict[str, Any]:
@@ -414,8 +414,8 @@ def inspect(scene_folder: Path, arrays: Path, settings: TrainSettings = DEFAULTS
         for view, path in zip(scene.views, pinhole_images(scene), strict=True)
     ]
     summary = inspect_scene(scene)
-    sizes: dict[str, dict[str, int]] = {}
-    with suppress(InputError):  # a photo that cannot be read: training names it
+    sizes: dict[str, Any] = {}
+    with suppress(InputError):  # a photo that cannot be read, or too little memory: training says it
         sizes = sizes_of_presets(scene, settings)
     return {
         "event": "result",

@@ -28,7 +28,7 @@ from ..settings.presets import PRESETS, Size
 from ..settings.recipes import recipe_of
 from ..settings.settings import TrainSettings
 from ..training.pacing.memory import needed
-from ..training.pacing.preset_size import fit_preset, limit_gaussians
+from ..training.pacing.preset_size import fit_preset, limit_gaussians, sizes_of_presets
 from ..training.pacing.speed import Extent, Speed, measure_speed, predicted_seconds
 from ..training.trainer import train
 
@@ -72,7 +72,7 @@ def forecast_scene(
 
     Returns:
         {"presets": {name: {"iterations", "width", "max_gaussians", "seconds": [least, likely, most], "psnr": the same
-        in dB on validation images, or None, "memory_mb"}}, ...}.
+        in dB on validation images, or None, "memory_mb"}}, "sizes": as `sizes_of_presets` returns, ...}.
 
     Raises:
         InputError: For anything wrong with the scene.
@@ -104,7 +104,7 @@ def forecast_scene(
         sized, _ = limit_gaussians(scene, fit_preset(scene, replace(settings, preset=name, time_budget=""), speed))
         presets[name] = _expected(document, extent, sized, past, scene_folder)
     progress("Probe runs", 1.0)
-    return document | {"presets": presets}
+    return document | {"presets": presets, "sizes": sizes_of_presets(scene, settings, speed)}
 
 
 def corrected_speed(speed: Speed, predicted: float, training: float, whole: float) -> tuple[Speed, float]:

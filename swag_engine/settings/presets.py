@@ -33,6 +33,33 @@ class Size:
 
 SIZES = ("iterations", "width", "max_gaussians")
 """Settings that a preset or a time budget chooses where the user does not."""
+FEWEST = 5_000
+"""Gaussians that a run may always have."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Surface that the photos of a scene show.
+
+    Attributes:
+        width: Width of the largest photo, pixels.
+        pixels: Area of the surface in pixels of photos of this width.
+    """
+
+    width: int
+    pixels: float
+
+    def gaussians(self, width: int, pixels_each: float = 1.0) -> int:
+        """Return how many Gaussians the surface calls for: at most one for each pixel (docs/accuracy.md).
+
+        Args:
+            width: Width of the training images, pixels.
+            pixels_each: Pixels of the surface that one Gaussian is for.
+
+        Returns:
+            Number of Gaussians.
+        """
+        return max(FEWEST, round(self.pixels * (min(width, self.width) / self.width) ** 2 / pixels_each))
 
 
 PRESETS: dict[str, Size] = {

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from ..base.errors import InputError
 from ..scene.colmap import Scene
 from ..scene.resolved_width import resolved_width
-from ..settings.presets import Size
+from ..settings.presets import FEWEST, Size
 from ..settings.settings import TrainSettings
 from ..training.pacing.memory import USABLE_FRACTION, needed
-from ..training.pacing.preset_size import FEWEST, largest_size, suitable_gaussians, suited
+from ..training.pacing.preset_size import largest_size, suitable_gaussians, suited
 from ..training.pacing.speed import Extent
 from .cut import Part
 

@@ -537,7 +537,7 @@ class Trainer:
             self.pacer.finish_early(clock, self.state.iteration, last)
 
     def _progress(self, loss: float) -> Event:
-        state = self.state
+        state, settings = self.state, self.inputs.settings
         return {
             "event": "progress",
             "stage": "train",
@@ -551,6 +551,8 @@ class Trainer:
             "curve": state.curve,
             "next_minute_db": next_minute(state.curve),
             "gaussians": state.free_count,
+            "max_gaussians": min(settings.max_gaussians, state.relief.most or settings.max_gaussians),
+            "width": settings.width,
             "iterations_per_second": round(self.pacer.iterations_per_second(state.iteration), 2),
         }
 

@@ -18,6 +18,13 @@ from swag_engine.splats.splats import Splats
 
 ITERATIONS = 10
 LENS = {"field_of_view": 64.2, "focal_length": 812.4}
+SIZES = {
+    "presets": {
+        name: {"iterations": 500, "width": 480, "max_gaussians": 30_000, "lowered": name == "high"}
+        for name in ("draft", "standard", "high")
+    },
+    "surface": {"width": 960, "pixels": 200_000.0},
+}
 cancelled = threading.Event()
 sys.path.append(str(Path(__file__).resolve().parents[2]))  # for tests.scenes
 
@@ -54,7 +61,7 @@ def train(request):
         send(
             event="progress", stage="train", iteration=iteration, iterations=ITERATIONS, seconds=iteration * 0.1,
             seconds_left=65.0, loss=0.1, psnr=20.0 + iteration if iteration > 4 else None, ssim=None,
-            gaussians=100 * iteration, iterations_per_second=7.5,
+            gaussians=100 * iteration, max_gaussians=5000, width=640, iterations_per_second=7.5,
         )  # fmt: skip
         if iteration == 5:
             write_ply(run / "preview.ply", splats(50))
@@ -104,7 +111,7 @@ def inspect(request):
     send(
         event="result", request="inspect", scene=request["scene"], images=12, registered=11,
         points={"positions": "", "colors": "", "count": 345}, up=[0, 0, 1], cameras=[], summary=summary(LENS),
-        warnings=["The disk lacks one.png."],
+        warnings=["The disk lacks one.png."], sizes=SIZES,
     )  # fmt: skip
 
 
@@ -126,7 +133,7 @@ def sfm(request):
     send(
         event="result", request="sfm", scene=request["out"], images=5, registered=4, points=paths | {"count": 50},
         up=[0, -1, 0], cameras=cameras, summary=summary(LENS, LENS, drift={"fraction": 0.012}),
-        warnings=["The focal length is doubtful."], notes=["Took 5 of 90 frames."],
+        warnings=["The focal length is doubtful."], sizes=SIZES, notes=["Took 5 of 90 frames."],
     )  # fmt: skip
 
 
@@ -155,7 +162,7 @@ def forecast(request):
         "draft": expected | {"seconds": [20.4, 30.0, 45.2], "psnr": [24.04, 25.0, 26.0]},
         "high": expected | {"seconds": [500.0, 700.0, 4000.0], "psnr": None},
     }
-    send(event="result", request="forecast", scene=request["scene"], presets=presets)
+    send(event="result", request="forecast", scene=request["scene"], presets=presets, sizes=SIZES)
 
 
 def chart(request):

@@ -161,3 +161,14 @@ def test_the_numbers_shown_before_a_training_are_those_of_its_run(blender, tiny_
     own = found["own"]
     assert own["known"] and own["shown"]["width"] == 40 and own["shown"]["iterations"] == 20
     assert own["config"] == own["shown"]
+
+
+def test_sizes_stay_known_until_something_changes_them(blender, fake_engine, tmp_path):
+    (tmp_path / "photos").mkdir()
+    found = blender.run("panels.known_sizes", tmp_path / "photos", SWAG_ENGINE_PYTHON=fake_engine)
+    assert found["imported with other settings"] and found["own"]
+    # At most one for each pixel of the surface: 200 000 at a width of 960, a quarter of them at 480.
+    assert found["gaussians"] == [30_000, 5_000, 30_000, 50_000]
+    assert found["lowered"] == [False, True] and found["other quality"] == [True, 30_000]
+    assert found["in time"] == [False, 0]
+    assert (found["seed"], found["sh_degree"], found["scene_folder"]) == (True, False, False)

@@ -12,9 +12,9 @@ from swag_engine.base.errors import InputError
 from swag_engine.experiments.ablate import Row, ablate, ablation_rows, compare_rows, format_table
 from swag_engine.scene.georeference import Georeference, write_georeference
 from swag_engine.settings.effect_names import EFFECTS
+from swag_engine.settings.presets import FEWEST
 from swag_engine.settings.recipes import RECIPES, SWITCHES, recipe_of
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training.pacing.preset_size import FEWEST
 from swag_engine.training.trainer import train
 from tests.scenes.runs import training_times
 

@@ -10,12 +10,11 @@ import pytest
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.resolved_width import resolved_width
-from swag_engine.settings.presets import CARD_PRESETS, PRESETS
+from swag_engine.settings.presets import CARD_PRESETS, FEWEST, PRESETS
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.pacing import preset_size
 from swag_engine.training.pacing.preset_size import (
     DRAFT_SECONDS,
-    FEWEST,
     MOST_ON_PROCESSOR,
     ON_PROCESSOR,
     fit_preset,

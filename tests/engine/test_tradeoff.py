@@ -20,9 +20,8 @@ from swag_engine.experiments.tradeoff import describe, find_dominating, mark_dom
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import load_images
-from swag_engine.settings.presets import PRESETS
+from swag_engine.settings.presets import FEWEST, PRESETS
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.training.pacing.preset_size import FEWEST
 from swag_engine.training.trainer import train
 from tests.scenes.runs import training_times
 

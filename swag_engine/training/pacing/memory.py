@@ -14,6 +14,7 @@ from ...base.errors import InputError
 from ...gaussians.cloud import GaussianCloud
 from ...gaussians.densify import PER_GAUSSIAN
 from ...kernels.protocol import TooManyPairs
+from ...settings.presets import FEWEST
 from ...settings.settings import TrainSettings
 from .speed import Extent
 
@@ -23,8 +24,6 @@ BYTES_PER_PIXEL = 24
 """Memory of one pixel of a training image at all sizes."""
 USABLE_FRACTION = 0.8
 """Fraction of the free memory that a run may take."""
-FEWEST = 5_000
-"""Gaussians that a run is reduced to, at least."""
 NARROWEST = 160
 """Pixels of image width that a run is reduced to, at least."""
 KEPT = 0.7

@@ -1,13 +1,15 @@
 """The size of a run that suits its photos and its machine, where the user leaves it to a preset."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from ...kernels.backends import device_for
 from ...scene.colmap import Scene
 from ...scene.resolved_width import resolved_width
-from ...settings.presets import CARD_PRESETS, LADDER, PRESETS, Size, size_at
+from ...settings.presets import CARD_PRESETS, LADDER, PRESETS, SIZES, Size, size_at
 from ...settings.recipes import recipe_of
 from ...settings.settings import TrainSettings
+from .memory import fit_memory, free_memory
 from .speed import Extent, Speed, measure_speed, predicted_seconds
 
 
@@ -30,10 +32,6 @@ ON_PROCESSOR = {"draft": Fit(1000, 32, 6.0), "standard": Fit(1500, 120, 4.0), "h
 """By preset: as long as there are few Gaussians, more of them gain more than more iterations do (docs/accuracy.md)."""
 ON_CARD = {"draft": Fit(1000, 80, 3.0), "standard": Fit(1500, 120, 3.0), "high": Fit(2000, 200, 3.0)}
 """The same on a graphics card: large scenes in the literature have 1 to 5 million Gaussians."""
-PIXELS_EACH = 1.0
-"""Pixels of the surface for one Gaussian, at least: photos do not determine more of them (docs/accuracy.md)."""
-FEWEST = 5_000
-"""Gaussians that a run may always have."""
 MOST_GROWTH, MOST_ON_PROCESSOR = 3, 180_000
 """Largest number of Gaussians on a processor, for scenes of much surface, as a factor of the preset's, and whatever the
 preset is: more of them double the time of `high` and gain nothing (docs/accuracy.md)."""
@@ -52,16 +50,14 @@ def suitable_gaussians(extent: Extent, width: int, pixels_each: float) -> int:
     """Estimate how many Gaussians the surface in a scene's photos calls for.
 
     Args:
-        extent: Size of the scene; its surface in pixels is that of all images over the number of images that see a
-            point.
+        extent: Size of the scene.
         width: Width of the training images, pixels.
         pixels_each: Pixels of the surface that one Gaussian is for.
 
     Returns:
         Number of Gaussians.
     """
-    surface = extent.pixels(width) * (extent.training + extent.held_out) / extent.overlap
-    return max(FEWEST, round(surface / pixels_each))
+    return extent.surface.gaussians(width, pixels_each)
 
 
 def suited(settings: TrainSettings, size: Size, extent: Extent, widest: int) -> Size:
@@ -82,7 +78,9 @@ def suited(settings: TrainSettings, size: Size, extent: Extent, widest: int) -> 
     return Size(settings.iterations or size.iterations, width, gaussians)
 
 
-def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None) -> TrainSettings:
+def fit_preset(
+    scene: Scene, settings: TrainSettings, speed: Speed | None = None, resolved: int | None = None
+) -> TrainSettings:
     """Fill in the sizes that the user left to the preset: no larger than the photos and the machine call for.
 
     The width is at most what the photos resolve, the number of Gaussians follows the surface that they show, that of
@@ -92,6 +90,7 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
         scene: The scene.
         settings: What the user chose.
         speed: Speed of the machine on the scene; None to measure it where it matters.
+        resolved: Width that the photos resolve, pixels; None to read photos where it matters.
 
     Returns:
         The settings; unchanged with a time budget.
@@ -105,7 +104,7 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
     fit = fit_of(settings)
     enough = max(fit.least, fit.visits * extent.training)
     largest = replace(largest, iterations=min(largest.iterations, enough))
-    widest = settings.width or resolved_width(scene, largest.width)
+    widest = settings.width or min(largest.width, resolved or resolved_width(scene, largest.width))
     found = suited(settings, largest, extent, widest)
     if settings.preset == "draft" and device_for(settings.backend).type != "cuda":
         speed = speed or measure_speed(scene, settings)
@@ -119,26 +118,30 @@ def fit_preset(scene: Scene, settings: TrainSettings, speed: Speed | None = None
     return replace(settings, **found.numbers())
 
 
-def sizes_of_presets(scene: Scene, settings: TrainSettings, speed: Speed | None = None) -> dict[str, dict[str, int]]:
-    """Return the sizes that a run of each preset has, as training chooses them where memory suffices.
+def sizes_of_presets(scene: Scene, settings: TrainSettings, speed: Speed | None = None) -> dict[str, Any]:
+    """Return the sizes that a run of each preset has on this machine with the memory that is free now.
 
     Args:
         scene: The scene.
-        settings: What the user chose; its preset and time budget do not matter.
+        settings: Settings of the run; its preset, time budget and sizes are not used.
         speed: Speed of the machine on the scene; None to measure it where it matters.
 
     Returns:
-        The numbers of SIZES by the name of the preset.
+        {"presets": {name: {"iterations", "width", "max_gaussians", "lowered": whether memory lowered them}},
+        "surface": fields of `Surface`, which limits the number of Gaussians at other widths}.
 
     Raises:
-        InputError: If a photo cannot be read.
+        InputError: If a photo cannot be read, or memory does not suffice for the smallest run.
     """
-    sizes = {}
-    for name in PRESETS:
-        asked = replace(settings, preset=name, time_budget="")
-        sized, _ = limit_gaussians(scene, fit_preset(scene, asked, speed))
-        sizes[name] = sized.size.numbers()
-    return sizes
+    runs = [replace(settings, preset=name, time_budget="", **dict.fromkeys(SIZES, 0)) for name in PRESETS]
+    extent, free = Extent.of(scene), free_memory(device_for(settings.backend))
+    resolved = resolved_width(scene, max(largest_size(run).width for run in runs))
+    presets: dict[str, dict[str, Any]] = {}
+    for run in runs:
+        limited, _ = limit_gaussians(scene, fit_preset(scene, run, speed, resolved))
+        fitted, note = fit_memory(extent, limited, free)
+        presets[run.preset] = fitted.size.numbers() | {"lowered": bool(note)}
+    return {"presets": presets, "surface": asdict(extent.surface)}
 
 
 def limit_gaussians(scene: Scene, settings: TrainSettings) -> tuple[TrainSettings, str]:
@@ -151,7 +154,7 @@ def limit_gaussians(scene: Scene, settings: TrainSettings) -> tuple[TrainSetting
     Returns:
         The settings, and a sentence for the user where the number was lowered, else an empty text.
     """
-    most = suitable_gaussians(Extent.of(scene), settings.width, PIXELS_EACH)
+    most = Extent.of(scene).surface.gaussians(settings.width)
     if settings.max_gaussians <= most:
         return settings, ""
     note = (

@@ -15,7 +15,7 @@ from ...kernels.backends import device_for
 from ...rendering.render import render
 from ...scene.colmap import Scene
 from ...scene.images import TrainingImage, load_images
-from ...settings.presets import Size
+from ...settings.presets import Size, Surface
 from ...settings.settings import TrainSettings
 from ...water.medium import Medium
 from ..losses import photometric
@@ -93,6 +93,11 @@ class Extent:
         """Return the number of pixels of an image reduced to `width`."""
         width = min(width, self.width)
         return width * width * self.height / self.width
+
+    @property
+    def surface(self) -> Surface:
+        """Surface in the images: their area over the number of images that see a point."""
+        return Surface(self.width, self.width * self.height * (self.training + self.held_out) / self.overlap)
 
 
 def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:

@@ -117,7 +117,8 @@ def curve_and_figures():
         training.show(
             {
                 "event": "progress", "stage": "train", "iteration": iteration, "iterations": 5, "gaussians": 7,
-                "loss": 0.5, "psnr": psnr, "iterations_per_second": 2.0, "seconds_left": 65.0,
+                "max_gaussians": 90, "width": 640, "loss": 0.5, "psnr": psnr, "iterations_per_second": 2.0,
+                "seconds_left": 65.0,
             }
         )  # fmt: skip
     return {
@@ -315,17 +316,43 @@ def sizes_before_and_in_the_run(scene, folder):
     """For each choice of a user: the numbers in the panel, and those in config.json of the run."""
     swag.scene_folder = scene
     found: dict[str, Any] = {"unknown": swag.known_size is None}
+    bpy.ops.swag.inspect_scene()
     for name, chosen in (("draft", {}), ("standard", {}), ("own", {"width": 40, "iterations": 20})):
         swag.preset = "standard" if name == "own" else name
         for setting, number in chosen.items():
             setattr(swag, setting, number)
-        bpy.ops.swag.inspect_scene()
         shown = {setting: getattr(swag, setting) for setting in ("iterations", "width", "max_gaussians")}
         request = swag.shown_settings()
         found[name] = {"known": swag.known_size is not None, "shown": shown, "asked": {k: request[k] for k in shown}}
-        if name == "own":
-            swag.run_folder = folder
-            bpy.ops.swag.train()
-            settings = json.loads((Path(swag.run_path) / "config.json").read_text())["settings"]
-            found[name]["config"] = {k: settings[k] for k in shown}
+    swag.run_folder = folder
+    bpy.ops.swag.train()
+    settings = json.loads((Path(swag.run_path) / "config.json").read_text())["settings"]
+    found["own"]["config"] = {k: settings[k] for k in shown}
+    return found
+
+
+def known_sizes(folder):
+    """Whether sizes are known after changes of the user; the numbers of Gaussians at own widths; what is lowered."""
+
+    def gaussians(**own):
+        for name, number in own.items():
+            setattr(swag, name, number)
+        return swag.max_gaussians
+
+    swag.backend, swag.sh_degree = "torch", 1
+    bpy.ops.swag.find_cameras(filepath=folder, scene_folder=folder + "_scene")
+    found = {"imported with other settings": swag.known_size is not None, "lowered": [swag.is_lowered]}
+    found["gaussians"] = [gaussians(), gaussians(width=96), gaussians(width=480), gaussians(max_gaussians=10**6)]
+    found["own"] = swag.known_size is not None
+    swag.preset = "high"
+    found["lowered"].append(swag.is_lowered)
+    found["other quality"] = [swag.known_size is not None, swag.max_gaussians]
+    swag.preset = "time"
+    found["in time"] = [swag.known_size is not None, swag.shown_settings()["max_gaussians"]]
+    swag.preset = "standard"
+    for name, value in (("seed", 5), ("sh_degree", 3), ("scene_folder", folder)):
+        before = getattr(swag, name)
+        setattr(swag, name, value)
+        found[name] = swag.known_size is not None
+        setattr(swag, name, before)
     return found

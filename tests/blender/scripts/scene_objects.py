@@ -160,9 +160,9 @@ def beside_the_default_cube(path):
     if not len(cube.data.vertices):
         cube.data.from_pydata([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], [], [])
         scene.collection.objects.link(cube)
-    result = {"images": 1, "registered": 1, "summary": {"cameras": [], "drift": None}, "warnings": []}
+    result = {"images": 1, "registered": 1, "summary": {"cameras": [], "drift": None}, "warnings": [], "sizes": {}}
     result |= json.loads(Path(path).read_text())
-    root, inside = scene_import.add_to_scene(scene.name, result)
+    root, inside = scene_import.add_to_scene(scene.name, result, scene.swag.train_settings())
     kept = [*cube.matrix_world.translation, *cube.scale, cube.hide_viewport, cube.hide_get()]
     cube.hide_viewport = True
     hidden = scene_import.cube_note(scene, root)
