@@ -10,15 +10,17 @@ import pytest
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.resolved_width import resolved_width
-from swag_engine.settings.presets import CARD_PRESETS, FEWEST, PRESETS
+from swag_engine.settings.presets import CARD_PRESETS, FEWEST, PRESETS, Surface
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.pacing import preset_size
+from swag_engine.training.pacing.memory import needed
 from swag_engine.training.pacing.preset_size import (
     DRAFT_SECONDS,
     MOST_ON_PROCESSOR,
     ON_PROCESSOR,
     fit_preset,
     limit_gaussians,
+    sizes_of_presets,
     suitable_gaussians,
 )
 from swag_engine.training.pacing.speed import Extent, Speed, predicted_seconds
@@ -139,3 +141,26 @@ def test_no_more_gaussians_are_trained_than_the_photos_have_pixels(scenes, tmp_p
     assert limited == within and f"At most {pixels} Gaussians instead of {10 * pixels}" in note
     metrics = train(scene.folder, tmp_path / "run", more)["metrics"]
     assert note in metrics["notes"] and RunFolder(tmp_path / "run").read_config()[1].max_gaussians == pixels
+
+
+def test_sizes_of_presets_are_those_of_runs_and_read_the_photos_once(scenes, tmp_path, monkeypatch):
+    scene, read = scenes["soft"], []
+    monkeypatch.setattr(preset_size, "resolved_width", lambda *asked: read.append(asked) or resolved_width(*asked))
+    found = sizes_of_presets(scene, TrainSettings(iterations=7, preset="high"), FAST)
+    assert len(read) == 1
+    for name in PRESETS:
+        settings = fit_preset(scene, TrainSettings(preset=name), FAST)
+        assert found["presets"][name] == limit_gaussians(scene, settings)[0].size.numbers() | {"lowered": False}
+    surface = Surface(**found["surface"])
+    for width in (16, 50, 90, 160, 5000):
+        most = TrainSettings(iterations=1, width=width, max_gaussians=10**7)
+        assert surface.gaussians(width) == limit_gaussians(scene, most)[0].max_gaussians
+
+
+def test_sizes_of_presets_are_lowered_to_the_free_memory(scenes, monkeypatch):
+    settings = fit_preset(scenes["sharp"], TrainSettings(preset="high", width=480), FAST)
+    free = needed(Extent.of(scenes["sharp"]), 64, settings.max_gaussians)
+    monkeypatch.setattr(preset_size, "resolved_width", lambda scene, most: 480)
+    monkeypatch.setattr(preset_size, "free_memory", lambda device: free)
+    lowered = sizes_of_presets(scenes["sharp"], TrainSettings(), FAST)["presets"]["high"]
+    assert lowered["lowered"] and FEWEST <= lowered["max_gaussians"] < settings.max_gaussians
