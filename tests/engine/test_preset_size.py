@@ -13,7 +13,7 @@ from swag_engine.scene.resolved_width import resolved_width
 from swag_engine.settings.presets import CARD_PRESETS, FEWEST, PRESETS, Surface
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.pacing import preset_size
-from swag_engine.training.pacing.memory import needed
+from swag_engine.training.pacing.memory import USABLE_FRACTION, needed
 from swag_engine.training.pacing.preset_size import (
     DRAFT_SECONDS,
     MOST_ON_PROCESSOR,
@@ -159,8 +159,9 @@ def test_sizes_of_presets_are_those_of_runs_and_read_the_photos_once(scenes, tmp
 
 def test_sizes_of_presets_are_lowered_to_the_free_memory(scenes, monkeypatch):
     settings = fit_preset(scenes["sharp"], TrainSettings(preset="high", width=480), FAST)
-    free = needed(Extent.of(scenes["sharp"]), 64, settings.max_gaussians)
+    enough = needed(Extent.of(scenes["sharp"]), settings.width, settings.max_gaussians) / USABLE_FRACTION
     monkeypatch.setattr(preset_size, "resolved_width", lambda scene, most: 480)
-    monkeypatch.setattr(preset_size, "free_memory", lambda device: free)
-    lowered = sizes_of_presets(scenes["sharp"], TrainSettings(), FAST)["presets"]["high"]
-    assert lowered["lowered"] and FEWEST <= lowered["max_gaussians"] < settings.max_gaussians
+    monkeypatch.setattr(preset_size, "free_memory", lambda device: int(0.99 * enough))
+    presets = sizes_of_presets(scenes["sharp"], TrainSettings(), FAST)["presets"]
+    assert [size["lowered"] for size in presets.values()] == [False, False, True]
+    assert FEWEST < presets["high"]["max_gaussians"] < settings.max_gaussians
