@@ -133,7 +133,8 @@ def sizes_of_presets(scene: Scene, settings: TrainSettings, speed: Speed | None 
     Raises:
         InputError: If a photo cannot be read, or memory does not suffice for the smallest run.
     """
-    runs = [replace(settings, preset=name, time_budget="", **dict.fromkeys(SIZES, 0)) for name in PRESETS]
+    by_preset: dict[str, Any] = dict.fromkeys(SIZES, 0)
+    runs = [replace(settings, preset=name, time_budget="", **by_preset) for name in PRESETS]
     extent, free = Extent.of(scene), free_memory(device_for(settings.backend))
     resolved = resolved_width(scene, max(largest_size(run).width for run in runs))
     presets: dict[str, dict[str, Any]] = {}

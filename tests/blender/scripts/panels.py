@@ -341,7 +341,7 @@ def known_sizes(folder):
 
     swag.backend, swag.sh_degree = "torch", 1
     bpy.ops.swag.find_cameras(filepath=folder, scene_folder=folder + "_scene")
-    found = {"imported with other settings": swag.known_size is not None, "lowered": [swag.is_lowered]}
+    found: dict[str, Any] = {"imported with other settings": swag.known_size is not None, "lowered": [swag.is_lowered]}
     found["gaussians"] = [gaussians(), gaussians(width=96), gaussians(width=480), gaussians(max_gaussians=10**6)]
     found["own"] = swag.known_size is not None
     swag.preset = "high"
