@@ -12,10 +12,7 @@ from bpy.app.translations import pgettext_iface
 from . import display, splats, water
 from .blender_types import present
 from .nodes import splat_preview
-from .sidebar import draw_wrapped
-
-POPUP_WIDTH = 600
-"""Width of the message in pixels."""
+from .sidebar import show_popup
 
 
 def update(obj: bpy.types.Object) -> bool:
@@ -69,12 +66,7 @@ def _update_in_window() -> None:
         return
     with bpy.context.temp_override(window=windows[0]):
         bpy.ops.ed.undo_push(message="Update Splats")
-
-        def draw(menu: Any, context: bpy.types.Context) -> None:
-            for sentence in told:
-                draw_wrapped(menu.layout, sentence, POPUP_WIDTH)
-
-        present(bpy.context.window_manager).popup_menu(draw, title="SWAG Splatting", icon="INFO")
+    show_popup(told, "INFO")
 
 
 def register() -> None:

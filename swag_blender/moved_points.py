@@ -11,6 +11,7 @@ import bpy
 
 from . import splats
 from .blender_types import present
+from .sidebar import show_popup
 
 WAIT_SECONDS = 0.1
 """Time after which it is looked again whether the user has ended a transform."""
@@ -42,17 +43,9 @@ def _tell(message: str) -> None:
 
 
 def _show_messages() -> None:
-    lines = list(dict.fromkeys(_messages))
+    sentences = list(dict.fromkeys(_messages))
     _messages.clear()
-
-    def draw(menu: Any, context: bpy.types.Context) -> None:
-        for line in lines:
-            for sentence in line.split(". "):
-                menu.layout.label(text=sentence, translate=False)
-
-    window_manager = present(bpy.context.window_manager)
-    with bpy.context.temp_override(window=window_manager.windows[0]):
-        window_manager.popup_menu(draw, title="SWAG Splatting", icon="ERROR")
+    show_popup(sentences, "ERROR")
 
 
 def _is_transforming() -> bool:

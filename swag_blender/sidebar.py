@@ -1,7 +1,8 @@
 """The sidebar tab SWAG: base class of its panels, and what several of them draw."""
 
 import textwrap
-from typing import Literal
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import bpy
 
@@ -12,6 +13,8 @@ from .properties import SwagJob, status_of
 
 CHARACTER_WIDTH = 6.4
 """Mean width of a character in Blender's interface font, in pixels at a scale of 1."""
+POPUP_WIDTH = 600
+"""Width of a popup with sentences, in pixels."""
 Icon = Literal["NONE", "INFO", "ERROR", "CHECKMARK", "X", "QUESTION", "RECOVER_LAST", "MOD_OCEAN", "IMPORT"]
 
 
@@ -80,3 +83,16 @@ def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: Icon =
     column.scale_y = 0.8
     for number, line in enumerate(textwrap.wrap(text, characters)):
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
+def show_popup(sentences: Sequence[str], icon: Icon) -> None:
+    """Show sentences, translated already, in a popup of the first window; without a window nothing is shown."""
+
+    def draw(menu: Any, context: bpy.types.Context) -> None:
+        for sentence in sentences:
+            draw_wrapped(menu.layout, sentence, POPUP_WIDTH)
+
+    window_manager = present(bpy.context.window_manager)
+    if window_manager.windows:
+        with bpy.context.temp_override(window=window_manager.windows[0]):
+            window_manager.popup_menu(draw, title="SWAG Splatting", icon=icon)

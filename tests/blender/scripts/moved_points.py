@@ -198,14 +198,13 @@ def edit_mode():
     assert len(stored(obj)) == 400
     bpy.ops.pointcloud.delete()
     assert_equal(stored(obj), before)
-    if hasattr(bpy.types, "POINTCLOUD_OT_separate"):
-        select_points(obj, chosen)
-        bpy.ops.pointcloud.separate()
-        bpy.ops.object.mode_set(mode="OBJECT")
-        part = next(o for o in bpy.context.selected_objects if o != obj)
-        assert_equal(stored(part), before.subset(chosen))
-        assert_equal(stored(obj), before.subset(~chosen))
-        bpy.ops.object.mode_set(mode="EDIT")
+    select_points(obj, chosen)
+    bpy.ops.pointcloud.separate()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    part = next(o for o in bpy.context.selected_objects if o != obj)
+    assert_equal(stored(part), before.subset(chosen))
+    assert_equal(stored(obj), before.subset(~chosen))
+    bpy.ops.object.mode_set(mode="EDIT")
     before = stored(obj)
     select_points(obj, np.arange(len(before)) < 20)
     options = {"use_proportional_edit": True, "proportional_size": 1.5, "proportional_edit_falloff": "SMOOTH"}
