@@ -8,6 +8,8 @@ from ..swag_blender.blender_types import OperatorResult
 from ..swag_blender.engine_process import Engine
 from ..swag_blender.installation import can_install, remember_download, start_installer
 from ..swag_blender.job import Job
+from ..swag_blender.preferences import CUDA_INSTEAD
+from ..swag_blender.properties import status_of
 
 
 class SWAG_OT_look_up_engine(Job):
@@ -29,14 +31,14 @@ class SWAG_OT_look_up_engine(Job):
 
     def start(self, context: bpy.types.Context) -> Engine:
         """Start the installer in its mode that only looks up."""
-        return start_installer(look_only=True)
+        return start_installer(context, look_only=True)
 
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Describe the packages."""
-        left = max(0, event["bytes"] - event["present"])
-        remember_download(context, left, event["bytes"])
+        left = remember_download(context, event)
+        why = f"{CUDA_INSTEAD} " if status_of(context).cuda_instead else ""
         return (
-            f"torch {event['torch']} and {event['packages'] - 1} other packages, {event['bytes'] / 1e6:.0f} MB; "
+            f"{why}torch {event['torch']} and {event['packages'] - 1} other packages, {event['bytes'] / 1e6:.0f} MB; "
             f"{left / 1e6:.0f} MB of them are to be downloaded."
         )
 

@@ -12,7 +12,6 @@ from typing import Any
 import bpy
 
 from ..swag_engine.base.errors import InputError
-from ..swag_engine.base.files import require_parent
 from ..swag_engine.formats.registry import SUFFIXES
 from ..swag_engine.formats.run_folder import RunFolder
 from . import engine_process
@@ -72,8 +71,8 @@ def import_(arguments: list[str]) -> int:
     try:
         if asked.out.suffix != ".blend":
             raise InputError(f"{asked.out} must end in .blend.")
-        require_parent(asked.out)
         bring_in(asked.path)
+        asked.out.parent.mkdir(parents=True, exist_ok=True)
         bpy.ops.wm.save_as_mainfile(filepath=str(asked.out.absolute()))
     except (InputError, RuntimeError, OSError) as error:
         # A RuntimeError has the report of an operator after "Error: ".

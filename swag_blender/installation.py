@@ -11,14 +11,15 @@ from ..swag_engine.base.errors import InputError
 from . import EXTENSION, engine_process
 from .engine_process import Engine
 from .job import Job, may_start
-from .preferences import package_index, preferences
+from .preferences import CPU_INDEX, package_index, preferences
 from .properties import status_of
 
 
-def start_installer(look_only: bool) -> Engine:
+def start_installer(context: bpy.types.Context, look_only: bool) -> Engine:
     """Start make_environment.py with the user's preferences.
 
     Args:
+        context: Blender's context.
         look_only: only look up what would be downloaded.
 
     Raises:
@@ -38,6 +39,8 @@ def start_installer(look_only: bool) -> Engine:
         "index": package_index(),
         "wheels": wheels,
         "look_only": look_only,
+        # Once the user has been told of its size, torch with CUDA may be installed.
+        "without_cuda": not wheels and package_index() == CPU_INDEX and not status_of(context).cuda_instead,
     }
     script = engine_process.ROOT / "swag_blender" / "make_environment.py"
     return Engine([sys.executable, str(script), json.dumps(task)])
@@ -53,10 +56,14 @@ def can_install(operator: type[Job], context: bpy.types.Context) -> bool:
     return True
 
 
-def remember_download(context: bpy.types.Context, left: int, total: int) -> None:
-    """Store how many bytes Install Engine would download, and those of all packages, for `expected_download`."""
-    status_of(context).download_mb = max(1, round(left / 1e6))
-    status_of(context).packages_mb = max(1, round(total / 1e6))
+def remember_download(context: bpy.types.Context, found: dict[str, Any]) -> int:
+    """Store what the installer looked up, for `expected_download`; returns how many bytes would be downloaded."""
+    status = status_of(context)
+    left = max(0, found["bytes"] - found["present"])
+    status.download_mb = max(1, round(left / 1e6))
+    status.packages_mb = max(1, round(found["bytes"] / 1e6))
+    status.cuda_instead = found["cuda"] and package_index() == CPU_INDEX and not preferences().wheels_folder
+    return left
 
 
 def remember_doctor(context: bpy.types.Context, found: dict[str, Any]) -> None:

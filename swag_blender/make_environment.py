@@ -85,11 +85,16 @@ class Installer:
         index: address of an additional package index; "" for none.
         wheels: folder of wheels to install from without network; "" for none.
         look_only: look up what would be downloaded, and stop.
+        without_cuda: stop after the look-up where only a torch with CUDA can be had. pip takes it without an error
+            when an additional package index cannot be reached.
     """
 
-    def __init__(self, folder: str, root: str, index: str, wheels: str, look_only: bool) -> None:
+    def __init__(
+        self, folder: str, root: str, index: str, wheels: str, look_only: bool, without_cuda: bool = False
+    ) -> None:
         self.folder, self.root = Path(folder), Path(root)
-        self.index, self.wheels, self.look_only = index, wheels, look_only
+        self.index, self.wheels = index, wheels
+        self.look_only, self.without_cuda = look_only, without_cuda
         self.python = self.folder.joinpath(*(("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")))
         self.downloads = self.folder / "downloads"
         self.child: subprocess.Popen[str] | None = None
@@ -151,8 +156,11 @@ class Installer:
         wheels, sizes = self.look_up()
         total, here = sum(sizes), sum(self.present(wheel, size) for wheel, size in zip(wheels, sizes, strict=True))
         torch = next((w["metadata"]["version"] for w in wheels if w["metadata"]["name"].lower() == "torch"), "?")
-        found: dict[str, Any] = {"torch": torch, "packages": len(wheels), "bytes": total, "present": here}
-        if self.look_only:
+        cuda = "+cu" in torch or any(w["metadata"]["name"].lower().startswith("nvidia-") for w in wheels)
+        found: dict[str, Any] = {
+            "torch": torch, "cuda": cuda, "packages": len(wheels), "bytes": total, "present": here
+        }  # fmt: skip
+        if self.look_only or (self.without_cuda and cuda):
             return found
         self.check_disk(max(0, total - here) + unpacked_size(total))
         files = self.download_all(wheels, sizes, total)

@@ -24,6 +24,10 @@ MEGABITS = 50
 """Speed of the internet connection that the shown time assumes, Mbit/s."""
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 """PyTorch's package index of builds without CUDA."""
+CUDA_INSTEAD = (
+    "PyTorch's package index cannot be reached, or lacks this version: torch comes with CUDA, for NVIDIA cards."
+)
+"""Why the download is large on a computer without an NVIDIA card."""
 UNPACK_SECONDS = 0.05
 """Time to unpack a megabyte of packages, assumed: 2.5 minutes for 3 GB."""
 
@@ -148,7 +152,10 @@ def package_index() -> str:
 
 
 def expected_download(context: bpy.types.Context) -> str:
-    """What Install Engine downloads, its time and its disk space: as looked up, else as usual on this system."""
+    """What Install Engine downloads, its time and its disk space: as looked up, else as usual on this system.
+
+    It says why when torch with CUDA is downloaded although there is no NVIDIA card.
+    """
     looked_up = status_of(context).download_mb
     with_cuda = sys.platform == "linux" and platform.machine() == "x86_64" and not package_index()
     usual = 2950 if with_cuda else 410
@@ -157,9 +164,10 @@ def expected_download(context: bpy.types.Context) -> str:
     size = f"{megabytes / 1000:.1f} GB" if megabytes >= 100 else f"{megabytes} MB"
     all_wheels = (status_of(context).packages_mb or usual) * 1e6
     after = unpacked_size(int(all_wheels)) / 1e9
+    why = CUDA_INSTEAD + " " if status_of(context).cuda_instead else ""
     # The wheels stay until all is unpacked.
     return (
-        f"Downloads {'' if looked_up else 'about '}{size}: {max(1, round(minutes))} minutes at {MEGABITS} Mbit/s. "
+        f"{why}Downloads {'' if looked_up else 'about '}{size}: {max(1, round(minutes))} minutes at {MEGABITS} Mbit/s. "
         f"Takes about {after:.1f} GB of disk, and {after + all_wheels / 1e9:.1f} GB while it installs"
     )
 

@@ -445,6 +445,10 @@ class SwagStatus(PropertyGroup):
         int, IntProperty(description="Megabytes that Install Engine would download; 0 until looked up")
     ]
     packages_mb: Annotated[int, IntProperty(description="Megabytes of all its packages; 0 until looked up")]
+    cuda_instead: Annotated[
+        bool,
+        BoolProperty(description="Whether the look-up found a torch with CUDA, though one without it was asked for"),
+    ]
     doctor: Annotated[str, StringProperty(description="What the last check of the engine's Python found, as JSON")]
 
     @property

@@ -50,7 +50,7 @@ def require_parent(path: Path) -> Path:
     Raises:
         InputError: When the folder that it lies in does not exist.
     """
-    if not path.parent.is_dir():
+    if not path.parent.exists():
         raise InputError(
             f"There is no folder {path.parent} to write {path.name} to: create it, or choose another folder."
         )

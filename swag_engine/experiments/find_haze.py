@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from ..base.errors import InputError
+from ..base.errors import InputError, continue_run
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder
 from ..gaussians.cloud import to_numpy
@@ -32,14 +32,14 @@ def find_haze(folder: Path) -> dict[str, Any]:
     scene_folder, settings, up = run.read_config()
     loaded = load_checkpoint(folder)
     if loaded is None or not run.ply.exists():
-        raise InputError(f"The run {folder} has no result yet; continue it with train --resume.")
+        raise InputError(f"The run {folder} has no result yet; {continue_run()}.")
     tensors, stored = loaded
     model, splats = SceneModel.from_checkpoint(tensors, stored).to(device_for("auto")), read_ply(run.ply)
     own = len(model.cloud) - stored.get("fixed", 0)
     if own != len(splats):
         raise InputError(
-            f"{run.ply} holds {len(splats)} splats and the run's checkpoint {own}: continue the run with train "
-            "--resume, which writes it again."
+            f"{run.ply} holds {len(splats)} splats and the checkpoint of its run {own}; to write it again, "
+            f"{continue_run()}."
         )
     scene = load_scene(scene_folder)
     names = set(scene.split.train)

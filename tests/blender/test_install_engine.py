@@ -45,3 +45,19 @@ def test_a_python_without_the_packages_is_refused_with_their_names(blender, tmp_
     bare.write_text('#!/bin/sh\nexec /usr/bin/env python3 -S "$@"\n')
     bare.chmod(0o755)
     assert "This Python lacks torch, numpy" in blender.run("install_engine.check", bare)
+
+
+def test_a_download_larger_than_stated_is_confirmed_first(blender):
+    found = blender.run("install_engine.install_where_only_cuda_is_found")
+    assert "about 0.4 GB" in found["before"] and "CUDA" not in found["before"]
+    assert "Nothing was downloaded" in found["message"] and "Downloads 2.9 GB" in found["message"]
+    assert "cannot be reached" in found["after"] and "Downloads 2.9 GB" in found["after"]
+    assert found["without CUDA"] == [True, False], "the second time it is wanted"
+
+
+def test_the_package_index_and_the_nvidia_card_are_found_from_the_system(blender, tmp_path):
+    found = blender.run("install_engine.cards", str(tmp_path))
+    assert found == {
+        "none": False, "/proc": True, "/dev": True, "control only": False, "wsl": True,
+        "index without card": "cpu", "index with card": "", "index on macOS": "", "own index": "own",
+    }  # fmt: skip

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -32,9 +33,12 @@ def folder(empty_environment, tmp_path):
 class Installation:
     """The child process; `index` replaces the address of the package index."""
 
-    def __init__(self, root, folder, index="", wheels="", look_only=False, python_path="", **variables):
+    def __init__(
+        self, root, folder, index="", wheels="", look_only=False, without_cuda=False, python_path="", **variables
+    ):
         task = {
-            "folder": str(folder), "root": str(root), "index": index, "wheels": str(wheels), "look_only": look_only
+            "folder": str(folder), "root": str(root), "index": index, "wheels": str(wheels), "look_only": look_only,
+            "without_cuda": without_cuda,
         }  # fmt: skip
         environment = {"PATH": "/usr/bin:/bin", "PIP_CONFIG_FILE": "/dev/null", "PIP_INDEX_URL": index, **variables}
         environment |= {"PIP_RETRIES": "1", "PYTHONPATH": str(python_path)}
@@ -299,3 +303,50 @@ def test_a_full_disk_ends_a_download_at_once_and_keeps_it(installer, monkeypatch
         installer.download("http://server/torch-1.whl", "", 0, 10)
     assert len(tries) == 1
     assert (installer.downloads / "torch-1.whl.part").stat().st_size == 10
+
+
+def wheel_with(source, target, **replaced):
+    """Copy a wheel with other contents of its files, by the end of their names."""
+    with zipfile.ZipFile(source) as old, zipfile.ZipFile(target, "w") as new:
+        for name in old.namelist():
+            new.writestr(name, replaced.get(name.rpartition("/")[2], old.read(name)))
+
+
+def test_torch_with_cuda_is_not_downloaded_where_one_without_was_stated(root, folder, wheels, tmp_path):
+    """As pip resolves it when PyTorch's index cannot be reached."""
+    own = shutil.copytree(wheels, tmp_path / "wheels")
+    torch = next(own.glob("torch-*"))
+    version = torch.name.split("-")[1]
+    metadata = f"Metadata-Version: 2.1\nName: torch\nVersion: {version}\nRequires-Dist: nvidia-cublas\n"
+    wheel_with(next(wheels.glob("torch-*")), torch, METADATA=metadata)
+    info = {f"nvidia_cublas-1.dist-info/{name}": text for name, text in (
+        ("METADATA", "Metadata-Version: 2.1\nName: nvidia-cublas\nVersion: 1\n"),
+        ("WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"), ("RECORD", ""),
+    )}  # fmt: skip
+    with zipfile.ZipFile(own / "nvidia_cublas-1-py3-none-any.whl", "w") as wheel:
+        for name, text in info.items():
+            wheel.writestr(name, text)
+    found, _ = Installation(root, folder, wheels=own, without_cuda=True).end()
+    assert found["event"] == "result" and found["cuda"] and "doctor" not in found, found
+    assert found["bytes"] == sum(wheel.stat().st_size for wheel in own.iterdir())
+    assert not (folder / "installed.json").exists() and not (folder / "downloads").exists()
+    found, _ = Installation(root, folder, wheels=wheels, look_only=True, without_cuda=True).end()
+    assert found["cuda"] is False
+
+
+def test_a_wheel_that_cannot_be_unpacked_leaves_no_whole_environment_and_the_downloads(
+    root, folder, wheels, index, tmp_path
+):
+    """Its directory is right, and so is the checksum of the index; the contents of one file are not."""
+    index.directory = shutil.copytree(wheels, tmp_path / "wheels")
+    torch = next(index.directory.glob("torch-*"))
+    good = torch.read_bytes()
+    line = good.index(b"site-packages")
+    torch.write_bytes(good[:line] + b"SITE-PACKAGES" + good[line + 13 :])
+    (folder / "installed.json").write_text("{}")
+    failed, texts = Installation(root, folder, index.address).end()
+    assert failed["event"] == "error" and "\n" not in failed["message"], failed
+    assert "could not be installed" in failed["message"] and "Traceback" not in failed["message"]
+    assert any(text.startswith("Unpacking") for text in texts)
+    assert not (folder / "installed.json").exists()
+    assert (folder / "downloads" / torch.name).exists()

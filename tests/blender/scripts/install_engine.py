@@ -2,14 +2,21 @@
 
 import json
 import sys
+from pathlib import Path
+from typing import Any
 
 import bpy
-from bl_ext.user_default.swag_splatting.swag_blender import engine_process
+from bl_ext.user_default.swag_splatting.swag_blender import engine_process, installation
+from bl_ext.user_default.swag_splatting.swag_blender import preferences as preferences_module
 
 preferences = bpy.context.preferences.addons["bl_ext.user_default.swag_splatting"].preferences
 status = bpy.context.window_manager.swag
 # Blender's own Python has torch here; with this it counts as having no engine.
 engine_process.PACKAGES = ("no_such_package",)
+
+# As Any: scripts replace what is in them.
+patched: Any = preferences_module
+patched_installation: Any = installation
 
 
 def message_of(operator):
@@ -75,3 +82,48 @@ def complete_with_version(version):
 def check(python):
     preferences.engine_python = python
     return message_of(bpy.ops.swag.check_engine)
+
+
+def install_where_only_cuda_is_found():
+    """What is stated before and after an installation that the look-up stops; the task of this and the next one."""
+    patched.has_nvidia_card = lambda: False
+    tasks = []
+    found = {"event": "result", "torch": "2", "cuda": True, "packages": 9, "bytes": 2_940_000_000, "present": 0}
+
+    def start(command):
+        tasks.append(json.loads(command[-1]))
+        return Engine([sys.executable, "-c", f"print({json.dumps(found)!r})"])
+
+    Engine, patched_installation.Engine = installation.Engine, start
+    bpy.context.preferences.system.use_online_access = True
+    before = preferences_module.expected_download(bpy.context)
+    message = message_of(bpy.ops.swag.install_engine)
+    after = preferences_module.expected_download(bpy.context)
+    message_of(bpy.ops.swag.install_engine)
+    return {
+        "before": before, "message": message, "after": after, "without CUDA": [task["without_cuda"] for task in tasks]
+    }  # fmt: skip
+
+
+def cards(folder):
+    """What has_nvidia_card and package_index say of faked systems."""
+    card, system = preferences_module.has_nvidia_card.__wrapped__, sys.platform
+    paths = {
+        "none": "", "/proc": "proc/driver/nvidia/gpus/0000:01:00.0", "/dev": "dev/nvidia0", "control only":
+        "dev/nvidiactl", "wsl": "usr/lib/wsl/lib/libcuda.so.1",
+    }  # fmt: skip
+    found = {}
+    for number, (name, path) in enumerate(paths.items()):
+        root = Path(folder) / str(number)
+        (root / path).mkdir(parents=True)
+        patched.Path = lambda given, root=root: root / given.lstrip("/")
+        found[name] = card()
+    for name, has, platform in (
+        ("without card", False, "linux"), ("with card", True, "linux"), ("on macOS", False, "darwin")
+    ):  # fmt: skip
+        patched.has_nvidia_card = lambda has=has: has
+        vars(sys)["platform"] = platform
+        found[f"index {name}"] = preferences_module.package_index().rpartition("/")[2]
+    vars(sys)["platform"] = system
+    preferences.package_index = "own"
+    return found | {"own index": preferences_module.package_index()}
