@@ -1,7 +1,7 @@
 """Measure PSNR of Blender's preview nodes against the engine in Cycles and EEVEE, and the time a million splats take.
 
 Run: `python benchmarks/blender_preview.py RUN [COUNT]`
-Results: benchmarks/results/blender_preview.json, docs/images/blender_preview.webp
+Results: benchmarks/results/blender_preview.json
 
 RUN is a finished training run with water, such as `train tests/scenes/reef_wreck --width 320 --iterations 1000
 --max-gaussians 20000`. The test view of median PSNR is rendered by the engine, by Cycles as trained (display values,
@@ -19,11 +19,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-import cv2
 import numpy as np
 import torch
 
-from benchmarks.common import PICTURES, RESULTS, WEBP_QUALITY, processor, write_results
+from benchmarks.common import RESULTS, processor, write_results
 from benchmarks.formats import make_splats
 from demo.extension import blender_with_extension
 from swag_engine.experiments.evaluate_run import load_newest
@@ -101,7 +100,7 @@ def into_blender(bpy, count: int) -> dict:
 
 
 def main() -> None:
-    """Render every way, compare with the engine, and write figures and picture."""
+    """Render every way, compare with the engine, and write the figures."""
     run = RunFolder(Path(sys.argv[1]))
     million = int(sys.argv[2]) if len(sys.argv) > 2 else 1_000_000
     pinhole, expected = engine_pictures(run)
@@ -120,7 +119,6 @@ def main() -> None:
     water.remember_water(obj, run.read_water(), run.read_config()[1].metres_per_unit)
     result = json.loads((RESULTS / "blender_preview.json").read_text(encoding="utf-8"))
     result |= {"machine": processor(), "blender": bpy.app.version_string, "splats": len(obj.data.points), "psnr": {}}
-    rows = []
     for name, (renderer, display_values, facing) in WAYS.items():
         splat_preview.set_input(obj, splat_preview.FACE_CAMERA, facing)
         for amount, picture in expected.items():
@@ -134,12 +132,6 @@ def main() -> None:
             error = np.mean((np.clip(drawn, 0, 1) - np.clip(picture, 0, 1)) ** 2)
             result["psnr"][f"{name}, water {amount:g}"] = round(float(-10 * np.log10(error)), 2)
             print(f"{name}, water {amount:g}: {-10 * np.log10(error):.2f} dB, {seconds:.1f} s", flush=True)
-            if facing:
-                rows.append(np.concatenate([picture, drawn, np.abs(drawn - picture) * 10], axis=1))
-    picture = np.clip(np.concatenate(rows), 0, 1)[..., ::-1] * 255
-    quality = [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY]
-    cv2.imwrite(str(PICTURES / "blender_preview.webp"), picture.round().astype(np.uint8), quality)
-
     if million:
         result["into blender"] = into_blender(bpy, million)
     print(result["into blender"])

@@ -429,7 +429,8 @@ class SwagJob(PropertyGroup):
             return []
         return [
             f"PSNR {self.psnr:.2f} dB" if self.psnr else "PSNR not yet",
-            f"{self.gaussians} of {self.max_gaussians} Gaussians",
+            f"{self.gaussians} Gaussians",
+            f"Maximum {self.max_gaussians}",
             f"Photos {self.width} px wide",
             f"{self.speed:.1f} iterations/s",
             f"{time_text(self.seconds_left)} left",

@@ -30,7 +30,7 @@ def test_a_training_reports_progress_and_puts_its_result_into_the_scene(blender,
     assert found["second"] == {"objects": 2, "run": run + "-2"}, "a second run gets a folder of its own"
     assert "Training: Photo 1 of 3" in blender.printed
     line = (
-        "Training: Iteration 10 of 10, PSNR 30.00 dB, 1000 of 5000 Gaussians, Photos 640 px wide, "
+        "Training: Iteration 10 of 10, PSNR 30.00 dB, 1000 Gaussians, Maximum 5000, Photos 640 px wide, "
         "7.5 iterations/s, 1:05 left"
     )
     assert line in blender.printed

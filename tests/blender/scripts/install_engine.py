@@ -112,7 +112,7 @@ def cards(folder):
         "none": "", "/proc": "proc/driver/nvidia/gpus/0000:01:00.0", "/dev": "dev/nvidia0", "control only":
         "dev/nvidiactl", "wsl": "usr/lib/wsl/lib/libcuda.so.1",
     }  # fmt: skip
-    found = {}
+    found: dict[str, Any] = {}
     for number, (name, path) in enumerate(paths.items()):
         root = Path(folder) / str(number)
         (root / path).mkdir(parents=True)
