@@ -7,10 +7,9 @@ import bpy
 from ..swag_blender import engine_process
 from ..swag_blender.blender_types import OperatorResult, present
 from ..swag_blender.engine_process import Engine
-from ..swag_blender.installation import can_install, remember_doctor, remember_download, start_installer
+from ..swag_blender.installation import can_install, refuse_larger_download, remember_doctor, start_installer
 from ..swag_blender.job import Job
 from ..swag_blender.preferences import expected_download, preferences
-from ..swag_engine.base.errors import InputError
 
 
 class SWAG_OT_install_engine(Job):
@@ -49,11 +48,7 @@ class SWAG_OT_install_engine(Job):
     def on_result(self, context: bpy.types.Context, event: dict[str, Any]) -> str:
         """Store what the environment has. Raises InputError when only a torch larger than stated can be had."""
         if "doctor" not in event:
-            remember_download(context, event)
-            raise InputError(
-                f"Nothing was downloaded. {expected_download(context)}. Press Install Engine again to install it, or "
-                "when the internet connection is mended."
-            )
+            refuse_larger_download(context, event)
         found = event["doctor"]
         remember_doctor(context, found)
         return f"The engine is installed: Python {found['python']}, torch {found['packages']['torch']}."

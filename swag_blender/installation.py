@@ -11,7 +11,7 @@ from ..swag_engine.base.errors import InputError
 from . import EXTENSION, engine_process
 from .engine_process import Engine
 from .job import Job, may_start
-from .preferences import CPU_INDEX, package_index, preferences
+from .preferences import CPU_INDEX, expected_download, package_index, preferences
 from .properties import status_of
 
 
@@ -64,6 +64,19 @@ def remember_download(context: bpy.types.Context, found: dict[str, Any]) -> int:
     status.packages_mb = max(1, round(found["bytes"] / 1e6))
     status.cuda_instead = found["cuda"] and package_index() == CPU_INDEX and not preferences().wheels_folder
     return left
+
+
+def refuse_larger_download(context: bpy.types.Context, found: dict[str, Any]) -> None:
+    """Keep what a look-up found where it is larger than was stated before the start.
+
+    Raises:
+        InputError: always; it says how much there would be to download.
+    """
+    remember_download(context, found)
+    raise InputError(
+        f"Nothing was downloaded. {expected_download(context)}. Press Install Engine again to install it, or when the "
+        "internet connection is mended."
+    )
 
 
 def remember_doctor(context: bpy.types.Context, found: dict[str, Any]) -> None:
