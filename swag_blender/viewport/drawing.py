@@ -25,7 +25,7 @@ from ..properties import swag_of
 from .depth_order import Part, Sorter
 from .packing import HARMONICS_TEXELS, OBJECT_TEXELS, ObjectTexels
 from .placements import Placement, placements
-from .shaders import NEAR, VIEW_FLOATS, Shaders, development_constants, frustum_limits
+from .shaders import NEAR, VIEW_FLOATS, Shaders, development_constants, floor_depth, frustum_limits
 from .splat_store import SplatStore, float_buffer, new_texture
 
 REST_SECONDS = 0.25
@@ -114,7 +114,7 @@ class ViewportDrawing:
             self._views = {known: view for known, view in self._views.items() if known in regions}
             self._views[pointer] = _View()
         view = self._views[pointer]
-        view.set(present(context.region_data), (region.width, region.height))
+        view.set(present(context.region_data), (region.width, region.height), _shows_grid(context))
         view.background = _background_color(context)
         view.development = colors.picture_development(present(context.scene), context.active_object)
         return view
@@ -147,6 +147,7 @@ class ViewportDrawing:
             gpu.state.depth_test_set("ALWAYS")
             shaders.depth.bind()
             shaders.depth.uniform_sampler("depths", scene_depth)
+            shaders.depth.uniform_float("floor_depth", view.floor_depth)
             self._quads["depth"].draw(shaders.depth)
             gpu.state.color_mask_set(True, True, True, True)
             gpu.state.depth_mask_set(False)
@@ -213,15 +214,18 @@ class _View:
         self.development = NO_DEVELOPMENT
         self.size = (0, 0)
         self.matrices = b""
+        self.floor_depth = (0.0, 0.0, 0.0, 0.0)
         self.picture_key: object = None
         self.picture: Any = None
         self._followed = b""
         self._moved_at = -REST_SECONDS
 
-    def set(self, region_data: bpy.types.RegionView3D, size: tuple[int, int]) -> None:
-        """Take matrices and size of the viewport."""
+    def set(self, region_data: bpy.types.RegionView3D, size: tuple[int, int], shows_grid: bool) -> None:
+        """Take matrices and size of the viewport, and whether it shows the grid of the floor."""
         self._projection = np.array(region_data.window_matrix, np.float64)
         to_view = np.array(region_data.view_matrix, np.float64)
+        perspective = shows_grid and not self.is_orthographic
+        self.floor_depth = floor_depth(self._projection, to_view) if perspective else (0.0, 0.0, 0.0, 0.0)
         self._clip = np.zeros((0, 4))
         if region_data.use_clip_planes:
             planes = np.array([list(plane) for plane in region_data.clip_planes][:4], np.float64)
@@ -279,6 +283,12 @@ class _View:
         layout[:] = width, harmonics_texels, len(self._clip), self.is_orthographic
         values[28 : 28 + self._clip.size] = self._clip.ravel()
         return gpu.types.GPUUniformBuf(float_buffer(values))
+
+
+def _shows_grid(context: bpy.types.Context) -> bool:
+    """Whether the viewport of the context shows lines in the floor."""
+    overlay: Any = cast(bpy.types.SpaceView3D, context.space_data).overlay
+    return overlay.show_overlays and (overlay.show_floor or overlay.show_axis_x or overlay.show_axis_y)
 
 
 def _object_texels(context: bpy.types.Context, shown: Sequence[Placement]) -> list[ObjectTexels]:

@@ -9,6 +9,7 @@ other objects.
 from typing import Any
 
 import gpu
+import numpy as np
 
 from ...swag_engine.splats.development import GREY, NO_DEVELOPMENT, Development
 from ...swag_engine.splats.splats import LEAST_VARIANCE
@@ -26,6 +27,10 @@ al. 2024)."""
 OVERLAY_GAMMA = 2.2
 """Exponent with which Blender lays its overlays over the scene, on any display (measured in 5.2: sRGB's own curve is
 up to 7 levels of 255 off)."""
+FLOOR_TOLERANCE = 0.01
+"""Distance from the floor, as a fraction of 1 - depth, up to which a pixel may be of its grid: 0.0065 was measured."""
+GRID_REACH = 2.0
+"""Pixels from a line of the grid at which its depth is no longer found."""
 DEVELOPMENT_ROWS = ("to_red", "to_green", "to_blue")
 """Constants of the composite shader: rows of the development's gains, with contrast, knee and a switch as fourth."""
 VIEW_FLOATS = 52
@@ -198,7 +203,24 @@ void main() {
 }
 """
 _DEPTH_FRAGMENT = """
-void main() { gl_FragDepth = texture(depths, place).r; }
+/* Blender writes the lines of its floor grid into the depth, too, where they would cut through splats behind the floor.
+   A line is thin; a mesh that lies in the floor is not. */
+bool on_floor(vec2 at) {
+  float depth = texture(depths, at).r;
+  return abs(depth - dot(floor_depth.xyz, vec3(at * 2.0 - 1.0, 1.0))) < FLOOR_TOLERANCE * (1.0 - depth);
+}
+void main() {
+  float depth = texture(depths, place).r;
+  if (floor_depth.w > 0.5 && on_floor(place)) {
+    vec2 reach = GRID_REACH / vec2(textureSize(depths, 0));
+    for (int x = -1; x <= 1; x++) {
+      for (int y = -1; y <= 1; y++) {
+        if (!on_floor(place + reach * vec2(x, y))) { depth = 1.0; }
+      }
+    }
+  }
+  gl_FragDepth = depth;
+}
 """
 _BACKGROUND_FRAGMENT = """
 void main() {
@@ -261,7 +283,13 @@ class Shaders:
             library=_WATER,
             has_view=True,
         )
-        self.depth = _compile(_SCREEN_VERTEX, _DEPTH_FRAGMENT, samplers=("depths",), writes_depth=True)
+        self.depth = _compile(
+            _SCREEN_VERTEX,
+            _DEPTH_FRAGMENT,
+            samplers=("depths",),
+            constants=(("VEC4", "floor_depth"),),
+            writes_depth=True,
+        )
         self.background = _compile(
             _SCREEN_VERTEX,
             _BACKGROUND_FRAGMENT,
@@ -326,6 +354,8 @@ def _compile(
         ("DEPTH", depth),
         ("GAMMA", OVERLAY_GAMMA),
         ("GREY", GREY),
+        ("FLOOR_TOLERANCE", FLOOR_TOLERANCE),
+        ("GRID_REACH", GRID_REACH),
     ):
         info.define(name, str(value))
     is_vertex_library = "texelFetch(order" in vertex
@@ -353,3 +383,24 @@ def frustum_limits(projection: Any) -> tuple[float, float, float, float]:
         scale, shift = projection[axis][axis], projection[axis][2]
         limits += [(-margin + shift) / scale, (margin + shift) / scale]
     return limits[0], limits[1], limits[2], limits[3]
+
+
+def floor_depth(projection: np.ndarray, to_view: np.ndarray) -> tuple[float, float, float, float]:
+    """How the depth of the world's floor z = 0 grows over a picture, for the depth shader.
+
+    The depth of a plane is linear in the place of a pixel: with the floor's points as v = (X, Y, 1), the rows x, y and
+    w of the projection are an invertible matrix H of v, so that z/w = (row z) H^-1 (x/w, y/w, 1).
+
+    Args:
+        projection: (4, 4) of OpenGL.
+        to_view: (4, 4) from the world to the view.
+
+    Returns:
+        Factors of x, y and 1, with x and y from -1 to 1, and 1; zeros where the floor is seen from its edge.
+    """
+    rows = (projection @ to_view)[:, [0, 1, 3]]
+    try:
+        x, y, one = rows[2] @ np.linalg.inv(rows[[0, 1, 3]])
+    except np.linalg.LinAlgError:
+        return 0.0, 0.0, 0.0, 0.0
+    return x / 2, y / 2, one / 2 + 0.5, 1.0

@@ -11,7 +11,8 @@ from bl_ext.user_default.swag_splatting.swag_blender import colors, display_pane
 from bl_ext.user_default.swag_splatting.swag_blender.nodes import splat_colors, splat_preview
 from bl_ext.user_default.swag_splatting.swag_engine.splats.development import Development
 from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import Splats
-from pictures import linked, load_splats, pinhole_camera, random_splats, render_pixel_centres, shown_count
+from mathutils import Matrix
+from pictures import linked, load_splats, new_camera, pinhole_camera, random_splats, render_pixel_centres, shown_count
 
 bpy.context.preferences.edit.use_global_undo = True
 scene = bpy.context.scene
@@ -245,32 +246,30 @@ def imported_by_blender(path):
     return count
 
 
-def own_drawing(folder, width, height, focal):
-    """Draw heap.npz as a viewport does, into a picture of its own; writes display values as drawn.npy."""
+def draw_like_a_viewport(obj, width, height, floor):
+    """Draw a splat object through the scene's camera, behind Blender's floor grid or without; linear RGB (H, W, 3)."""
     import gpu
     from bl_ext.user_default.swag_splatting.swag_blender.viewport.drawing import ViewportDrawing
 
     gpu.init()
-    bpy.ops.wm.read_homefile(use_empty=False)
-    for obj in list(bpy.data.objects):
-        bpy.data.objects.remove(obj)
-    root = pinhole_camera(width, height, focal)
-    obj = splats.new_splat_object("heap", load_splats(folder + "/heap.npz"), bpy.context.scene.collection, root)
-    splat_preview.remember_training(obj, 1 / focal, [0, 0, 0])
     bpy.context.view_layer.update()
-    camera = bpy.context.scene.camera
+    scene, camera = bpy.context.scene, bpy.context.scene.camera
     projection = camera.calc_matrix_camera(bpy.context.evaluated_depsgraph_get(), x=width, y=height)
+    view = camera.matrix_world.inverted()
     window = bpy.context.window_manager.windows[0]
     area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    region = next(region for region in area.regions if region.type == "WINDOW")
     space = area.spaces.active
     space.shading.background_type, space.shading.background_color = "VIEWPORT", (0, 0, 0)
+    space.overlay.show_extras = False  # the camera's own lines
+    space.overlay.show_floor = space.overlay.show_axis_x = space.overlay.show_axis_y = floor
 
     class Context:
         """The context of a viewport of that size and view."""
 
         region = types.SimpleNamespace(width=width, height=height, as_pointer=lambda: 1)
         region_data = types.SimpleNamespace(
-            window_matrix=projection, view_matrix=camera.matrix_world.inverted(), use_clip_planes=False, clip_planes=[]
+            window_matrix=projection, view_matrix=view, use_clip_planes=False, clip_planes=[]
         )
         space_data = space
 
@@ -279,10 +278,46 @@ def own_drawing(folder, width, height, focal):
 
     picture = gpu.types.GPUOffScreen(width, height, format="RGBA16F")
     bound: Any = picture.bind()
-    with bpy.context.temp_override(window=window, area=area), bound:
-        framebuffer = gpu.state.active_framebuffer_get()
-        framebuffer.clear(color=(0, 0, 0, 1), depth=1.0)
-        ViewportDrawing().draw(Context(), [obj])
-        drawn = framebuffer.read_color(0, 0, width, height, 4, 0, "FLOAT").to_list()
+    with bpy.context.temp_override(window=window, area=area):
+        if floor:
+            picture.draw_view3d(
+                scene, bpy.context.view_layer, space, region, view, projection, do_color_management=True
+            )
+        with bound:
+            framebuffer = gpu.state.active_framebuffer_get()
+            if not floor:
+                framebuffer.clear(color=(0, 0, 0, 1), depth=1.0)
+            ViewportDrawing().draw(Context(), [obj])
+            drawn = framebuffer.read_color(0, 0, width, height, 4, 0, "FLOAT").to_list()
+    return np.maximum(np.array(drawn)[::-1, :, :3], 0)
+
+
+def empty_startup_file():
+    bpy.ops.wm.read_homefile(use_empty=False)
+    for obj in list(bpy.data.objects):
+        bpy.data.objects.remove(obj)
+
+
+def own_drawing(folder, width, height, focal):
+    """Draw heap.npz as a viewport does, into a picture of its own; writes display values as drawn.npy."""
+    empty_startup_file()
+    root = pinhole_camera(width, height, focal)
+    obj = splats.new_splat_object("heap", load_splats(folder + "/heap.npz"), bpy.context.scene.collection, root)
+    splat_preview.remember_training(obj, 1 / focal, [0, 0, 0])
     # Blender shows its overlays with this gamma.
-    np.save(folder + "/drawn.npy", np.maximum(np.array(drawn)[::-1, :, :3], 0) ** (1 / 2.2))
+    np.save(folder + "/drawn.npy", draw_like_a_viewport(obj, width, height, False) ** (1 / 2.2))
+
+
+def own_drawing_behind_the_floor(folder):
+    """Draw an opaque splat that fills the view behind the floor's grid, and the same beside a mesh in the floor."""
+    empty_startup_file()
+    camera = new_camera()
+    camera.location, camera.rotation_euler = (0, -6, 3), (1.1, 0, 0)
+    obj = splats.new_splat_object("pane", pane(), bpy.context.scene.collection)
+    obj.matrix_world = camera.matrix_world @ Matrix.Translation((0, 0, -100)) @ Matrix.Scale(20, 4)
+    found = {"alone": draw_like_a_viewport(obj, 160, 120, False), "grid": draw_like_a_viewport(obj, 160, 120, True)}
+    mesh = bpy.data.meshes.new("floor")
+    mesh.from_pydata([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], [], [(0, 1, 2, 3)])
+    linked("floor", mesh)
+    found["mesh"] = draw_like_a_viewport(obj, 160, 120, True)
+    np.savez(folder + "/floor.npz", **found)
