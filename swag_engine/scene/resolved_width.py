@@ -16,6 +16,8 @@ LOST = 1.0
 """Root mean square of the detail that a reduced photo may lose, in steps of 8 bits: less is not visible."""
 SECOND_DIFFERENCE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 """Of white noise of standard deviation 1 it leaves one of 6 (Immerkaer 1996)."""
+LEAST_SIDE = 3
+"""Pixels of the shorter side of a reduced photo, below which there is no pixel with neighbours on all sides."""
 MAD_TO_SD = 1.4826
 """Standard deviation of normal values over their median absolute value."""
 
@@ -34,7 +36,9 @@ def resolved_width(scene: Scene, most: int) -> int:
         InputError: If a photo cannot be read.
     """
     full = max(view.camera.width for view in scene.views)
-    candidates = [width for part in REDUCTIONS if (width := round(part * full)) < min(most, full)]
+    side = min(min(view.camera.width, view.camera.height) for view in scene.views)
+    parts = [part for part in REDUCTIONS if part * side >= LEAST_SIDE]
+    candidates = [width for part in parts if (width := round(part * full)) < min(most, full)]
     if not candidates:
         return min(most, full)
     chosen = scene.views[:: max(1, -(-len(scene.views) // LOOKED_AT))]
