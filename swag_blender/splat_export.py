@@ -116,6 +116,11 @@ def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings
             raise InputError("There are no cameras to save: import the scene, add a camera, or turn Cameras off.")
     format.write(path, joined, up, cameras)
     notes = format.notes(joined)
+    for obj in objects:
+        if shifted := splats.count_only_shifted(obj):
+            notes.append(
+                f"Modifiers move {shifted} splats of {obj.name} so that their sizes and rotations cannot follow."
+            )
     if joined.development is None and any(part.development for part in parts):
         notes.append("The objects have different developments, so the file does not name one: export them one by one.")
     if not cameras:

@@ -8,7 +8,9 @@ each); `radius` (mean sigma: for exporters and point display); `swag:NAME` for e
 The points keep the coordinates of training (the COLMAP world); the object's transform places them in Blender.
 """
 
+import contextlib
 import math
+from collections.abc import Iterator
 from typing import Any, cast
 
 import bpy
@@ -247,17 +249,38 @@ def read_modified_splats(obj: bpy.types.Object, *masks: str) -> tuple[Splats, li
     Raises:
         InputError: the modifiers leave no splats.
     """
-    shown = [modifier for modifier in obj.modifiers if modifier.show_viewport]
-    previews = [modifier for modifier in shown if splat_preview.is_preview(modifier)]
-    if len(previews) == len(shown):
-        return read_splats(obj), [_read_mask(pointcloud_of(obj), mask) for mask in masks]
+    with _modified(obj) as pointcloud:
+        return splats_of(pointcloud), [_read_mask(pointcloud, mask) for mask in masks]
+
+
+def count_only_shifted(obj: bpy.types.Object) -> int:
+    """Number of splats that the object's modifiers move by no affine map: their sizes and rotations are as before.
+
+    Raises:
+        InputError: the modifiers leave no splats.
+    """
+    with _modified(obj) as pointcloud:
+        return len(_followed(pointcloud)[1])
+
+
+@contextlib.contextmanager
+def _modified(obj: bpy.types.Object) -> Iterator[bpy.types.PointCloud]:
+    """The point cloud of a splat object with its modifiers applied, except the preview.
+
+    Raises:
+        InputError: the modifiers leave no splats.
+    """
+    previews = [each for each in obj.modifiers if each.show_viewport and splat_preview.is_preview(each)]
+    if not has_other_modifiers(obj):
+        yield pointcloud_of(obj)
+        return
     try:
         for modifier in previews:
             modifier.show_viewport = False
         data = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
         if not isinstance(data, bpy.types.PointCloud) or BASE not in data.attributes or not len(data.points):
             raise InputError(f"The modifiers of {obj.name} leave no splats; turn them off in the viewport.")
-        return splats_of(data), [_read_mask(data, mask) for mask in masks]
+        yield data
     finally:
         for modifier in previews:
             modifier.show_viewport = True
@@ -286,9 +309,14 @@ def find_with(scene: bpy.types.Scene, active: bpy.types.Object | None, key: str)
 
 def splats_of(pointcloud: bpy.types.PointCloud) -> Splats:
     """The splats of a point cloud that has their attributes, turned and scaled with points that were moved."""
+    return _followed(pointcloud)[0]
+
+
+def _followed(pointcloud: bpy.types.PointCloud) -> tuple[Splats, np.ndarray]:
+    """The splats of a point cloud, turned and scaled with their points, and the rows (M,) that could not follow."""
     own = _splats_as_stored(pointcloud)
     shaped_at = pointcloud.attributes.get(SHAPED_AT)
-    return own if shaped_at is None else follow_points(own, _read(shaped_at, 3))[0]
+    return (own, np.empty(0, int)) if shaped_at is None else follow_points(own, _read(shaped_at, 3))
 
 
 def follow_points_of(pointcloud: bpy.types.PointCloud) -> int:

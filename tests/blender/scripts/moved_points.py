@@ -1,10 +1,11 @@
 """Splats whose points Blender's own operators and modifiers move."""
 
 import time
+from pathlib import Path
 
 import bpy
 import numpy as np
-from bl_ext.user_default.swag_splatting.swag_blender import labels, splats
+from bl_ext.user_default.swag_splatting.swag_blender import labels, splat_export, splats
 from bl_ext.user_default.swag_splatting.swag_engine.splats.splats import concatenate
 from bl_ext.user_default.swag_splatting.swag_engine.splats.transform import covariances, sh_basis, transformed
 from mathutils import Euler, Matrix
@@ -246,6 +247,16 @@ def modifiers():
     matrix = np.array(Matrix.LocRotScale((1, 2, 3), Euler((0.3, 0.5, 0.7)), (1, -2, 0.5)))
     assert_same(splats.read_modified_splats(obj)[0], transformed(made, matrix))
     assert_equal(stored(obj), made)
+    assert splats.count_only_shifted(obj) == 0
+    place, noise = group.nodes.new("GeometryNodeSetPosition"), group.nodes.new("ShaderNodeTexNoise")
+    group.links.new(turn.outputs[0], place.inputs["Geometry"])
+    group.links.new(noise.outputs["Color"], place.inputs["Offset"])
+    group.links.new(place.outputs[0], end.inputs[0])
+    assert splats.count_only_shifted(obj) == 300
+    splats.select_only(bpy.context, [obj])
+    path = Path(bpy.app.tempdir) / "shifted.ply"
+    _, notes = splat_export.save_splats(bpy.context, path, splat_export.ExportSettings())
+    assert notes == [f"Modifiers move 300 splats of {obj.name} so that their sizes and rotations cannot follow."]
 
 
 def changes_of_the_extension():
