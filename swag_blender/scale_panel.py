@@ -41,7 +41,13 @@ class SWAG_PT_scale(SwagPanel):
         elif metres:
             layout.label(text=f"1 unit = {metres:.5g} m", icon="CHECKMARK")
         else:
-            draw_wrapped(layout, "The length of a unit is not known.", width, icon="INFO")
+            translate = bpy.app.translations.pgettext_iface
+            unknown = translate("The length of a unit is not known.")
+            root = scene_import.find_root(obj)
+            if root and abs((factor := root.matrix_world.median_scale) - 1) > 1e-3:
+                larger = translate("The scene is shown {factor} times as large as its coordinates.")
+                unknown += " " + larger.format(factor=f"{factor:.3g}")
+            draw_wrapped(layout, unknown, width, icon="INFO")
         layout.operator("swag.scale_from_targets", icon="TEXTURE")
         row = layout.row(align=True)
         row.operator("swag.pick_scale", icon="EYEDROPPER")

@@ -1,9 +1,9 @@
 """A reconstructed scene as Blender objects: cameras with their images, the sparse cloud, one root for all.
 
 The root is an empty whose local frame is the COLMAP world: its matrix is the only place that converts COLMAP
-coordinates to Blender coordinates (up is +Z, the scene is near the origin, one unit stays one unit). Sparse cloud and
-splats are its children, the cameras those of a hidden child of it, all with COLMAP coordinates, so that moving the root
-moves all of them.
+coordinates to Blender coordinates (up is +Z, the scene is near the origin, its size is the measured one or at least
+`LEAST_SIZE`). Sparse cloud and splats are its children, the cameras those of a hidden child of it, all with COLMAP
+coordinates, so that moving the root moves all of them.
 """
 
 import math
@@ -18,7 +18,7 @@ from mathutils.kdtree import KDTree
 from ..swag_engine.base.errors import InputError
 from . import framing
 from .blender_types import present
-from .georeference import apply_georeference
+from .georeference import apply_georeference, scale_about_origin
 from .nodes import point_material
 from .properties import swag_of
 from .splats import is_splats, new_pointcloud
@@ -31,6 +31,11 @@ PHOTO_KEY = "swag_photo"
 """Property of a camera: name of the photo, which Blender's name of the object may shorten or number."""
 SENSOR_WIDTH = 36.0
 """Sensor width of the cameras in mm; any value works, because the focal length is computed from it."""
+LEAST_SIZE = 10.0
+"""Blender units that the longest side of a scene without a known scale takes at least.
+
+COLMAP's unit is arbitrary and often makes a reef as small as Blender's default cube, which then hides it.
+"""
 DEFAULT_CUBE = "Cube"
 """Name of the cube in Blender's startup file."""
 OPENCV_TO_BLENDER = Matrix.Diagonal((1.0, -1.0, -1.0, 1.0))
@@ -96,8 +101,9 @@ def import_scene(result: dict[str, Any], scene: bpy.types.Scene) -> bpy.types.Ob
     """Build the objects of a worker's `inspect` result in a new collection of the Blender scene; returns the root.
 
     The first camera becomes the active one and gives the render its resolution. The view transform becomes Standard,
-    which leaves the colors of images and splats as they are. A measured scale is applied. Raises OSError or ValueError
-    when the arrays that the result names cannot be read.
+    which leaves the colors of images and splats as they are. A measured scale is applied; without one, a scene smaller
+    than `LEAST_SIZE` is shown in that size. Raises OSError or ValueError when the arrays that the result names cannot
+    be read.
     """
     positions = np.load(result["points"]["positions"]).astype(np.float32)
     colors = np.load(result["points"]["colors"])
@@ -133,10 +139,18 @@ def import_scene(result: dict[str, Any], scene: bpy.types.Scene) -> bpy.types.Ob
         data.clip_start, data.clip_end = extent * 0.001, extent * 100.0
     if measured := result.get("scale"):
         apply_georeference(root, scene, measured)
+    else:
+        scale_about_origin(root, enlargement(low, high))
     cast(Any, scene.view_settings).view_transform = "Standard"
     if made:
         look_through(scene, made[0])
     return root
+
+
+def enlargement(low: np.ndarray, high: np.ndarray) -> float:
+    """The factor by which a scene without a known scale is shown, from its lowest and highest corner (3,)."""
+    side = float((high - low).max())
+    return max(LEAST_SIZE / side, 1.0) if side > 0 else 1.0
 
 
 def look_through(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:

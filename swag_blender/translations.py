@@ -261,6 +261,9 @@ GERMAN = {
         "Metrisches System des gemessenen Maßstabs: Meter, z nach oben, mit Versatz und Koordinatenreferenzsystem"
     ),
     "The length of a unit is not known.": "Die Länge einer Einheit ist nicht bekannt.",
+    "The scene is shown {factor} times as large as its coordinates.": (
+        "Die Szene wird {factor}-mal so groß gezeigt wie ihre Koordinaten."
+    ),
     "Import the scene first; where there are several, select one of them": (
         "Zuerst die Szene importieren; wo es mehrere gibt, eine davon auswählen"
     ),

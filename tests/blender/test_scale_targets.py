@@ -33,10 +33,10 @@ def test_targets_scale_the_imported_scene(blender, photographed, tmp_path):
     shutil.copytree(photographed.folder, folder)
     found = blender.run("scale_targets.from_targets", folder, 0.15, SWAG_ENGINE_PYTHON=sys.executable)
     before, after = found["before"], found["after"]
-    assert before["metres"] is None and before["scale"] == pytest.approx(1)
+    assert before["metres"] is None and "times as large as its coordinates" in found["drawn before"][0]
     assert after["metres"] == after["water"] == found["kept"] == pytest.approx(0.37, rel=3e-3)
     assert after["scale"] == pytest.approx(after["metres"], rel=1e-5)
-    assert np.allclose(after["clip"], np.array(before["clip"]) * after["metres"], rtol=1e-4)
+    assert np.allclose(after["clip"], np.array(before["clip"]) * after["metres"] / before["scale"], rtol=1e-4)
     assert after["setting"] == 0 and after["units"] == ["METRIC", 1.0]  # training takes the measured one
     assert after["message"].startswith("1 unit = 0.3") and "± 0.1" in after["message"]
     assert after["message"].rstrip(".") == found["drawn"][0]

@@ -60,6 +60,15 @@ def test_the_root_turns_up_to_z_and_puts_the_scene_on_the_ground(blender, tmp_pa
         assert np.percentile(placed[:, 2], 2) == pytest.approx(0, abs=1e-5)
 
 
+@pytest.mark.parametrize(("extent", "factor"), [(0.2, 50), (3, 10 / 3), (10, 1), (400, 1)])
+def test_a_small_scene_without_a_known_scale_is_shown_larger_than_the_default_cube(blender, tmp_path, extent, factor):
+    corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 0.5) for z in (0, 0.1)]) * extent
+    path = write_result(tmp_path, [], np.repeat(corners, 20, axis=0))
+    found = blender.run("scene_objects.shown_box", path)
+    assert found["factor"] == pytest.approx(factor)
+    assert max(found["size"]) == pytest.approx(extent * factor)
+
+
 def test_cameras_with_images_and_points_with_colors_have_one_root(blender, tmp_path):
     image = tmp_path / "Foto ä 1.png"
     cv2.imencode(".png", np.full((360, 640, 3), 90, np.uint8))[1].tofile(image)

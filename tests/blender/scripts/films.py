@@ -345,6 +345,6 @@ def film_of_run(folder, images, out):
     depth = bpy.data.images.load(os.path.join(out, "depth", "0001.exr"))
     pixels = np.empty(depth.size[0] * depth.size[1] * 4, "f4")
     depth.pixels.foreach_get(pixels)
-    # In Blender units: the discs are 4 units from the cameras, times 3.
     wall = pixels.reshape(-1, 4)[:, 0]
-    return {"names": names, "message": message, "depth": float(np.median(wall[wall < 1e9]))}
+    depth = float(np.median(wall[wall < 1e9]))
+    return {"names": names, "message": message, "depth": depth / root.matrix_world.median_scale}

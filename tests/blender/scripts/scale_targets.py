@@ -33,13 +33,20 @@ def from_targets(folder, size):
     assert not bpy.ops.swag.scale_from_targets.poll()
     assert bpy.ops.swag.import_scene(directory=folder) == {"FINISHED"}
     root = scene_import.active_root(bpy.context)
-    before = place(root)
+    before, drawn_before = place(root), panel_texts()
     swag.metres_per_unit = 7.0
     assert bpy.ops.swag.scale_from_targets(family="aruco_4x4_50", size=size) == {"FINISHED"}
     after = place(root)
     drawn = panel_texts()
     refused = refusal(lambda: bpy.ops.swag.scale_from_targets(family="apriltag_36h11", size=size))
-    return {"before": before, "after": after, "drawn": drawn, "refused": refused, "kept": place(root)["metres"]}
+    return {
+        "before": before,
+        "after": after,
+        "drawn before": drawn_before,
+        "drawn": drawn,
+        "refused": refused,
+        "kept": place(root)["metres"],
+    }
 
 
 def import_measured(folder):

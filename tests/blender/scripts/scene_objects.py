@@ -36,12 +36,20 @@ def projection_errors(path):
         errors = []
         for point in np.load(result["points"]["positions"]):
             x, y, z = pose[:3, :3] @ point + pose[:3, 3]
-            expected = np.array([camera["fx"] * x / z + camera["cx"], camera["fy"] * y / z + camera["cy"], z])
+            depth = z * root.matrix_world.median_scale
+            expected = np.array([camera["fx"] * x / z + camera["cx"], camera["fy"] * y / z + camera["cy"], depth])
             seen = world_to_camera_view(scene, obj, root.matrix_world @ Vector(point))
             found = np.array([seen.x * camera["width"], (1 - seen.y) * camera["height"], seen.z])
             errors.append(float(abs(found - expected).max()))
         worst[camera["name"]] = max(errors)
     return worst
+
+
+def shown_box(path):
+    """Factor and size in Blender units by which an import is shown."""
+    root, _ = import_result(path)
+    low, high = framing.world_box(root.children_recursive)
+    return {"factor": root.matrix_world.median_scale, "size": (high - low).tolist()}
 
 
 def root_matrices(ups, points):
