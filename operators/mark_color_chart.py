@@ -1,5 +1,7 @@
 """Mark the corners of a color chart in a photo, and have the engine read its patches there."""
 
+import contextlib
+
 import bpy
 from bpy_extras.view3d_utils import region_2d_to_vector_3d
 
@@ -43,6 +45,10 @@ class SWAG_OT_mark_color_chart(bpy.types.Operator):
         self._photos = [(photo, photo.alpha, photo.display_depth) for photo in data.background_images]
         for photo, _, _ in self._photos:
             photo.alpha, photo.display_depth = 1.0, "FRONT"
+        # Splats are drawn over photos, too.
+        self._hidden = [obj for obj in context.visible_objects if splats.is_splats(obj)]
+        for obj in self._hidden:
+            obj.hide_set(True)
         self._corners: list[tuple[float, float]] = []
         present(context.window_manager).modal_handler_add(self)
         present(context.window).cursor_modal_set("CROSSHAIR")
@@ -76,8 +82,9 @@ class SWAG_OT_mark_color_chart(bpy.types.Operator):
         return {"FINISHED"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """End; Blender calls this when it removes the operator."""
-        self._end(context, set())
+        """End; Blender calls this when it removes the operator, also when it opens another file."""
+        with contextlib.suppress(ReferenceError):
+            self._end(context, set())
 
     def _show_step(self, context: bpy.types.Context) -> None:
         present(context.workspace).status_text_set(
@@ -88,6 +95,8 @@ class SWAG_OT_mark_color_chart(bpy.types.Operator):
     def _end(self, context: bpy.types.Context, result: OperatorResult) -> OperatorResult:
         for photo, alpha, depth in self._photos:
             photo.alpha, photo.display_depth = alpha, depth
+        for obj in self._hidden:
+            obj.hide_set(False)
         present(context.workspace).status_text_set(None)
         present(context.window).cursor_modal_restore()
         return result

@@ -134,6 +134,6 @@ def describe(obj: bpy.types.Object, mask: np.ndarray, seen: Observations) -> str
     """A sentence about the floaters of an object, given their mask (N,) bool."""
     of_all = f" of {seen.all_cameras}" if seen.cameras < seen.all_cameras else ""
     return (
-        f"{int(mask.sum())} of {len(mask)} splats of {obj.name} ({mask.mean():.1%}) found with "
-        f"{seen.cameras}{of_all} cameras."
+        f"{int(mask.sum())} of {len(mask)} splats of {obj.name} ({mask.mean():.1%}) are floaters, "
+        f"as {seen.cameras}{of_all} cameras see them."
     )

@@ -15,6 +15,7 @@ from . import open_run, scene_import, survey
 from .blender_types import OperatorResult, present
 from .engine_process import Engine, EngineError, engine_problem, stop_all, wait_for_result
 from .properties import SwagScene, status_of, swag_of
+from .sidebar import show_popup
 
 TIMER_SECONDS = 0.1
 """Time between two looks at the child's events while a window is open."""
@@ -236,13 +237,8 @@ class RunningJob:
         failed = not present(status.find(self.job)).stopping or self.engine.terminated
         status.end(self.job, message, failed)
         if failed:
-            self.show_failure(context, message)
-
-    def show_failure(self, context: bpy.types.Context, message: str) -> None:
-        """Show why the job failed, beside the pointer: its panel may be closed."""
-        present(context.window_manager).popup_menu(
-            lambda menu, _: present(menu.layout).label(text=message), title=self.job, icon="ERROR"
-        )
+            # Beside the pointer, because its panel may be closed.
+            show_popup([message], "ERROR", self.job)
 
 
 class SceneJob(Job):

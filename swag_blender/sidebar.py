@@ -85,14 +85,14 @@ def draw_wrapped(layout: bpy.types.UILayout, text: str, width: int, icon: Icon =
         column.label(text=line, icon=icon if number == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 
-def show_popup(sentences: Sequence[str], icon: Icon) -> None:
-    """Show sentences, translated already, in a popup of the first window; without a window nothing is shown."""
+def show_popup(sentences: Sequence[str], icon: Icon, title: str = "SWAG Splatting") -> None:
+    """Show sentences, translated already, in a popup of the first window; in background nothing is shown."""
 
     def draw(menu: Any, context: bpy.types.Context) -> None:
         for sentence in sentences:
             draw_wrapped(menu.layout, sentence, POPUP_WIDTH)
 
     window_manager = present(bpy.context.window_manager)
-    if window_manager.windows:
+    if window_manager.windows and not bpy.app.background:
         with bpy.context.temp_override(window=window_manager.windows[0]):
-            window_manager.popup_menu(draw, title="SWAG Splatting", icon=icon)
+            window_manager.popup_menu(draw, title=title, icon=icon)

@@ -14,7 +14,7 @@ import bpy
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
-from mathutils import Color
+from mathutils import Color, Vector
 
 from ...swag_engine.splats.development import NO_DEVELOPMENT
 from .. import background, colors, display, water
@@ -25,7 +25,7 @@ from ..properties import swag_of
 from .depth_order import Part, Sorter
 from .packing import HARMONICS_TEXELS, OBJECT_TEXELS, ObjectTexels
 from .placements import Placement, placements
-from .shaders import NEAR, VIEW_FLOATS, Shaders, development_constants, floor_depth, frustum_limits
+from .shaders import NEAR, NO_FLOOR, VIEW_FLOATS, Shaders, development_constants, floor_constants, frustum_limits
 from .splat_store import SplatStore, float_buffer, new_texture
 
 REST_SECONDS = 0.25
@@ -35,6 +35,11 @@ TICK_SECONDS = 0.02
 BUDGET, SOFTWARE_BUDGET = 1_000_000, 50_000
 """Most splats drawn while the view moves: with a graphics card, and where the processor draws."""
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swiftshader", "lavapipe")
+SURFACES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "VOLUME"}
+"""Types of objects that may have a surface in the floor."""
+FLOOR_MARGIN = 0.02
+"""Height above the floor that counts as in it, as a fraction of the distance from the eye."""
+HUGE = 1e30
 _CORNERS: Any = {"corner": [(-1, -1), (1, -1), (-1, 1), (1, 1)]}
 
 
@@ -84,7 +89,9 @@ class ViewportDrawing:
         behind = _behind(context, shown)
         key = (view.matrices, view.size, table.tobytes(), behind, self.store.version, view.orders, zlib.crc32(depth))
         if key != view.picture_key:
-            self._draw_picture(view, table, behind, depth)
+            has_grid = _shows_grid(context) and not view.is_orthographic
+            floor = view.floor_constants(_objects_on_floor(context)) if has_grid else NO_FLOOR
+            self._draw_picture(view, table, behind, depth, floor)
             view.picture_key = key
         self._lay_over(view, framebuffer)
 
@@ -114,7 +121,7 @@ class ViewportDrawing:
             self._views = {known: view for known, view in self._views.items() if known in regions}
             self._views[pointer] = _View()
         view = self._views[pointer]
-        view.set(present(context.region_data), (region.width, region.height), _shows_grid(context))
+        view.set(present(context.region_data), (region.width, region.height))
         view.background = _background_color(context)
         view.development = colors.picture_development(present(context.scene), context.active_object)
         return view
@@ -131,7 +138,14 @@ class ViewportDrawing:
             view.order, view.order_count = self.store.order_texture(order), len(order)
             view.orders += 1
 
-    def _draw_picture(self, view: "_View", table: np.ndarray, behind: "_Behind | None", depth: Any) -> None:
+    def _draw_picture(
+        self,
+        view: "_View",
+        table: np.ndarray,
+        behind: "_Behind | None",
+        depth: Any,
+        floor: dict[str, tuple[float, ...]],
+    ) -> None:
         store, shaders = self.store, self._shaders
         objects = new_texture(table, (OBJECT_TEXELS, len(table)), "RGBA32F")
         scene_depth = gpu.types.GPUTexture(view.size, format="R32F", data=depth)
@@ -147,7 +161,8 @@ class ViewportDrawing:
             gpu.state.depth_test_set("ALWAYS")
             shaders.depth.bind()
             shaders.depth.uniform_sampler("depths", scene_depth)
-            shaders.depth.uniform_float("floor_depth", view.floor_depth)
+            for name, values in floor.items():
+                shaders.depth.uniform_float(name, values)
             self._quads["depth"].draw(shaders.depth)
             gpu.state.color_mask_set(True, True, True, True)
             gpu.state.depth_mask_set(False)
@@ -214,18 +229,15 @@ class _View:
         self.development = NO_DEVELOPMENT
         self.size = (0, 0)
         self.matrices = b""
-        self.floor_depth = (0.0, 0.0, 0.0, 0.0)
         self.picture_key: object = None
         self.picture: Any = None
         self._followed = b""
         self._moved_at = -REST_SECONDS
 
-    def set(self, region_data: bpy.types.RegionView3D, size: tuple[int, int], shows_grid: bool) -> None:
-        """Take matrices and size of the viewport, and whether it shows the grid of the floor."""
+    def set(self, region_data: bpy.types.RegionView3D, size: tuple[int, int]) -> None:
+        """Take matrices and size of the viewport."""
         self._projection = np.array(region_data.window_matrix, np.float64)
-        to_view = np.array(region_data.view_matrix, np.float64)
-        perspective = shows_grid and not self.is_orthographic
-        self.floor_depth = floor_depth(self._projection, to_view) if perspective else (0.0, 0.0, 0.0, 0.0)
+        self._to_view = to_view = np.array(region_data.view_matrix, np.float64)
         self._clip = np.zeros((0, 4))
         if region_data.use_clip_planes:
             planes = np.array([list(plane) for plane in region_data.clip_planes][:4], np.float64)
@@ -234,6 +246,10 @@ class _View:
         if size != self.size:
             self.size, self.picture_key = size, None
             self.picture = gpu.types.GPUOffScreen(*size, format="RGBA16F")
+
+    def floor_constants(self, objects: tuple[float, float, float, float]) -> dict[str, tuple[float, ...]]:
+        """Constants of the depth shader where objects of that part of the floor may be in it."""
+        return floor_constants(self._projection, self._to_view, objects)
 
     def follow_movement(self) -> None:
         """Note whether the view has changed since the last call."""
@@ -289,6 +305,28 @@ def _shows_grid(context: bpy.types.Context) -> bool:
     """Whether the viewport of the context shows lines in the floor."""
     overlay: Any = cast(bpy.types.SpaceView3D, context.space_data).overlay
     return overlay.show_overlays and (overlay.show_floor or overlay.show_axis_x or overlay.show_axis_y)
+
+
+def _objects_on_floor(context: bpy.types.Context) -> tuple[float, float, float, float]:
+    """Least x and y, and largest x and y, of the objects besides point clouds that may have a surface in the floor.
+
+    Instances of collections may have one anywhere. What is near the floor counts, because the shader tells the two
+    apart by their depth, less exactly with the distance from the eye.
+    """
+    eye = np.array(present(context.region_data).view_matrix.inverted().translation)
+    boxes = []
+    for obj in context.visible_objects:
+        if obj.type == "EMPTY" and obj.instance_type == "COLLECTION":
+            return -HUGE, -HUGE, HUGE, HUGE
+        if obj.type in SURFACES:
+            corners = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
+            margin = FLOOR_MARGIN * np.linalg.norm(corners - eye, axis=1).max()
+            if corners[:, 2].min() < margin and corners[:, 2].max() > -margin:
+                boxes.append((corners.min(axis=0) - margin, corners.max(axis=0) + margin))
+    if not boxes:
+        return HUGE, HUGE, -HUGE, -HUGE
+    (left, front, _), (right, back, _) = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
+    return left, front, right, back
 
 
 def _object_texels(context: bpy.types.Context, shown: Sequence[Placement]) -> list[ObjectTexels]:

@@ -29,8 +29,12 @@ OVERLAY_GAMMA = 2.2
 up to 7 levels of 255 off)."""
 FLOOR_TOLERANCE = 0.01
 """Distance from the floor, as a fraction of 1 - depth, up to which a pixel may be of its grid: 0.0065 was measured."""
-GRID_REACH = 2.0
+GRID_REACH = 2
 """Pixels from a line of the grid at which its depth is no longer found."""
+FLOOR_CONSTANTS = ("floor_depth", "to_floor_x", "to_floor_y", "to_floor_w", "objects_on_floor")
+"""Constants of the depth shader, for which `floor_constants` gives values."""
+NO_FLOOR: dict[str, tuple[float, ...]] = dict.fromkeys(FLOOR_CONSTANTS, (0.0,) * 4)
+"""Values of them where Blender draws no grid."""
 DEVELOPMENT_ROWS = ("to_red", "to_green", "to_blue")
 """Constants of the composite shader: rows of the development's gains, with contrast, knee and a switch as fourth."""
 VIEW_FLOATS = 52
@@ -204,18 +208,31 @@ void main() {
 """
 _DEPTH_FRAGMENT = """
 /* Blender writes the lines of its floor grid into the depth, too, where they would cut through splats behind the floor.
-   A line is thin; a mesh that lies in the floor is not. */
-bool on_floor(vec2 at) {
-  float depth = texture(depths, at).r;
-  return abs(depth - dot(floor_depth.xyz, vec3(at * 2.0 - 1.0, 1.0))) < FLOOR_TOLERANCE * (1.0 - depth);
+   Where objects may lie in the floor, only what is thin is a line of the grid. */
+vec3 on_screen(ivec2 pixel) {
+  return vec3((vec2(pixel) + 0.5) / vec2(textureSize(depths, 0)) * 2.0 - 1.0, 1.0);
+}
+bool may_be_object(ivec2 pixel) {
+  vec3 at = on_screen(pixel);
+  vec2 xy = vec2(dot(to_floor_x.xyz, at), dot(to_floor_y.xyz, at)) / dot(to_floor_w.xyz, at);
+  return all(greaterThanEqual(xy, objects_on_floor.xy)) && all(lessThanEqual(xy, objects_on_floor.zw));
+}
+bool on_floor(ivec2 pixel) {
+  ivec2 size = textureSize(depths, 0);
+  pixel = clamp(pixel, ivec2(0), size - 1);
+  float depth = texelFetch(depths, pixel, 0).r;
+  /* A line has the depth of its middle. */
+  float tolerance = FLOOR_TOLERANCE * (1.0 - depth) + dot(abs(floor_depth.xy), 2.0 * GRID_REACH / vec2(size));
+  return abs(depth - dot(floor_depth.xyz, on_screen(pixel))) < tolerance;
 }
 void main() {
-  float depth = texture(depths, place).r;
-  if (floor_depth.w > 0.5 && on_floor(place)) {
-    vec2 reach = GRID_REACH / vec2(textureSize(depths, 0));
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  float depth = texelFetch(depths, pixel, 0).r;
+  if (floor_depth.w > 0.5 && on_floor(pixel)) {
+    if (!may_be_object(pixel)) { depth = 1.0; }
     for (int x = -1; x <= 1; x++) {
       for (int y = -1; y <= 1; y++) {
-        if (!on_floor(place + reach * vec2(x, y))) { depth = 1.0; }
+        if (!on_floor(pixel + GRID_REACH * ivec2(x, y))) { depth = 1.0; }
       }
     }
   }
@@ -287,7 +304,7 @@ class Shaders:
             _SCREEN_VERTEX,
             _DEPTH_FRAGMENT,
             samplers=("depths",),
-            constants=(("VEC4", "floor_depth"),),
+            constants=tuple(("VEC4", name) for name in FLOOR_CONSTANTS),
             writes_depth=True,
         )
         self.background = _compile(
@@ -385,22 +402,29 @@ def frustum_limits(projection: Any) -> tuple[float, float, float, float]:
     return limits[0], limits[1], limits[2], limits[3]
 
 
-def floor_depth(projection: np.ndarray, to_view: np.ndarray) -> tuple[float, float, float, float]:
-    """How the depth of the world's floor z = 0 grows over a picture, for the depth shader.
+def floor_constants(
+    projection: np.ndarray, to_view: np.ndarray, objects: tuple[float, float, float, float]
+) -> dict[str, tuple[float, ...]]:
+    """Constants that tell the depth shader where the world's floor z = 0 is, and which objects may lie in it.
 
-    The depth of a plane is linear in the place of a pixel: with the floor's points as v = (X, Y, 1), the rows x, y and
-    w of the projection are an invertible matrix H of v, so that z/w = (row z) H^-1 (x/w, y/w, 1).
+    With the floor's points as v = (X, Y, 1), the rows x, y and w of the projection are an invertible matrix H of v. So
+    v is H^-1 (x/w, y/w, 1) times w, and the depth of a plane is linear in the place of a pixel:
+    z/w = (row z) H^-1 (x/w, y/w, 1).
 
     Args:
         projection: (4, 4) of OpenGL.
         to_view: (4, 4) from the world to the view.
+        objects: least x and y, and largest x and y, of the place in the floor where objects may be.
 
     Returns:
-        Factors of x, y and 1, with x and y from -1 to 1, and 1; zeros where the floor is seen from its edge.
+        Values by names of `FLOOR_CONSTANTS`: factors of x, y and 1, with x and y from -1 to 1, and 1; only zeros where
+        the floor is seen from its edge.
     """
     rows = (projection @ to_view)[:, [0, 1, 3]]
     try:
-        x, y, one = rows[2] @ np.linalg.inv(rows[[0, 1, 3]])
+        to_floor = np.linalg.inv(rows[[0, 1, 3]])
     except np.linalg.LinAlgError:
-        return 0.0, 0.0, 0.0, 0.0
-    return x / 2, y / 2, one / 2 + 0.5, 1.0
+        return NO_FLOOR
+    x, y, one = rows[2] @ to_floor
+    depth = x / 2, y / 2, one / 2 + 0.5, 1.0
+    return dict(zip(FLOOR_CONSTANTS, (depth, *((*row, 0.0) for row in to_floor), objects), strict=True))

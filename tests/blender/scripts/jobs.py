@@ -135,8 +135,6 @@ def beside(folder):
 
 def killed(folder):
     """How a training ended that ignores Cancel: its message, and whether it is shown as a warning."""
-    running: Any = job.RunningJob
-    running.show_failure = lambda *_: None  # a popup needs a window
     engine_process.CANCEL_SECONDS = engine_process.TERMINATE_SECONDS = 0.3
     bpy.context.scene.swag.scene_folder = folder
     train_beside()

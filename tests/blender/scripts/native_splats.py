@@ -314,10 +314,23 @@ def own_drawing_behind_the_floor(folder):
     camera = new_camera()
     camera.location, camera.rotation_euler = (0, -6, 3), (1.1, 0, 0)
     obj = splats.new_splat_object("pane", pane(), bpy.context.scene.collection)
-    obj.matrix_world = camera.matrix_world @ Matrix.Translation((0, 0, -100)) @ Matrix.Scale(20, 4)
+
+    def fill_the_view(distance):
+        bpy.context.view_layer.update()
+        far = Matrix.Translation((0, 0, -distance)) @ Matrix.Scale(distance / 5, 4)
+        obj.matrix_world = camera.matrix_world @ far
+
+    fill_the_view(100)
     found = {"alone": draw_like_a_viewport(obj, 160, 120, False), "grid": draw_like_a_viewport(obj, 160, 120, True)}
     mesh = bpy.data.meshes.new("floor")
     mesh.from_pydata([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], [], [(0, 1, 2, 3)])
     linked("floor", mesh)
     found["mesh"] = draw_like_a_viewport(obj, 160, 120, True)
+    bpy.data.meshes.remove(mesh)
+    # Near the horizon, lines of the grid are next to each other.
+    camera.location, camera.rotation_euler = (0, -6, 1.5), (1.53, 0, 0.2)
+    camera.data.clip_start, camera.data.clip_end = 0.015, 1500
+    fill_the_view(1400)
+    found["horizon alone"] = draw_like_a_viewport(obj, 640, 360, False)
+    found["horizon"] = draw_like_a_viewport(obj, 640, 360, True)
     np.savez(folder + "/floor.npz", **found)
