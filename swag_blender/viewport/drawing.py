@@ -89,8 +89,7 @@ class ViewportDrawing:
         behind = _behind(context, shown)
         key = (view.matrices, view.size, table.tobytes(), behind, self.store.version, view.orders, zlib.crc32(depth))
         if key != view.picture_key:
-            has_grid = _shows_grid(context) and not view.is_orthographic
-            floor = view.floor_constants(_objects_on_floor(context)) if has_grid else NO_FLOOR
+            floor = view.floor_constants(_objects_on_floor(context)) if _shows_grid(context) else NO_FLOOR
             self._draw_picture(view, table, behind, depth, floor)
             view.picture_key = key
         self._lay_over(view, framebuffer)

@@ -28,7 +28,8 @@ OVERLAY_GAMMA = 2.2
 """Exponent with which Blender lays its overlays over the scene, on any display (measured in 5.2: sRGB's own curve is
 up to 7 levels of 255 off)."""
 FLOOR_TOLERANCE = 0.01
-"""Distance from the floor, as a fraction of 1 - depth, up to which a pixel may be of its grid: 0.0065 was measured."""
+"""Distance from the floor, as a fraction of 1 - depth, up to which a pixel may be of its grid in views with perspective:
+0.0065 was measured. In orthographic views, depth is as exact everywhere."""
 GRID_REACH = 2
 """Pixels from a line of the grid at which its depth is no longer found."""
 FLOOR_CONSTANTS = ("floor_depth", "to_floor_x", "to_floor_y", "to_floor_w", "objects_on_floor")
@@ -222,13 +223,13 @@ bool on_floor(ivec2 pixel) {
   pixel = clamp(pixel, ivec2(0), size - 1);
   float depth = texelFetch(depths, pixel, 0).r;
   /* A line has the depth of its middle. */
-  float tolerance = FLOOR_TOLERANCE * (1.0 - depth) + dot(abs(floor_depth.xy), 2.0 * GRID_REACH / vec2(size));
+  float tolerance = floor_depth.w * (1.0 - depth) + dot(abs(floor_depth.xy), 2.0 * GRID_REACH / vec2(size));
   return abs(depth - dot(floor_depth.xyz, on_screen(pixel))) < tolerance;
 }
 void main() {
   ivec2 pixel = ivec2(gl_FragCoord.xy);
   float depth = texelFetch(depths, pixel, 0).r;
-  if (floor_depth.w > 0.5 && on_floor(pixel)) {
+  if (floor_depth.w > 0.0 && on_floor(pixel)) {
     if (!may_be_object(pixel)) { depth = 1.0; }
     for (int x = -1; x <= 1; x++) {
       for (int y = -1; y <= 1; y++) {
@@ -371,7 +372,6 @@ def _compile(
         ("DEPTH", depth),
         ("GAMMA", OVERLAY_GAMMA),
         ("GREY", GREY),
-        ("FLOOR_TOLERANCE", FLOOR_TOLERANCE),
         ("GRID_REACH", GRID_REACH),
     ):
         info.define(name, str(value))
@@ -417,8 +417,8 @@ def floor_constants(
         objects: least x and y, and largest x and y, of the place in the floor where objects may be.
 
     Returns:
-        Values by names of `FLOOR_CONSTANTS`: factors of x, y and 1, with x and y from -1 to 1, and 1; only zeros where
-        the floor is seen from its edge.
+        Values by names of `FLOOR_CONSTANTS`: of the depth, factors of x, y and 1, with x and y from -1 to 1, and its
+        tolerance as a fraction of 1 - depth; only zeros where the floor is seen from its edge.
     """
     rows = (projection @ to_view)[:, [0, 1, 3]]
     try:
@@ -426,5 +426,5 @@ def floor_constants(
     except np.linalg.LinAlgError:
         return NO_FLOOR
     x, y, one = rows[2] @ to_floor
-    depth = x / 2, y / 2, one / 2 + 0.5, 1.0
+    depth = x / 2, y / 2, one / 2 + 0.5, 1e-6 if projection[3, 3] == 1 else FLOOR_TOLERANCE
     return dict(zip(FLOOR_CONSTANTS, (depth, *((*row, 0.0) for row in to_floor), objects), strict=True))
