@@ -3,23 +3,27 @@
 import contextlib
 
 import bpy
-from bpy_extras.view3d_utils import region_2d_to_vector_3d
+from bpy_extras.view3d_utils import region_2d_to_origin_3d, region_2d_to_vector_3d
+from mathutils import Vector
 
 from ..swag_blender import color_chart, scene_import, splats
 from ..swag_blender.blender_types import OperatorResult, call_operator, present
 from ..swag_blender.cameras import camera_of
 from ..swag_blender.engine_process import engine_problem
+from ..swag_blender.picking import splat_objects
 from ..swag_blender.run_list import shown_run
+from ..swag_blender.viewport_tool import Pixel, ViewportTool
 
-CORNERS = ("first", "second", "third", "last")
+CORNERS = 4
 
 
-class SWAG_OT_mark_color_chart(bpy.types.Operator):
+class SWAG_OT_mark_color_chart(ViewportTool):
     """Look through the camera of a photo and click the outer corners of the four corner patches, around the chart"""
 
     bl_idname = "swag.mark_color_chart"
     bl_label = "Mark Color Chart"
     bl_options = {"REGISTER"}
+    hint = "Click the outer corners of the chart's four corner patches, going around it; Escape: cancel"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -36,7 +40,7 @@ class SWAG_OT_mark_color_chart(bpy.types.Operator):
         return True
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
-        """Look through the camera, show its photo in front of all else, and wait for four clicks."""
+        """Look through the camera and show its photo instead of splats."""
         self._camera, self._run = present(_photo_camera(context)), present(shown_run(context))
         scene_import.look_through(present(context.scene), self._camera)
         present(context.region_data).view_perspective = "CAMERA"
@@ -46,60 +50,46 @@ class SWAG_OT_mark_color_chart(bpy.types.Operator):
         for photo, _, _ in self._photos:
             photo.alpha, photo.display_depth = 1.0, "FRONT"
         # Splats are drawn over photos, too.
-        self._hidden = [obj for obj in context.visible_objects if splats.is_splats(obj)]
+        self._hidden = splat_objects(context)
         for obj in self._hidden:
             obj.hide_set(True)
         self._corners: list[tuple[float, float]] = []
-        present(context.window_manager).modal_handler_add(self)
-        present(context.window).cursor_modal_set("CROSSHAIR")
-        self._show_step(context)
-        return {"RUNNING_MODAL"}
+        self._marks: list[Vector] = []
+        return super().invoke(context, event)
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
-        """Handle clicks and Escape; Blender calls this for every event, and navigation is left to the viewport."""
-        if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
-            return self._end(context, {"CANCELLED"})
+    def on_event(
+        self, context: bpy.types.Context, event: bpy.types.Event, region: bpy.types.Region, position: Pixel
+    ) -> OperatorResult:
+        """Set a corner by a click; the fourth ends the tool and has the chart read."""
         if event.type != "LEFTMOUSE" or event.value != "PRESS":
             return {"PASS_THROUGH"}
-        region = next(region for region in present(context.area).regions if region.type == "WINDOW")
-        ray = region_2d_to_vector_3d(
-            region, present(context.region_data), (event.mouse_x - region.x, event.mouse_y - region.y)
-        )
+        view = present(context.region_data)
+        ray = region_2d_to_vector_3d(region, view, position)
         width, height, aspect = self._camera[scene_import.SIZE_KEY]
         camera = camera_of(self._camera, context.evaluated_depsgraph_get(), int(width), int(height), aspect)
         if (place := color_chart.position_in_photo(camera, ray)) is None:
             self.report({"WARNING"}, "Click inside the photo.")
             return {"RUNNING_MODAL"}
         self._corners.append(place)
-        if len(self._corners) < len(CORNERS):
-            self._show_step(context)
+        self._marks.append(region_2d_to_origin_3d(region, view, position) + ray)
+        self.overlay.segments = [self._marks]
+        if len(self._corners) < CORNERS:
             return {"RUNNING_MODAL"}
-        self._end(context, set())
+        self.on_end()
         splats.select_only(context, [self._run])
         call_operator(
             "find_color_chart", "INVOKE_DEFAULT", marked=color_chart.marked_corners(self._camera, self._corners)
         )
         return {"FINISHED"}
 
-    def cancel(self, context: bpy.types.Context) -> None:
-        """End; Blender calls this when it removes the operator, also when it opens another file."""
+    def on_end(self) -> None:
+        """Show the scene as before."""
+        # Another file may have been opened.
         with contextlib.suppress(ReferenceError):
-            self._end(context, set())
-
-    def _show_step(self, context: bpy.types.Context) -> None:
-        present(context.workspace).status_text_set(
-            f"Click the {CORNERS[len(self._corners)]} outer corner of the chart's corner patches, going around it; "
-            "Escape: cancel"
-        )
-
-    def _end(self, context: bpy.types.Context, result: OperatorResult) -> OperatorResult:
-        for photo, alpha, depth in self._photos:
-            photo.alpha, photo.display_depth = alpha, depth
-        for obj in self._hidden:
-            obj.hide_set(False)
-        present(context.workspace).status_text_set(None)
-        present(context.window).cursor_modal_restore()
-        return result
+            for photo, alpha, depth in self._photos:
+                photo.alpha, photo.display_depth = alpha, depth
+            for obj in self._hidden:
+                obj.hide_set(False)
 
 
 def _photo_camera(context: bpy.types.Context) -> bpy.types.Object | None:

@@ -8,7 +8,7 @@ from mathutils import Vector
 
 from . import labels, splat_selection, splats
 from .lengths import length_text, position_text
-from .viewport_tool import Pixel, view_of
+from .viewport_tool import Pixel
 from .visibility import View
 
 PICK_RADIUS = 12.0
@@ -97,9 +97,3 @@ class Picker:
 def splat_objects(context: bpy.types.Context) -> list[bpy.types.Object]:
     """The visible splat objects."""
     return [obj for obj in context.visible_objects if splats.is_splats(obj)]
-
-
-def splat_at(context: bpy.types.Context, region: bpy.types.Region, position: Pixel) -> Vector | None:
-    """Centre, in Blender's world, of the splat under a position (pixels of the region); None where there is none."""
-    reading = Picker(splat_objects(context), view_of(region)).at(position)
-    return reading.position if reading else None

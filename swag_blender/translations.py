@@ -667,6 +667,12 @@ GERMAN = {
     "Click two points of the splats to see their distance in the scene's unit": (
         "Zwei Punkte der Splats anklicken, um ihren Abstand in der Einheit der Szene zu sehen"
     ),
+    "Click the outer corners of the chart's four corner patches, going around it; Escape: cancel": (
+        "Reihum die äußeren Ecken der vier Eckfelder der Farbtafel anklicken; Escape: abbrechen"
+    ),
+    "Click two points whose distance you know; Escape: cancel": (
+        "Zwei Punkte anklicken, deren Abstand bekannt ist; Escape: abbrechen"
+    ),
     "Click two points to measure their distance; Escape: end": (
         "Zwei Punkte anklicken, um ihren Abstand zu messen; Escape: beenden"
     ),

@@ -100,9 +100,10 @@ _handlers: list[Any] = []
 class ViewportTool(bpy.types.Operator):
     """Operator that the user works with by the pointer in a 3D viewport until it ends.
 
-    It gives `hint` (for the status bar) and `on_event`, and may give `on_escape`. A press of the left mouse button ends
-    no selection tool: Blender must not free an operator while it is called. Events outside the viewport, and
-    those that `on_event` passes through, reach Blender: the view can be turned and the sidebar used meanwhile.
+    It gives `hint` (for the status bar) and `on_event`, and may give `on_escape` and `on_end`. A press of the left
+    mouse button ends no selection tool: Blender must not free an operator while it is called. Events outside the
+    viewport, and those that `on_event` passes through, reach Blender: the view can be turned and the sidebar used
+    meanwhile.
     """
 
     wait_for_input: Annotated[
@@ -136,6 +137,9 @@ class ViewportTool(bpy.types.Operator):
     def on_escape(self, context: bpy.types.Context) -> OperatorResult:
         """Handle Escape or the right mouse button; returns how the tool ended."""
         return {"CANCELLED"}
+
+    def on_end(self) -> None:
+        """Put back what the tool changed for as long as it is used."""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Start the tool in the viewport that the button belongs to."""
@@ -171,6 +175,7 @@ class ViewportTool(bpy.types.Operator):
         self._finish(context, {"CANCELLED"})
 
     def _finish(self, context: bpy.types.Context, result: OperatorResult) -> OperatorResult:
+        self.on_end()
         if self._handler in _handlers:
             _handlers.remove(self._handler)
             bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
