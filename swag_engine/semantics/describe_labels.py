@@ -1,10 +1,12 @@
-"""Names of labels that nobody named: the color without the water, and the place in the photos."""
+"""Names of labels that nobody named: the color without the water, its tone, and the place in the photos."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..base.color_difference import lab
 from ..splats.splats import Splats
 from ..splats.transform import C0
 from .embed import nearest_color
@@ -12,6 +14,24 @@ from .regions import SceneRegions
 
 SIDE = 0.1
 """Distance from the middle of the photos, as a fraction of their width or height, beyond which a place has a side."""
+
+TONE = 6.0
+"""Difference in lightness (L* of CIELAB) from the mean of the labels of a color beyond which one is dark or light."""
+
+
+@dataclass(frozen=True)
+class Description:
+    """What is seen of a label.
+
+    Attributes:
+        color: name of its color.
+        lightness: L* of CIELAB.
+        place: where it is in the photos, in words.
+    """
+
+    color: str
+    lightness: float
+    place: str
 
 
 def describe_labels(regions: SceneRegions, splats: Splats, labels: np.ndarray) -> SceneRegions:
@@ -23,7 +43,7 @@ def describe_labels(regions: SceneRegions, splats: Splats, labels: np.ndarray) -
         labels: Number (N,) of the label of each splat.
 
     Returns:
-        The regions with names such as "brown", or "brown, top left" where several are brown.
+        The regions with names such as "brown", or "dark brown" and "brown, top left" where several are brown.
     """
     colors = np.clip(splats.sh[:, 0] * C0 + 0.5, 0, 1)
     if splats.development is not None and not splats.development.applied:
@@ -34,33 +54,46 @@ def describe_labels(regions: SceneRegions, splats: Splats, labels: np.ndarray) -
     for number in chosen:
         own = labels == number
         weights = splats.opacities[own] * np.maximum(splats.scales[own].mean(1), 1e-9) ** 2
+        place = _place(regions.maps, number)
         if weights.sum() > 0:
-            color = nearest_color(np.average(colors[own], axis=0, weights=weights))
-            described[number] = color, _place(regions.maps, number)
+            color = np.average(colors[own], axis=0, weights=weights)
+            described[number] = Description(nearest_color(color), float(lab(color)[0]), place)
         else:
-            described[number] = regions.labels[number - 1].rstrip(" 0123456789"), _place(regions.maps, number)
+            described[number] = Description(regions.labels[number - 1].rstrip(" 0123456789"), 0.0, place)
     names = unique_names(list(described.values()), taken)
     renamed = dict(zip(described, names, strict=True))
     return replace(regions, labels=tuple(renamed.get(i, label) for i, label in enumerate(regions.labels, start=1)))
 
 
-def unique_names(described: Sequence[tuple[str, str]], taken: set[str]) -> list[str]:
-    """Return a name for each label: its color, with its place where that is needed, and else with a number.
+def unique_names(described: Sequence[Description], taken: set[str]) -> list[str]:
+    """Return a name for each label: its color, with tone and place where these are needed, and else with a number.
 
     Args:
-        described: Color and place of each label, the largest one first.
+        described: What is seen of each label, the largest one first.
         taken: Names of other labels.
     """
-    names: list[str] = []
-    colors = [color for color, _ in described]
-    for color, place in described:
-        wanted = color if colors.count(color) == 1 and color not in taken else f"{color}, {place}"
-        name, number = wanted, 1
-        while name in taken or name in names:
+    toned = [_with_tone(one, described) for one in described]
+    choices = [
+        [one.color for one in described],
+        toned,
+        [f"{tone}, {one.place}" for tone, one in zip(toned, described, strict=True)],
+    ]
+    counts = [Counter(names) for names in choices]
+    found: list[str] = []
+    for row in zip(*choices, strict=True):
+        free = [name for name, count in zip(row, counts, strict=True) if count[name] == 1 and name not in taken]
+        name, number = free[0] if free else row[-1], 1
+        while name in taken or name in found:
             number += 1
-            name = f"{wanted} ({number})"
-        names.append(name)
-    return names
+            name = f"{row[-1]} ({number})"
+        found.append(name)
+    return found
+
+
+def _with_tone(one: Description, described: Sequence[Description]) -> str:
+    """Return the color of a label with "dark" or "light" where it differs from others of that color."""
+    apart = one.lightness - np.mean([other.lightness for other in described if other.color == one.color])
+    return f"dark {one.color}" if apart < -TONE else f"light {one.color}" if apart > TONE else one.color
 
 
 def _place(maps: Mapping[str, np.ndarray], number: int) -> str:

@@ -11,7 +11,7 @@ from swag_engine.base.errors import InputError
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import Scene, load_scene
 from swag_engine.scene.images import TrainingImage, load_images
-from swag_engine.semantics.describe_labels import describe_labels, unique_names
+from swag_engine.semantics.describe_labels import Description, describe_labels, unique_names
 from swag_engine.semantics.embed import Descriptor, Projection
 from swag_engine.semantics.masks import MaskFolder
 from swag_engine.semantics.regions import Region, SceneRegions, find_regions, flatten_regions
@@ -311,6 +311,7 @@ def test_labels_without_a_name_get_the_color_without_water_and_a_place():
     )  # fmt: skip
     named = describe_labels(regions, splats, np.arange(1, 5))
     assert named.labels == ("brown, top left", "brown, bottom right", "white", "coral")
-    assert unique_names([("red", "top"), ("red", "top"), ("red", "left")], {"red, left"}) == [
-        "red, top", "red, top (2)", "red, left (2)",
+    reds = [Description("red", light, place) for light, place in ((50, "top"), (52, "top"), (48, "left"), (30, "left"))]
+    assert unique_names([*reds, Description("red", 70, "top")], {"red, left"}) == [
+        "red, top", "red, top (2)", "red, left (2)", "dark red", "light red",
     ]  # fmt: skip
