@@ -16,7 +16,7 @@ Files in DIR:
     masks/NAME.png        black where a moving object is, white elsewhere, for the images that have one
     truth.json            every coefficient and setting
 
-The scene in the repository has clean images in steps of 4 of 255 and ranges in steps of 8 mm, which makes it smaller.
+The scene in the repository has clean images in steps of 4 of 255 and ranges in steps of 16 mm, which makes it smaller.
 """
 
 import json
