@@ -252,7 +252,7 @@ class RunFolder:
     def _ended(self, name: str, kind: type) -> Any:
         value = read_json(self.metrics, "").get(name)
         if type(value) is not kind:
-            raise InputError(f"{self.metrics} is damaged: {name} is {value!r}; remove the file to go on with the run.")
+            raise InputError(f"{self.metrics} is damaged: {name} is {value!r}; remove the file to continue the run.")
         return value
 
     def log_until(self, iteration: int) -> None:

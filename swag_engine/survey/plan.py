@@ -83,7 +83,7 @@ def plan_survey(
 
 def _check_empty(out: Path) -> None:
     if SurveyFolder(out).survey.exists():
-        raise InputError(f"{out} is planned already: go on with its blocks, or give a new folder.")
+        raise InputError(f"{out} is planned already: run its blocks, or give a new folder.")
     if any(entry.name != LOCK for entry in out.iterdir()):
         raise InputError(f"{out} is not empty: give a new folder for the survey.")
 

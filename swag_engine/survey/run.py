@@ -22,7 +22,7 @@ from .executors.protocol import Ended, Executor, Job
 from .job import check_engine
 
 ATTEMPTS = 3
-"""Attempts of a block in which it gets no further than before; then it is left, and the others go on."""
+"""Attempts of a block in which it gets no further than before; then it is left, and the others continue."""
 REFRESH_SECONDS = 1.0
 """Time between two reports."""
 RECHECK_SECONDS = 30.0
@@ -48,7 +48,7 @@ def run_survey(
 
     Returns:
         {"survey", "interrupted", "exit_code", "seconds", "done", "blocks", "sentences"}. `exit_code` is 0 where all is
-        done and 2 otherwise. `blocks` is as above. `sentences` says for each failed block how to go on.
+        done and 2 otherwise. `blocks` is as above. `sentences` says for each failed block how to continue.
 
     Raises:
         InputError: If the folder is not a survey, it was planned by another version of the engine, or the executor has
@@ -239,7 +239,7 @@ class _SurveyRun:
         }
 
     def _sentence(self, name: str) -> str:
-        """Say why a job was given up, and how to go on."""
+        """Say why a job was given up, and how to continue."""
         record = self._records[name]
         what = "The coarse model" if name == COARSE else f"Seam {name}" if name.startswith("S-") else f"Block {name}"
         times = "at the first attempt" if record.attempts == 1 else f"in {record.attempts} attempts"
