@@ -108,7 +108,7 @@ def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings
         development = colors.color_view(present(context.scene), obj).at(settings.options.water)
         part = (bake_development if settings.develop else name_development)(part, development)
         parts.append(transformed(part, to_file @ placement))
-    joined = replace(require_splats(concatenate(parts)), placement=lies_at)
+    joined = _join(parts, objects[0], to_file, lies_at)
     cameras = []
     if settings.options.cameras:
         cameras = [transform_camera(camera, to_file) for camera in cameras_of(context, _roots(objects))]
@@ -141,14 +141,28 @@ def expected_size(context: bpy.types.Context, path: Path, settings: ExportSettin
     """Number of splats and size of the file that save_splats would write, or why it would refuse, in words."""
     try:
         objects = _chosen_objects(context, settings)
-        _, up, lies_at = _file_frame(objects, path, settings)
+        to_file, up, lies_at = _file_frame(objects, path, settings)
         # Frame and water change values, not their number: the size is found without them, which is quick.
         parts = [part for _, _, part in _selected_splats(context, objects, settings)]
-        joined = replace(require_splats(concatenate(parts)), placement=lies_at)
+        joined = _join(parts, objects[0], to_file, lies_at)
         size = find_format(require_parent(path)).size(path, joined, up, ())
     except InputError as error:
         return str(error)
     return f"{len(joined)} splats, {size / 1e6:.1f} MB"
+
+
+def _join(parts: list[Splats], first: bpy.types.Object, to_file: np.ndarray, lies_at: Placement | None) -> Splats:
+    """Join the splats of objects, which stay where they are to each other; the origin is that of the first object.
+
+    Raises:
+        InputError: there are none.
+    """
+    joined = replace(require_splats(concatenate(parts)), placement=lies_at)
+    if not lies_at:
+        linear = (to_file @ np.array(first.matrix_world, np.float64))[:3, :3]
+        x, y, z = (linear @ first.get(splats.ORIGIN_KEY, (0.0, 0.0, 0.0))).tolist()
+        joined.origin = x, y, z
+    return joined
 
 
 def _chosen_objects(context: bpy.types.Context, settings: ExportSettings) -> list[bpy.types.Object]:

@@ -28,6 +28,8 @@ from .nodes.splat_colors import BASE
 OWN_PREFIX = "swag:"
 SHAPED_AT = "swag_shaped_at"
 """Attribute with the positions for which sizes, rotations and harmonics are right; operators of Blender move others."""
+ORIGIN_KEY = "swag_origin"
+"""Property of splats far from the zero of their scene or file: what was subtracted from its coordinates, as doubles."""
 FILE_FRAME = Matrix.Rotation(math.radians(-90), 4, "X")
 """Matrix from file to Blender world without an imported scene: a PLY has y down, which viewers show upright."""
 _VALUE_PROPERTIES = ("color", "vector", "value")
@@ -112,6 +114,7 @@ def new_splat_object(
     """
     obj = bpy.data.objects.new(name, _pointcloud(name, splats))
     collection.objects.link(obj)
+    _remember_origin(obj, splats)
     obj.parent = parent
     splat_preview.ensure_modifier(obj)
     display.apply(obj)
@@ -120,12 +123,18 @@ def new_splat_object(
 
 def replace_splats(obj: bpy.types.Object, splats: Splats) -> None:
     """Give the object other splats (any number of them); transform, parent, modifiers and object name stay."""
+    _remember_origin(obj, splats)
     old = pointcloud_of(obj)
     if hasattr(old, "resize"):  # Blender 5.2 and later
         _fill(old, splats)
         mark_changed(old)
     else:
         _replace_data(obj, _pointcloud(old.name, splats))
+
+
+def _remember_origin(obj: bpy.types.Object, splats: Splats) -> None:
+    if any(splats.origin):
+        obj[ORIGIN_KEY] = list(splats.origin)
 
 
 def keep_splats(obj: bpy.types.Object, chosen: np.ndarray) -> None:

@@ -162,7 +162,7 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
     if options.water and scene:
         splats = with_water(splats, medium, [v.camera for v in scene.views], options.water, settings.metres_per_unit)
     splats = bake_development(name_development(splats, unapplied), development)
-    measured = read_georeference(scene_folder)
+    measured = read_georeference(scene_folder, splats.origin)
     metres = options.metres_per_unit or (measured.metres_per_unit if measured else settings.metres_per_unit)
     fixed_axes = "up" not in target.options
     # A format with fixed axes rotates the splats itself, from `up`.
@@ -180,7 +180,7 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
     rotation = into_file[:3, :3] / (metres or 1.0)
     if not np.array_equal(matrix, np.eye(4)):  # so that splats without a change stay the same to the bit
         splats = transformed(splats, matrix)
-    splats = replace(splats, placement=placement)
+    splats = replace(splats, placement=placement, origin=(0.0, 0.0, 0.0) if placement else splats.origin)
     cameras = [transform_camera(view.camera, matrix) for view in scene.views] if scene and options.cameras else []
     result: dict[str, Any] = {"out": str(out), "splats": len(splats), "files": [], "notes": []}
     result["development"] = development.to_json()
@@ -189,6 +189,9 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
         return result
     target.write(out, splats, up, cameras)
     result["notes"] = target.notes(splats)
+    if any(splats.origin):
+        far = " ".join(f"{value:.15g}" for value in splats.origin)
+        result["notes"].append(f"Coordinates in the file are relative to {far}, which it names as origin.")
     if splats.development and splats.development.applied:
         done = replace(development, knee=1.0).to_text()
         how = remedy("--develop none", "Development: None in the panel Color")

@@ -20,11 +20,11 @@ from ..base.files import atomic_path
 from ..base.strict_json import from_json
 from ..base.transfer import srgb_to_linear
 from ..scene.cameras import Camera
-from ..scene.georeference import Placement
 from ..splats.development import SplatDevelopment
 from ..splats.splats import Splats, clean_splats, concatenate
 from ..splats.transform import C0, quaternions, rotation_matrices, rotation_to_y_up, transformed
 from .export_format import Direction, ExportFormat
+from .place import place_from_json, place_to_json
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +59,8 @@ def write_glb(path: Path, splats: Splats, up: Direction = COLMAP_UP, cameras: Se
     """Write splats as a GLB of their own degree. The file is whole or absent.
 
     The extras of the asset say where splats with a placement lie (`crs`, `offset`, in the axes of the splats: metres
-    with z up), and `development` there holds what `SplatDevelopment.to_json` returned.
+    with z up), `origin` is that of the splats in their axes, and `development` there holds what
+    `SplatDevelopment.to_json` returned.
 
     COLOR_0 holds the constant color as linear light, for programs that cannot show splats. Extras become attributes
     `_NAME` in upper case: integers within 16 bits as such, other numbers as float32.
@@ -121,7 +122,7 @@ def _assemble(path: Path, splats: Splats, up: Direction, cameras: Sequence[Camer
         "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
     }
     asset: dict[str, Any] = {"version": "2.0", "generator": "SWAG Splatting"}
-    extras: dict[str, Any] = splats.placement.to_json() if splats.placement else {}
+    extras = place_to_json(splats)
     if splats.development:
         extras["development"] = splats.development.to_json()
     if extras:
@@ -211,7 +212,7 @@ def read_glb(path: Path, up: Direction = COLMAP_UP) -> Splats:
     from_y_up = np.eye(4)
     try:
         document, binary = _chunks(path)
-        placement = _placement(document)
+        placement, origin = place_from_json(document.get("asset", {}).get("extras"))
         from_y_up[:3, :3] = (rotation_to_y_up(Z_UP) if placement else to_y_up).T
         parts = []
         size = 0
@@ -219,7 +220,7 @@ def read_glb(path: Path, up: Direction = COLMAP_UP) -> Splats:
             size += _attribute_bytes(document, primitive)
             if size > MAX_COPIES * len(binary):
                 raise ValueError("more splats than the file can hold")
-            part = _splats(path, document, binary, primitive)
+            part = replace(_splats(path, document, binary, primitive), origin=origin)
             matrix = from_y_up @ world
             parts.append(part if np.allclose(matrix, np.eye(4), rtol=0, atol=1e-9) else transformed(part, matrix))
     except OSError as error:
@@ -230,14 +231,6 @@ def read_glb(path: Path, up: Direction = COLMAP_UP) -> Splats:
         raise InputError(f"{path} holds no Gaussian splats ({EXTENSION}).")
     splats = concatenate(parts)
     return replace(splats, placement=placement, development=_development(document))
-
-
-def _placement(document: dict[str, Any]) -> Placement | None:
-    """Return what the asset's extras say of where the splats lie, None for those of other programs."""
-    try:
-        return Placement.from_json(document["asset"]["extras"])
-    except (KeyError, TypeError, ValueError):
-        return None
 
 
 def _development(document: dict[str, Any]) -> SplatDevelopment | None:

@@ -2,7 +2,8 @@
 
 Binary little-endian, one element `vertex`: x y z nx ny nz f_dc_0..2 f_rest_0.. (all of R, then G, then B) opacity
 (logit) scale_0..2 (natural logarithm) rot_0..3 (wxyz), then the extras under their own names and types. The comments
-`crs NAME` and `crs_offset X Y Z` say where splats with a placement lie: offset + position, z up, in metres. Comments
+`crs NAME` and `crs_offset X Y Z` say where splats with a placement lie: offset + position, z up, in metres. A comment
+`origin X Y Z` says what was subtracted from coordinates that were too large for float32. Comments
 `development_NAME NUMBERS` have the values of `SplatDevelopment.to_json`: 1 or 0 for `applied`, a matrix row by row.
 """
 
@@ -12,17 +13,19 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from math import isqrt
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..base.local_origin import local_origin
 from ..scene.georeference import Placement
 from ..splats.development import SplatDevelopment
 from ..splats.splats import Splats, clean_splats
 from .compressed_ply import WORDS, unpack
 from .export_format import ExportFormat
+from .place import place_from_json, place_to_json
 
 log = logging.getLogger(__name__)
 
@@ -129,7 +132,7 @@ def _layout(path: Path, splats: Splats, count: int) -> tuple[bytes, np.dtype, di
     extras = {name: _storable(path, name, values) for name, values in splats.extras.items()}
     if taken := [name for name in extras if name in names or not name or len(name.split()) != 1]:
         raise InputError(f"Cannot write {path}: a PLY cannot hold a property of the name '{taken[0]}'; rename it.")
-    comments = _placement_comments(splats.placement) + _development_comments(splats.development)
+    comments = _place_comments(splats) + _development_comments(splats.development)
     header = ["ply", "format binary_little_endian 1.0", *comments]
     header += [f"element vertex {count}"]
     header += [f"property float {name}" for name in names]
@@ -198,6 +201,7 @@ def _read(path: Path, file: BinaryIO) -> Splats:
 
     read_rows = _row_reader(path, file, order, elements, vertex)
     count = vertex.count
+    positions = np.empty((count, 3), np.float64)
     base = np.empty((count, len(BASE)), np.float32)
     rotations = np.empty((count, 4), np.float32)
     sh = np.empty((count, coefficients, 3), np.float32)
@@ -207,7 +211,7 @@ def _read(path: Path, file: BinaryIO) -> Splats:
         part = slice(start, min(start + BLOCK, count))
         rows = read_rows(part.stop - start)
         for column, name in enumerate(BASE):
-            base[part, column] = rows[name]
+            (positions if column < 3 else base)[part, column] = rows[name]
         for column, name in enumerate(ROTATION):
             rotations[part, column] = rows[name]
         for i in range(1, coefficients):
@@ -218,27 +222,37 @@ def _read(path: Path, file: BinaryIO) -> Splats:
     sh[:, 0] = base[:, 3:6]
     opacities = 1 / (1 + np.exp(-base[:, 6].astype(np.float64)))
     scales = np.exp(base[:, 7:].astype(np.float64)).astype(np.float32)
-    positions = np.ascontiguousarray(base[:, :3])
-    splats = Splats(positions, rotations, scales, opacities.astype(np.float32), sh, extras)
-    splats = replace(splats, placement=_placement(comments), development=_development(comments))
-    return clean_splats(splats, path)
+    placement, origin = _place(comments)
+    finite = np.isfinite(positions).all(axis=1)
+    if dict(vertex.properties)["x"] == "f8" and finite.any():
+        own = local_origin(positions[finite])
+        positions -= own
+        x, y, z = (own + origin).tolist()
+        origin = x, y, z
+    splats = Splats(positions.astype(np.float32), rotations, scales, opacities.astype(np.float32), sh, extras)
+    return clean_splats(replace(splats, placement=placement, development=_development(comments), origin=origin), path)
 
 
-def _placement_comments(placement: Placement | None) -> list[str]:
+def _place_comments(splats: Splats) -> list[str]:
     """Return the lines of a header that say where the splats lie; doubles are written so that they are read back."""
-    if not placement:
-        return []
-    crs = [f"comment crs {placement.crs}"] if placement.crs else []
-    return [*crs, "comment crs_offset " + " ".join(map(repr, placement.offset))]
+    place = place_to_json(splats)
+    words = {"crs": [place.get("crs")], "crs_offset": place.get("offset"), "origin": place.get("origin")}
+    return [
+        " ".join(["comment", name, *map(str, values)])
+        for name, values in words.items()
+        if values and values[0] is not None
+    ]
 
 
-def _placement(comments: dict[str, list[str]]) -> Placement | None:
+def _place(comments: dict[str, list[str]]) -> tuple[Placement | None, tuple[float, float, float]]:
     """Return what the comments of a header say of where the splats lie, by the first word of each."""
-    try:
-        crs = comments["crs"][0] if "crs" in comments else None
-        return Placement.from_json({"crs": crs, "offset": [float(word) for word in comments["crs_offset"]]})
-    except (KeyError, IndexError, ValueError):
-        return None
+    document: dict[str, Any] = {"crs": comments["crs"][0] if comments.get("crs") else None}
+    for name, key in (("crs_offset", "offset"), ("origin", "origin")):
+        try:
+            document[key] = [float(word) for word in comments.get(name, ())]
+        except ValueError:
+            continue
+    return place_from_json(document)
 
 
 def _development_comments(development: SplatDevelopment | None) -> list[str]:

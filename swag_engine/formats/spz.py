@@ -35,6 +35,7 @@ from ..splats.splats import Splats, clean_splats
 from ..splats.transform import rotation_to_y_up, transformed
 from .export_format import Direction, ExportFormat
 from .gltf import COLMAP_UP, Z_UP, up_of
+from .place import place_from_json, place_to_json
 
 log = logging.getLogger(__name__)
 
@@ -109,7 +110,8 @@ class Header:
 def write_spz(path: Path, splats: Splats, up: Direction = COLMAP_UP) -> None:
     """Write splats as an SPZ of version 4 of their own degree. The file is whole or absent.
 
-    SPZ has no place for where splats with a placement lie: that is written to NAME.scale.json beside the file.
+    SPZ has no place for placement and origin of splats: they are written to NAME.scale.json beside the file, the
+    offset of the placement in metres with z up, the origin in the axes of the file.
 
     Numbers are rounded to the precision of the format, and those outside its range are set to its ends: f_dc within
     3.3, further coefficients within 1, standard deviations from 0.00005 to 380 units. Extras are left out.
@@ -127,9 +129,11 @@ def write_spz(path: Path, splats: Splats, up: Direction = COLMAP_UP) -> None:
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.writelines(parts)
     beside = _placement_path(path)
-    if splats.placement:
+    if place := place_to_json(splats):
+        if "origin" in place:
+            place["origin"] = (rotation_to_y_up(up_of(splats, up)) @ place["origin"]).tolist()
         with atomic_path(beside) as temporary:
-            temporary.write_text(to_json(splats.placement.to_json(), indent=2) + "\n", encoding="utf-8")
+            temporary.write_text(to_json(place, indent=2) + "\n", encoding="utf-8")
     else:
         beside.unlink(missing_ok=True)  # of an earlier file of this name
 
@@ -255,7 +259,7 @@ def read_spz(path: Path, up: Direction = COLMAP_UP) -> Splats:
     if header.degree > 3:
         log.warning("%s: spherical harmonics above degree 3 were dropped", path)
     splats = clean_splats(_splats(header, attributes), path)
-    placement = _placement(path)
+    placement, splats.origin = _place(path)
     turn = np.eye(4)
     turn[:3, :3] = rotation_to_y_up(Z_UP if placement else up).T @ axes
     splats = splats if np.array_equal(turn, np.eye(4)) else transformed(splats, turn)
@@ -268,12 +272,12 @@ def _placement_path(path: Path) -> Path:
     return path.with_suffix(".scale.json")
 
 
-def _placement(path: Path) -> Placement | None:
-    """Return where the splats of an SPZ lie, None without the file that says so or where it is another program's."""
+def _place(path: Path) -> tuple[Placement | None, tuple[float, float, float]]:
+    """Return placement and origin of the splats of an SPZ: none and zeros where no file beside it tells them."""
     try:
-        return Placement.from_json(from_json(_placement_path(path).read_text(encoding="utf-8")))
+        return place_from_json(from_json(_placement_path(path).read_text(encoding="utf-8")))
     except (OSError, ValueError):
-        return None
+        return place_from_json(None)
 
 
 def _header(path: Path, data: bytes) -> Header:

@@ -118,7 +118,7 @@ def _load_run(folder: Path, plane: str, direction: np.ndarray | None, water: flo
         raise InputError(f"The run {folder} has no result yet; {continue_run()}.")
     splats = read_ply(run.ply)
     development = run.color_view(develop).at(water)
-    measured = read_georeference(scene_folder)
+    measured = read_georeference(scene_folder, splats.origin)
     if water or plane == "fit":
         cameras = [view.camera for view in load_scene(scene_folder).views]
     if water:

@@ -5,13 +5,14 @@ import re
 import tempfile
 import unicodedata
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from ..base.errors import InputError, remedy
+from ..base.local_origin import local_origin
 from ..base.text import first_names
 from .cameras import Camera
 from .colmap_binary import PARTS, Features, check_file, copy_without_points, point_records
@@ -82,6 +83,8 @@ class Scene:
         up: Unit vector (3,) float64 in the world, that of `georeference` where it was measured (see `up_direction`).
         georeference: Scale, axes and coordinates, None where they were not measured.
         split_of_whole: Split of the views of a part of a larger scene; None for a whole scene.
+        origin: (3,) float64: what was subtracted from the coordinates of the model, such as those of UTM. All poses,
+            positions and `georeference` are for coordinates after that.
     """
 
     folder: Path
@@ -95,6 +98,7 @@ class Scene:
     up: np.ndarray
     georeference: Georeference | None = None
     split_of_whole: Split | None = None
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @property
     def split(self) -> Split:
@@ -141,6 +145,8 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
     model_folder, tables = _largest_model(folder, warnings)
     points, index_of = _usable_points(tables, model_folder, warnings)
 
+    origin = local_origin(points.positions)
+    points = replace(points, positions=points.positions - origin)
     model = tables.cameras
     images = [model.image(image_id) for image_id in model.reg_image_ids()]
     names = _image_names(model_folder, images)
@@ -158,6 +164,7 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
             paths[names[image.image_id]],
             lenses[image.camera_id],
             index_of(tables.observed[image.image_id]),
+            origin,
         )
         for image in images
         if names[image.image_id] in paths
@@ -182,7 +189,7 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
         )
 
     views.sort(key=lambda view: view.name)
-    georeference = read_georeference(scene_folder) if read_scale else None
+    georeference = read_georeference(scene_folder, origin) if read_scale else None
     if georeference and georeference.axes != "estimated":
         up = georeference.up
     else:
@@ -198,6 +205,7 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
         warnings=tuple(warnings),
         up=up,
         georeference=georeference,
+        origin=origin,
     )
 
 
@@ -465,11 +473,14 @@ def _usable_points(
     return points, rows
 
 
-def _view(image: pycolmap.Image, name: str, path: Path, lens: Lens, point_indices: np.ndarray) -> View:
+def _view(
+    image: pycolmap.Image, name: str, path: Path, lens: Lens, point_indices: np.ndarray, origin: np.ndarray
+) -> View:
     world_to_camera = np.eye(4)
     world_to_camera[:3] = image.cam_from_world().matrix()
     if not np.isfinite(world_to_camera).all():
         raise InputError(f"The COLMAP model's pose of {name} is not finite: reconstruct the scene again.")
+    world_to_camera[:3, 3] += world_to_camera[:3, :3] @ origin
     pinhole = lens.pinhole
     return View(
         camera=Camera(

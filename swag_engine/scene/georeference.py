@@ -4,7 +4,8 @@ numpy only, Blender imports it.
 """
 
 import math
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeGuard, get_args
 
@@ -18,6 +19,10 @@ Axes = Literal["estimated", "up", "full"]
 """What was measured: nothing (up is estimated from cameras and points), the up direction, or all directions."""
 FILE_NAME = "scale.json"
 """Name of the file in the folder of a scene."""
+FAR_FROM_ZERO = 1e4
+"""Coordinate in metres beyond which float32 is too coarse for a map."""
+Origin = Sequence[float] | np.ndarray
+"""Three doubles that were subtracted from coordinates."""
 OFFSET_SIZE = 1e12
 """Largest coordinate of an offset, metres; anything on Earth is within 1e8."""
 
@@ -92,6 +97,25 @@ class Georeference:
         """Up direction (3,) in the scene's coordinates, unit length."""
         return self.rotation[2]
 
+    def moved_by(self, origin: "Origin") -> "Georeference":
+        """Return the similarity for coordinates of the scene from which an origin (3,) was subtracted.
+
+        A local frame that is then far from its zero is moved, and its placement tells by how much. What was not
+        measured of its place is not changed.
+        """
+        if not np.any(origin):
+            return self
+        shift = self.metres_per_unit * self.rotation @ np.asarray(origin, np.float64)
+        if self.placement is None:
+            shift[: {"estimated": 3, "up": 2, "full": 0}[self.axes]] = 0
+        translation, placement = self.translation + shift, self.placement
+        if np.abs(translation).max() > FAR_FROM_ZERO and (placement or self.axes == "full"):
+            known = placement or Placement(None, (0.0, 0.0, 0.0))
+            whole = np.round(translation)
+            x, y, z = (np.array(known.offset) + whole).tolist()
+            translation, placement = translation - whole, Placement(known.crs, (x, y, z))
+        return replace(self, translation=translation, placement=placement)
+
     def to_json(self) -> dict[str, Any]:
         """Return the document of scale.json, which `from_json` reads."""
         document = asdict(self)
@@ -140,11 +164,12 @@ class Georeference:
         )
 
 
-def read_georeference(scene: Path) -> Georeference | None:
+def read_georeference(scene: Path, origin: Origin = (0.0, 0.0, 0.0)) -> Georeference | None:
     """Read scale.json of a scene.
 
     Args:
         scene: Folder of the scene.
+        origin: (3,) `Scene.origin`: what was subtracted from the coordinates that the result is for.
 
     Returns:
         The scale, None without the file.
@@ -154,7 +179,7 @@ def read_georeference(scene: Path) -> Georeference | None:
     """
     path = scene / FILE_NAME
     try:
-        return Georeference.from_json(from_json(path.read_text(encoding="utf-8")))
+        return Georeference.from_json(from_json(path.read_text(encoding="utf-8"))).moved_by(origin)
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
@@ -164,7 +189,9 @@ def read_georeference(scene: Path) -> Georeference | None:
 
 
 def write_georeference(scene: Path, georeference: Georeference) -> Path:
-    """Write scale.json to the folder of a scene and return its path; the file is whole or as it was.
+    """Write scale.json, which is for the coordinates of the COLMAP model, to the folder of a scene; return its path.
+
+    The file is whole or as it was.
 
     Raises:
         InputError: If the file cannot be written.

@@ -81,6 +81,7 @@ def write_part(path: Path, part: Scene) -> None:
         "lenses": [[lens.model, lens.width, lens.height, list(lens.params)] for lens in lenses],
         "split": [split.train, split.validation, split.test],
         "up": part.up.tolist(),
+        "origin": part.origin.tolist(),
     }
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         np.savez(
@@ -132,15 +133,15 @@ def read_part(path: Path, scene_folder: Path) -> Scene:
         )  # fmt: skip
         points = Points(*(arrays[name] for name in ("positions", "colors", "errors", "track_lengths")))
         split = Split(*(tuple(names) for names in about["split"]))
-        up, images, model = np.array(about["up"]), scene_folder / about["images"], scene_folder / about["model"]
+        up, origin = np.array(about["up"]), np.array(about["origin"])
+        images, model = scene_folder / about["images"], scene_folder / about["model"]
     except FileNotFoundError as error:
         raise InputError(f"{path} is missing: plan the survey again to a new folder.") from error
     except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(f"{path} is damaged ({error}): plan the survey again to a new folder.") from error
     _check_images(views, scene_folder)
-    return Scene(
-        scene_folder, images, model, views, points, len(views), (), (), up, read_georeference(scene_folder), split
-    )
+    measured = read_georeference(scene_folder, origin)
+    return Scene(scene_folder, images, model, views, points, len(views), (), (), up, measured, split, origin)
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -1,7 +1,7 @@
 """Files of a run's labels: labels.json for people and Blender, semantics.safetensors for searching."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +96,7 @@ def write_semantics(
     extras[LABEL] = labels
     if with_features:
         extras |= {f"feature_{i:02d}": np.ascontiguousarray(features[:, i]) for i in range(DIMENSIONS)}
-    labelled = Splats(splats.positions, splats.rotations, splats.scales, splats.opacities, splats.sh, extras)
+    labelled = replace(splats, extras=extras)
     agreement = assignment.agreement[assignment.labels > 0]
     document = {
         "labels": label_table(regions, labels, assignment.gains),

@@ -35,6 +35,8 @@ class Splats:
         placement: Where the positions lie on the Earth: they are then in metres with z up, and their coordinates are
             positions + offset in double precision. None in any other frame.
         development: Development of restored colors that a file of these splats names. None where it is not known.
+        origin: What was subtracted from the coordinates, three doubles: those of the scene or the file that the splats
+            are from are positions + origin. Zero unless they are far from zero.
 
     Raises:
         ValueError: If a shape or a dtype is another.
@@ -48,6 +50,7 @@ class Splats:
     extras: dict[str, np.ndarray] = field(default_factory=dict)
     placement: Placement | None = None
     development: SplatDevelopment | None = None
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         count = len(self.positions)
@@ -92,6 +95,7 @@ class Splats:
             {name: array[chosen] for name, array in self.extras.items()},
             self.placement,
             self.development,
+            self.origin,
         )
 
 
@@ -103,10 +107,12 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
 
     Returns:
         All splats; spherical harmonics and extras that a part lacks are zero for its splats. They have a placement, and
-        a development, where all parts have the same.
+        a development, where all parts have the same. Their origin is that of the first part.
     """
     if len(parts) == 1:
         return parts[0]
+    origin = np.array(parts[0].origin)
+    apart = [np.array(part.origin) - origin for part in parts]
     ends = np.cumsum([len(part) for part in parts])
     places = [slice(end - len(part), end) for end, part in zip(ends, parts, strict=True)]
     sh = np.zeros((ends[-1], max(part.sh.shape[1] for part in parts), 3), np.float32)
@@ -120,7 +126,7 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
         for name, values in part.extras.items():
             extras[name][place] = values
     return Splats(
-        np.concatenate([part.positions for part in parts]),
+        np.concatenate([part.positions + shift.astype("f4") for part, shift in zip(parts, apart, strict=True)]),
         np.concatenate([part.rotations for part in parts]),
         np.concatenate([part.scales for part in parts]),
         np.concatenate([part.opacities for part in parts]),
@@ -128,6 +134,7 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
         extras,
         parts[0].placement if all(part.placement == parts[0].placement for part in parts) else None,
         parts[0].development if all(part.development == parts[0].development for part in parts) else None,
+        parts[0].origin,
     )
 
 

@@ -25,7 +25,8 @@ def transformed(splats: Splats, matrix: np.ndarray) -> Splats:
         matrix: (4, 4), which multiplies column vectors from the left.
 
     Returns:
-        The transformed splats, with the same opacities, extras and development, and without a placement.
+        The transformed splats, with the same opacities, extras and development, and without a placement. Their
+        origin is transformed as a direction is.
 
     Raises:
         ValueError: If the matrix is not finite or not affine.
@@ -34,6 +35,7 @@ def transformed(splats: Splats, matrix: np.ndarray) -> Splats:
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or not np.allclose(matrix[3], (0, 0, 0, 1)):
         raise ValueError("a transform must be a finite affine matrix of shape (4, 4)")
     linear = matrix[:3, :3]
+    x, y, z = (linear @ splats.origin).tolist()
     positions = (splats.positions @ linear.T + matrix[:3, 3]).astype(np.float32)
     left, stretches, right = np.linalg.svd(linear)
     rotation = left @ right  # orthogonal; a reflection when the matrix mirrors
@@ -58,6 +60,7 @@ def transformed(splats: Splats, matrix: np.ndarray) -> Splats:
         (splats.sh.reshape(count, coefficients * 3) @ mixing.T).reshape(splats.sh.shape),
         splats.extras,
         development=splats.development,
+        origin=(x, y, z),
     )
 
 

@@ -171,6 +171,7 @@ def merged(splats: Splats, groups: np.ndarray) -> Splats:
         extras,
         splats.placement,
         splats.development,
+        splats.origin,
     )
     alone = sizes == 1
     for name in ("positions", "rotations", "scales", "opacities", "sh"):

@@ -12,6 +12,7 @@ import os
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -318,10 +319,11 @@ def _rows(splats: Splats) -> np.ndarray:
 
 
 def _splats(rows: np.ndarray, pattern: Splats) -> Splats:
-    """Return the splats of `_rows`, with the placement and the development of `pattern`."""
+    """Return the splats of `_rows`, with the placement, the development and the origin of `pattern`."""
     extras = {name: np.ascontiguousarray(rows[f"extra {name}"]) for name in pattern.extras}
     positions, rotations, scales, opacities, sh = (np.ascontiguousarray(rows[name]) for name in ARRAYS)
-    return Splats(positions, rotations, scales, opacities, sh, extras, pattern.placement, pattern.development)
+    bare = Splats(positions, rotations, scales, opacities, sh, extras)
+    return replace(bare, placement=pattern.placement, development=pattern.development, origin=pattern.origin)
 
 
 def _cell_name(cell: Cell) -> str:

@@ -711,6 +711,8 @@ class Trainer:
         state, up = self.state, self.inputs.scene.up
         cloud = without_haze(limit.apply(state.cloud) if limit else state.cloud, haze)
         splats = cloud.rows(slice(state.free_count)).to_splats()
+        x, y, z = self.inputs.scene.origin.tolist()
+        splats.origin = x, y, z
         if haze is not None and haze.any():
             splats.extras[HAZE] = to_numpy(haze[: state.free_count])
         if limit:
