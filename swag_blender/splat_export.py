@@ -160,6 +160,9 @@ def _join(parts: list[Splats], first: bpy.types.Object, to_file: np.ndarray, lie
     joined = replace(require_splats(concatenate(parts)), placement=lies_at)
     if not lies_at:
         linear = (to_file @ np.array(first.matrix_world, np.float64))[:3, :3]
+        # Blender's matrices are float32: what is off by that alone is a turn by quarters, which is exact.
+        quarters = np.round(linear)
+        linear = quarters if np.allclose(linear, quarters, rtol=0, atol=1e-6) else linear
         x, y, z = (linear @ first.get(splats.ORIGIN_KEY, (0.0, 0.0, 0.0))).tolist()
         joined.origin = x, y, z
     return joined

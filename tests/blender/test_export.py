@@ -41,6 +41,7 @@ def assert_same(a, b, tolerance=2e-5):
 def test_an_exported_file_has_the_imported_splats(blender, tmp_path, suffix):
     """Upright, in the scene's frame, after a second round, and across both formats."""
     made = some_splats()
+    made.origin = (3912345.25, 812345.5, 4954321.75)
     write_ply(tmp_path / "Riff ä.ply", made)
     blender.run("export.there_and_back", tmp_path, suffix)
     # The data of a GLB is y-up: its reader's default brings it into the PLY's frame.
@@ -48,6 +49,8 @@ def test_an_exported_file_has_the_imported_splats(blender, tmp_path, suffix):
     assert_same(read(tmp_path / f"upright.{suffix}"), made)
     assert_same(read(tmp_path / f"twice.{suffix}"), made)
     assert_same(read_ply(tmp_path / "scene.ply"), made)
+    for found in (read(tmp_path / f"twice.{suffix}"), read_ply(tmp_path / "scene.ply")):
+        assert np.allclose(found.origin, made.origin, rtol=0, atol=1e-8)
     assert len(read(tmp_path / f"both.{suffix}")) == 400
 
 
