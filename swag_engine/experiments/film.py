@@ -3,7 +3,7 @@
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from ..base.errors import InputError
 from ..base.files import atomic_path
 from ..base.transfer import srgb_to_linear
 from ..effects.scene_effects import SceneEffects
-from ..formats.camera_path import PathFrame
+from ..formats.camera_path import PathFrame, frames_near
 from ..formats.exr import write_exr, write_light_exr
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder, read_json
@@ -184,8 +184,10 @@ def film_run(
 
     Further arguments and the result are those of `render_film`.
     """
-    _, settings, _ = RunFolder(folder).read_config()
+    scene_folder, settings, _ = RunFolder(folder).read_config()
     model = film_model(None, folder)
+    with suppress(InputError):  # a film needs no photos
+        frames = frames_near(frames, load_scene(scene_folder, read_scale=False).origin)
     colors = color_view(folder, develop, model.cloud, model.effects)
     return render_film(model, out, frames, options, sh_degree=settings.sh_degree, colors=colors, **more)
 

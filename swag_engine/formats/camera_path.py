@@ -8,7 +8,7 @@ out.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,8 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..scene.cameras import Camera
+from ..scene.georeference import Origin
+from .cameras import transform_camera
 from .gltf import CAMERA_AXES
 from .run_folder import read_json, write_json
 
@@ -87,6 +89,19 @@ def read_camera_path(path: Path) -> list[PathFrame]:
         names.add(frame.camera.name.lower())
         frames.append(frame)
     return frames
+
+
+def frames_near(frames: Sequence[PathFrame], origin: Origin) -> list[PathFrame]:
+    """Return frames for coordinates from which an origin (3,) was subtracted; those that are so already stay as they are.
+
+    Paths that Blender writes are near zero, those of other programs have the coordinates of the COLMAP model.
+    """
+    middle = np.median([frame.camera.centre for frame in frames], axis=0)
+    if np.linalg.norm(middle) <= np.linalg.norm(middle - origin):
+        return list(frames)
+    moved = np.eye(4)
+    moved[:3, 3] = -np.asarray(origin)
+    return [replace(frame, camera=transform_camera(frame.camera, moved)) for frame in frames]
 
 
 def _read_frame(entry: dict[str, Any], number: int) -> PathFrame:

@@ -9,6 +9,8 @@ import pycolmap
 import pytest
 
 from swag_engine.base.local_origin import local_origin
+from swag_engine.formats.camera_path import PathFrame, frames_near
+from swag_engine.formats.cameras import transform_camera
 from swag_engine.formats.export import ExportOptions, export_run
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.registry import FORMATS
@@ -80,9 +82,20 @@ def test_a_far_scene_trains_as_well_and_its_files_say_where_it_lies(tiny_scene, 
     exported = read_ply(tmp_path / "out.ply")
     lengths = [np.linalg.norm(each.origin) for each in (exported, splats)]
     assert lengths[0] == pytest.approx(2 * lengths[1])
+    path = [PathFrame(load_scene(tmp_path / "far").views[0].camera)]
+    moved_path = [PathFrame(transform_camera(path[0].camera, _shift(origin)))]
+    for frames in (path, moved_path):
+        found = frames_near(frames, origin)[0].camera.world_to_camera
+        assert np.allclose(found, path[0].camera.world_to_camera, atol=1e-6)
     cameras = pycolmap.Reconstruction(str(next(path.parent for path in tmp_path.glob("out*/**/cameras.*"))))
     centres = [cameras.image(number).projection_center() for number in cameras.reg_image_ids()]
     assert np.abs(centres - np.median(exported.positions, axis=0)).max() < 20
+
+
+def _shift(origin):
+    matrix = np.eye(4)
+    matrix[:3, 3] = origin
+    return matrix
 
 
 @FAR
