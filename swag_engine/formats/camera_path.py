@@ -92,9 +92,9 @@ def read_camera_path(path: Path) -> list[PathFrame]:
 
 
 def frames_near(frames: Sequence[PathFrame], origin: Origin) -> list[PathFrame]:
-    """Return frames for coordinates from which an origin (3,) was subtracted; those that are so already stay as they are.
+    """Return frames for coordinates from which an origin (3,) was subtracted.
 
-    Paths that Blender writes are near zero, those of other programs have the coordinates of the COLMAP model.
+    Paths that Blender writes are so already and stay as they are; other programs write coordinates of the COLMAP model.
     """
     middle = np.median([frame.camera.centre for frame in frames], axis=0)
     if np.linalg.norm(middle) <= np.linalg.norm(middle - origin):
