@@ -187,7 +187,7 @@ class ImportCameras:
     out: Path
     """Folder of the new scene; it must not exist or be empty."""
     photos: Path | None = None
-    """Folder of the photos; that of the file without it."""
+    """Folder of the photos. Default: the folder of the camera file."""
     points: Path | None = None
     """PLY file of points in the coordinates of the cameras; without it the points of the file, or of the photos."""
     json: tyro.conf.FlagCreatePairsOff[bool] = False
@@ -965,7 +965,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run one command.
 
     Args:
-        arguments: Words of the command line; those of the process without it.
+        arguments: Words of the command line. Default: sys.argv.
 
     Returns:
         The exit code.
@@ -993,7 +993,7 @@ def main(arguments: list[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         return refuse_missing(error, arguments)
     except BrokenPipeError:
-        # Who reads the output, such as `head`, has enough of it. Python would print an error when it closes the rest.
+        # The reader of stdout (such as `head`) closed the pipe. Python would print an error when it closes the rest.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except SystemExit as usage:  # tyro has printed what is wrong

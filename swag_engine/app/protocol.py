@@ -181,7 +181,7 @@ class FilmRequest:
 
 @dataclass(frozen=True)
 class LabelRequest:
-    """Label the Gaussians of a run, without words, masks and saliency as the command `label` does.
+    """Label the Gaussians of a run. Without words, masks or saliency this does what `label` does.
 
     Attributes:
         run: Folder of the run.

@@ -300,7 +300,7 @@ class WeightedObservations:
             if family.lens:
                 columns += list((seen[:, None] * self.terms).T)
                 places += range(10, GAINS)
-            # The part of each column that a change of J would do as well is no change, where J is free to change. The
+            # Project out of each column what a change of J can explain, where J is free to change. The
             # residual has no such part: J is the best one.
             changes, weighted = np.array(columns).reshape(len(columns), len(seen)), weight * a
             along, free = self.sums @ (weighted * changes).T, (J_of_point > 0) / square

@@ -174,7 +174,7 @@ class ResidentGaussians:
         count: N.
         sizes: Numbers of a Gaussian by parameter name.
         learned: Learned numbers of water, lamp, gains and background.
-        pairs_guessed: Pairs of a Gaussian and a tile that there is room for at first, for each Gaussian.
+        pairs_guessed: Initial capacity of the tile lists, pairs per Gaussian.
         longest_list: Most pairs in one list.
     """
 

@@ -76,7 +76,7 @@ class NativeImage:
 
     Attributes:
         blended: (H, W, 3) the Gaussians over the background color, or over nothing where there is open water.
-        transmittance: (H, W) the part of what is behind that is seen.
+        transmittance: (H, W) transmittance.
         behind: (H, W, 3) open water; None without.
         radii: (N,) extent on screen, pixels, 0 where a Gaussian is not visible.
         offsets: (N, 3) from the camera to the Gaussians, scene units.

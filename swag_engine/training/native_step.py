@@ -229,5 +229,5 @@ def close_pixels(transmittance: Tensor, surface: Tensor, weight: float, by_alpha
 
 @lru_cache
 def constants(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Return numbers as a tensor that is not changed; to send them to a card waits for it, so that is done once."""
+    """Return numbers as a constant tensor. Uploading blocks until the card is idle, so upload once."""
     return torch.tensor(values, dtype=dtype, device=device)

@@ -22,7 +22,7 @@ from . import child
 from .protocol import BAD_INPUT, ROOT, Ended, Job, Machine, cores_for_each, result_of
 
 NODE_LOSSES = 20
-"""How often Ray starts a job again because its node is gone (spot machines); this is no failed attempt."""
+"""How often Ray starts a job again because its node is gone (spot machines); not counted as a failed attempt."""
 STORE_BYTES = 100 * 2**20
 """Shared memory of a cluster on this machine, bytes: only words travel through it; Ray takes no less than 75 MiB."""
 PORT = 6379

@@ -29,7 +29,7 @@ class Fit:
 
 
 ON_PROCESSOR = {"draft": Fit(1000, 32, 6.0), "standard": Fit(1500, 120, 4.0), "high": Fit(2000, 150, 3.0)}
-"""By preset: as long as there are few Gaussians, more of them gain more than more iterations do (docs/accuracy.md)."""
+"""By preset: with few Gaussians, adding Gaussians raises PSNR more than adding iterations (docs/accuracy.md)."""
 ON_CARD = {"draft": Fit(1000, 80, 3.0), "standard": Fit(1500, 120, 3.0), "high": Fit(2000, 200, 3.0)}
 """The same on a graphics card: large scenes in the literature have 1 to 5 million Gaussians."""
 MOST_GROWTH, MOST_ON_PROCESSOR = 3, 180_000
