@@ -70,7 +70,7 @@ FLAGS = {0: "no change told", 1: "higher", 2: "lower", 3: "color", 4: "label"}
 HEIGHT_FLAGS, LABEL = (1, 2), 4
 """Those of other heights and labels."""
 BEYOND_PHOTOS = {5: 1, 6: 2}
-"""Bits of other heights that are told without photos, with their flags: for places that photos cannot check."""
+"""Flags of height changes by the bits that mark them where no photo can check them."""
 GAIN = 0.1
 """By how much more alike the photos of a survey must be at its own heights than at those of the other survey. In 410
 true changes of trained surveys this was .1 to 1; where one survey was wrong by 3 to 9 pixels, its photos had -.4 to -1

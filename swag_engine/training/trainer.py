@@ -152,7 +152,9 @@ def make_trainer(
     part: Scene | None = None,
     whole: Whole | None = None,
 ) -> "Trainer":
-    """Create a trainer for a new run, or restore one from its last checkpoint; arguments and errors as of `train` and `Trainer`.
+    """Create a trainer for a new run, or restore one from its last checkpoint.
+
+    Arguments and errors are the same as for `train` and `Trainer`.
 
     With `part`, that part of the scene in the folder is trained, and nothing else of it is read.
     """

@@ -15,8 +15,6 @@ Files in DIR:
     labels/NAME.png       what each pixel shows: the number of a line in labels/labels.txt, counted from 1
     masks/NAME.png        black where a moving object is, white elsewhere, for the images that have one
     truth.json            every coefficient and setting
-
-The scene in the repository has clean images in steps of 4 of 255 and ranges in steps of 16 mm, which makes it smaller.
 """
 
 import json
