@@ -60,8 +60,8 @@ class ChartKind:
 @cache
 def chart_kinds() -> dict[str, ChartKind]:
     """Return the known charts by name; the colors are the CIE L*a*b* values that cv2.ccm has for D50, adapted."""
-    classic = _known_light(cv2.ccm.COLORCHECKER_Macbeth, 24)
-    large = _known_light(cv2.ccm.COLORCHECKER_DigitalSG, 140).reshape(14, 10, 3).transpose(1, 0, 2).reshape(-1, 3)
+    classic = _known_light(cv2.ccm.COLORCHECKER_MACBETH, 24)
+    large = _known_light(cv2.ccm.COLORCHECKER_DIGITAL_SG, 140).reshape(14, 10, 3).transpose(1, 0, 2).reshape(-1, 3)
     return {
         "24": ChartKind("24-patch color chart", 4, 6, cv2.mcc.MCC24, classic),
         "140": ChartKind("140-patch color chart", 10, 14, cv2.mcc.SG140, large),
@@ -72,7 +72,8 @@ def _known_light(chart: int, count: int) -> np.ndarray:
     """Read the linear light (N, 3) of a chart in cv2.ccm, where only a fit to measured colors gives it."""
     measured = np.linspace(0.2, 0.8, 3 * count).reshape(count, 1, 3)
     model = cv2.ccm.ColorCorrectionModel(measured, chart)
-    model.setColorSpace(cv2.ccm.COLOR_SPACE_sRGB)
+    opencv5 = hasattr(model, "compute")  # OpenCV 5 renamed three names of OpenCV 4
+    model.setColorSpace(cv2.ccm.COLOR_SPACE_SRGB if opencv5 else cv2.ccm.COLOR_SPACE_S_RGB)
     model.setSaturatedThreshold(-100.0, 100.0)  # it leaves out colors beyond these
-    model.run()
-    return np.clip(model.get_dst_rgbl()[:, 0], 0, 1)
+    (model.compute if opencv5 else model.run)()
+    return np.clip((model.getRefLinearRGB if opencv5 else model.get_dst_rgbl)()[:, 0], 0, 1)

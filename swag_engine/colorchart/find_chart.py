@@ -8,6 +8,7 @@ patches is the way up; patches that do not fit (covered, in shadow, mirroring) a
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import cv2
 import numpy as np
@@ -130,12 +131,22 @@ def _proposals(pixels: np.ndarray, kind: ChartKind) -> Iterator[np.ndarray]:
     equalised = cv2.cvtColor(lab, cv2.COLOR_LAB2RGB)
     for size in SEARCH_SIZES:
         for copy in (pixels, stretched, equalised):
-            parameters = cv2.mcc.DetectorParameters.create()
-            parameters.minImageSize = size
             detector = cv2.mcc.CCheckerDetector.create()
-            if detector.process(copy[..., ::-1].copy(), kind.opencv_detector, 3, False, parameters):
+            if _detect(detector, copy[..., ::-1].copy(), kind, size):
                 for chart in detector.getListColorChecker():
                     yield np.array(chart.getBox(), np.float64) + 0.5
+
+
+def _detect(detector: Any, pixels: np.ndarray, kind: ChartKind, size: int) -> bool:
+    """Search BGR pixels, made no smaller than `size`, for up to three charts, with OpenCV 4 or 5."""
+    opencv5 = hasattr(detector, "setDetectionParams")
+    parameters = cv2.mcc.DetectorParametersMCC() if opencv5 else cv2.mcc.DetectorParameters.create()
+    parameters.minImageSize = size
+    if not opencv5:
+        return detector.process(pixels, kind.opencv_detector, 3, False, parameters)
+    detector.setDetectionParams(parameters)
+    detector.setColorChartType(kind.opencv_detector)
+    return detector.process(pixels, 3)
 
 
 def _place(kind: ChartKind, corners: np.ndarray, points: np.ndarray) -> np.ndarray:
