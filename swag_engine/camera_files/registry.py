@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.foreign_files import refuse_foreign
 from . import bundler, metashape, nerf_transforms, openmvg, opensfm, realityscan_csv, realityscan_xmp
 from .camera_file import CameraFile, FileCamera
 from .source import Source
@@ -53,8 +54,10 @@ def read_camera_file(path: Path) -> CameraFile:
     if path.is_dir():
         inside = [path / name for name in _IN_FOLDERS if (path / name).is_file()]
         if not inside:
+            refuse_foreign(path)
             raise InputError(f"There is no file of cameras in {path}: choose the file itself.")
         path = inside[0]
+    refuse_foreign(path)
     source = Source(path)
     found = next((entry for entry in FORMATS.values() if entry.recognise(source)), None)
     if found is None:

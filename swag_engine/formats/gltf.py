@@ -63,7 +63,7 @@ def write_glb(path: Path, splats: Splats, up: Direction = COLMAP_UP, cameras: Se
     `SplatDevelopment.to_json` returned.
 
     COLOR_0 holds the constant color as linear light, for programs that cannot show splats. Extras become attributes
-    `_NAME` in upper case: integers within 16 bits as such, other numbers as float32.
+    `_NAME` in upper case: integers within 16 bits as such, other numbers as finite float32 (a NaN as 0).
 
     Args:
         path: File to write.
@@ -256,7 +256,8 @@ def _attributes(path: Path, splats: Splats) -> Iterator[tuple[str, tuple[np.ndar
     if len({name.upper() for name in splats.extras}) != len(splats.extras):
         raise InputError(f"Cannot write {path}: two properties differ only in case: {', '.join(splats.extras)}.")
     for name, values in splats.extras.items():
-        array, component = values.astype("<f4"), FLOAT
+        with np.errstate(over="ignore"):
+            array, component = np.nan_to_num(values.astype("<f4")), FLOAT  # glTF forbids other numbers
         if values.dtype.kind != "f":
             lowest, highest = int(values.min()), int(values.max())
             if lowest >= -(2**15) and highest < (2**16 if lowest >= 0 else 2**15):

@@ -19,10 +19,12 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..base.foreign_files import refuse_foreign
 from ..base.local_origin import local_origin
 from ..scene.georeference import Placement
 from ..splats.development import SplatDevelopment
 from ..splats.splats import Splats, clean_splats
+from ..splats.transform import C0
 from .compressed_ply import WORDS, unpack
 from .export_format import ExportFormat
 from .place import place_from_json, place_to_json
@@ -41,6 +43,14 @@ TYPE_NAMES = {code: name for name, code in reversed(TYPES.items())}
 BASE = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2")
 ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 NORMAL = ("nx", "ny", "nz")
+COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
+PLAIN_COLORS = (("red", "green", "blue"), ("r", "g", "b"))
+"""Properties of plain colors, which are read where f_dc is missing: 0..1, 0..255 or 0..65535."""
+FILTER = "filter_3D"
+"""Standard deviation of the 3D smoothing filter of Mip-Splatting (Yu et al. 2024, arXiv 2311.16493, equation 9), which
+widens Gaussians and lowers their opacities; world units."""
+FLATNESS = 1e-3
+"""Thickness of a 2D Gaussian, which has two scales, over the smaller of them."""
 BLOCK = 8192
 """Rows read or written at a time: few enough to stay in the processor's cache, which makes column access fast."""
 MAX_HEADER = 1 << 20
@@ -149,9 +159,11 @@ def _layout(path: Path, splats: Splats, count: int) -> tuple[bytes, np.dtype, di
 def read_ply(path: Path) -> Splats:
     """Read a 3DGS PLY: ASCII or binary of either byte order, any order and type of properties, degree 0 to 3.
 
-    The compressed PLY of SuperSplat is read too. Normals are dropped, other properties become extras of their own
-    dtype, degrees above 3 are dropped with a warning. Quaternions are normalised; splats with a NaN or an infinity are
-    dropped with a warning (an infinite logit is an opacity of 0 or 1 and is kept).
+    The compressed PLY of SuperSplat is read too. Plain colors stand in for a missing f_dc, a Gaussian with two scales
+    is flat, one with a single scale is a sphere, and the 3D filter of Mip-Splatting is applied. Normals are dropped,
+    other properties become extras of their own dtype, degrees above 3 are dropped with a warning. Quaternions are
+    normalised; splats with a NaN or an infinity are dropped with a warning (an infinite logit is an opacity of 0 or 1
+    and is kept).
 
     Args:
         path: The file.
@@ -164,6 +176,7 @@ def read_ply(path: Path) -> Splats:
     """
     try:
         with open(path, "rb") as file:
+            refuse_foreign(path)
             return _read(path, file)
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
@@ -182,7 +195,7 @@ class _Element:
 
 def _read(path: Path, file: BinaryIO) -> Splats:
     order, elements, comments = _read_header(path, file)
-    vertex = _splat_element(path, elements)
+    vertex, sources = _splat_element(path, elements)
     if vertex.is_packed:
         return _read_packed(path, file, order, elements)
     names = [name for name, _ in vertex.properties]
@@ -203,25 +216,36 @@ def _read(path: Path, file: BinaryIO) -> Splats:
     count = vertex.count
     positions = np.empty((count, 3), np.float64)
     base = np.empty((count, len(BASE)), np.float32)
-    rotations = np.empty((count, 4), np.float32)
+    rotations = np.zeros((count, 4), np.float32)
     sh = np.empty((count, coefficients, 3), np.float32)
-    known = {*BASE, *ROTATION, *NORMAL, *(f"f_rest_{i}" for i in range(rest))}
+    known = {*sources.values(), *NORMAL, *(f"f_rest_{i}" for i in range(rest))}
     extras = {name: np.empty(count, code) for name, code in vertex.properties if name not in known}
     for start in range(0, count, BLOCK):
         part = slice(start, min(start + BLOCK, count))
         rows = read_rows(part.stop - start)
         for column, name in enumerate(BASE):
-            (positions if column < 3 else base)[part, column] = rows[name]
+            (positions if column < 3 else base)[part, column] = rows[sources[name]]
         for column, name in enumerate(ROTATION):
-            rotations[part, column] = rows[name]
+            if name in sources:
+                rotations[part, column] = rows[name]
         for i in range(1, coefficients):
             for channel in range(3):
                 sh[part, i, channel] = rows[f"f_rest_{channel * per_channel + i - 1}"]
         for name, values in extras.items():
             values[part] = rows[name]
     sh[:, 0] = base[:, 3:6]
+    if sources["f_dc_0"] != "f_dc_0":
+        is_float = dict(vertex.properties)[sources["f_dc_0"]].startswith("f")
+        sh[:, 0] = (sh[:, 0] / _white(sh[:, 0], is_float) - 0.5) / C0
     opacities = 1 / (1 + np.exp(-base[:, 6].astype(np.float64)))
-    scales = np.exp(base[:, 7:].astype(np.float64)).astype(np.float32)
+    scales = np.exp(base[:, 7:].astype(np.float64))
+    axes = 2 if sources["scale_2"] == "scale_1" else 3
+    if FILTER in extras:
+        wide = np.hypot(scales, extras.pop(FILTER)[:, None])
+        opacities *= (scales / wide)[:, :axes].prod(axis=1)
+        scales = wide
+    if axes == 2:
+        scales[:, 2] = FLATNESS * scales[:, :2].min(axis=1)
     placement, origin = _place(comments)
     finite = np.isfinite(positions).all(axis=1)
     if dict(vertex.properties)["x"] == "f8" and finite.any():
@@ -229,8 +253,15 @@ def _read(path: Path, file: BinaryIO) -> Splats:
         positions -= own
         x, y, z = (own + origin).tolist()
         origin = x, y, z
-    splats = Splats(positions.astype(np.float32), rotations, scales, opacities.astype(np.float32), sh, extras)
+    positions = positions.astype(np.float32)
+    splats = Splats(positions, rotations, scales.astype(np.float32), opacities.astype(np.float32), sh, extras)
     return clean_splats(replace(splats, placement=placement, development=_development(comments), origin=origin), path)
+
+
+def _white(colors: np.ndarray, is_float: bool) -> float:
+    """Return which number is white in plain colors of a file: 1, 255 or 65535."""
+    largest = colors[np.isfinite(colors)].max(initial=0)
+    return 1 if is_float and largest <= 2 else 255 if largest <= 255 else 65535
 
 
 def _place_comments(splats: Splats) -> list[str]:
@@ -287,7 +318,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element], dict[
         raise InputError(f"{path} is empty.")
     if start[:2] in (b"\x1f\x8b", b"PK") or start == b"NGSP":
         raise InputError(
-            f"{path} is a compressed splat file, not a PLY: give an SPZ file the ending .spz, and convert a SOG file."
+            f"{path} is a compressed splat file, not a PLY: give an SPZ file the ending .spz, a SOG file .sog."
         )
     if start[:3] != b"ply" or start[3:] not in (b"\n", b"\r"):
         raise InputError(f"{path} is not a PLY file.")
@@ -326,21 +357,34 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element], dict[
     raise InputError(f"{path} is cut off inside its header; copy or write the file again.")
 
 
-def _splat_element(path: Path, elements: list[_Element]) -> _Element:
-    """Return the element that holds the splats; raises InputError where there is none."""
+def _splat_element(path: Path, elements: list[_Element]) -> tuple[_Element, dict[str, str]]:
+    """Return the element that holds the splats, and which of its properties each of BASE and ROTATION is read from.
+
+    Raises:
+        InputError: Where there is no such element, or a property is missing.
+    """
     vertex = next((element for element in elements if element.name == "vertex"), None)
     names = [name for name, _ in vertex.properties] if vertex else []
-    wanted = WORDS if vertex and vertex.is_packed else (*BASE, *ROTATION)
-    missing = [name for name in wanted if name not in names]
-    if vertex is None or {"f_dc_0", "scale_0", "rot_0"} <= set(missing):
+    if vertex is None or not (vertex.is_packed or {"f_dc_0", "scale_0", "rot_0"} & set(names)):
         raise InputError(f"{path} is a plain point cloud or mesh, without the properties of Gaussian splats.")
-    if missing:
-        raise InputError(f"{path} lacks the property {missing[0]} that Gaussian splats need; write the file again.")
+    sources = {name: name for name in (*BASE, *ROTATION) if name in names}
+    if not set(COLOR) & set(names):
+        sources |= dict(zip(COLOR, next((rgb for rgb in PLAIN_COLORS if set(rgb) <= set(names)), ()), strict=False))
+    wanted: tuple[str, ...] = (*BASE, *ROTATION)
+    match [name for name in BASE if name in names and name.startswith("scale_")]:
+        case ["scale_0", "scale_1"]:
+            sources["scale_2"] = "scale_1"
+        case ["scale_0"]:
+            sources |= {"scale_1": "scale_0", "scale_2": "scale_0"}
+            wanted = BASE
+    missing = [name for name in wanted if name not in sources]
+    if missing and not vertex.is_packed:
+        raise InputError(f"{path} lacks {', '.join(missing)}, which Gaussian splats need: write it again with them.")
     if len(set(names)) != len(names) or any(code == "list" for _, code in vertex.properties):
         raise InputError(f"The header of {path} is damaged: its splats have a property twice, or a list.")
     if not vertex.count:
         raise InputError(f"{path} holds no splats.")
-    return vertex
+    return vertex, sources
 
 
 def _read_packed(path: Path, file: BinaryIO, order: str, elements: list[_Element]) -> Splats:
@@ -382,12 +426,13 @@ def _row_reader(
         # A value takes at least a digit and a separator.
         if vertex.count * 2 * len(vertex.properties) > remaining + 1:
             raise cut_off
-        for _ in islice(file, sum(element.count for element in before)):
+        lines = (line for line in file if line.strip())
+        for _ in islice(lines, sum(element.count for element in before)):
             pass
 
         def read_text(count: int) -> np.ndarray:
             try:
-                rows = np.loadtxt(islice(file, count), row, comments=None, ndmin=1)
+                rows = np.loadtxt(islice(lines, count), row, comments=None, ndmin=1)
             except ValueError:
                 raise InputError(f"{path} is damaged: a line of its splats is not the numbers announced.") from None
             if len(rows) != count:

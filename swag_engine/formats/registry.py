@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..base.errors import InputError
+from ..base.foreign_files import refuse_foreign
 from .export_format import ExportFormat
 
 MODULES = (
@@ -39,6 +40,7 @@ def find_format(path: Path) -> ExportFormat:
     Raises:
         InputError: If no format has this ending.
     """
+    refuse_foreign(path)
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
             f"{path.name or 'A file without a name'} is not a splat file: choose a name that ends in "

@@ -25,7 +25,7 @@ from .change_maps import FLAGS, SAMPLE, Comparison, Survey
 from .geotiff import NO_HEIGHT, NO_LABEL, Color, create_map, map_crs, map_transform
 from .grid import MapGrid, make_grid
 from .heights import EDGE, tile_heights
-from .label_map import label_name, tile_labels
+from .label_map import label_name, splat_labels, tile_labels
 from .map_frame import MapScene, load_map_scene
 from .ortho import map_answer
 from .packages import require_packages
@@ -213,8 +213,8 @@ def _survey(
     """
     renderer = TileRenderer(scene.splats, grid, backend, scene.seen)
     colors, cameras = renderer.colors(), photos.cameras if photos else []
-    labels = scene.splats.extras.get(LABEL)
-    labels = labels.astype(np.int64) if labels is not None and labels.any() else None
+    has_labels = LABEL in scene.splats.extras and scene.splats.extras[LABEL].any()
+    labels = splat_labels(scene.splats) if has_labels else None
     shape = grid.height, grid.width
     image = _scratch_array(path.with_suffix(".colors"), (*shape, 3), np.uint8)
     heights = _scratch_array(path.with_suffix(".heights"), shape, np.float32)

@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..base.errors import InputError, remedy
+from ..base.foreign_files import refuse_foreign
 from ..base.local_origin import local_origin
 from ..base.text import first_names
 from .cameras import Camera
@@ -140,6 +141,7 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
             'under "scene" in config.json of the run.'
         )
     if not folder.is_dir():
+        refuse_foreign(folder)
         raise InputError(f"{folder} is not a folder.")
     warnings: list[str] = []
     model_folder, tables = _largest_model(folder, warnings)
@@ -296,6 +298,7 @@ def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, _Model]:
                     raise InputError(
                         f"The COLMAP model in {candidate} is incomplete: {' and '.join(absent)} is missing."
                     )
+        refuse_foreign(folder)
         raise InputError(
             f"No COLMAP model was found in {folder}, its sparse or its colmap/sparse: make one from the photos with "
             f"{remedy('`python -m swag_engine sfm PHOTOS --out SCENE`', 'Find Cameras')}."

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.foreign_files import refuse_foreign
 from ..scene.colmap import IMAGE_SUFFIXES
 from .image_motion import ImageMotion
 from .photos import ChosenImages, copy_name, equalise, has_structure, write_jpeg
@@ -84,6 +85,7 @@ def pick_frames(video: Path, images: Path, pictures: Path, report: Progress) -> 
     """
     if video.suffix.lower() in IMAGE_SUFFIXES:
         raise InputError(f"{video} is one photo: choose the folder of photos that it is in, or a video.")
+    refuse_foreign(video)
     examined = _examine(video, report)
     travel = float(examined.motion[~examined.turning].sum())
     turn = float(examined.motion[examined.turning].sum())

@@ -141,7 +141,8 @@ def concatenate(parts: Sequence[Splats]) -> Splats:
 def clean_splats(splats: Splats, path: Path) -> Splats:
     """Normalise quaternions, and drop splats with a NaN or an infinity.
 
-    Quaternions of length 0 become no rotation, as in 3DGS renderers. The number of dropped splats is logged.
+    Quaternions of length 0 become no rotation, as in 3DGS renderers. A NaN or an infinity in an extra becomes 0. The
+    numbers of dropped splats and of changed values are logged.
 
     Args:
         splats: Splats as they were read.
@@ -158,7 +159,12 @@ def clean_splats(splats: Splats, path: Path) -> Splats:
     scaled = (np.abs(lengths - 1) > 1e-6) & (lengths > 0) & np.isfinite(lengths)  # the others stay the same to the bit
     rotations[scaled] = rotations[scaled] / lengths[scaled, None]
     rotations[lengths == 0] = (1, 0, 0, 0)
-    splats = replace(splats, rotations=rotations)
+    extras = dict(splats.extras)
+    for name, values in splats.extras.items():
+        if wrong := len(values) - int(np.isfinite(values).sum()):
+            extras[name] = np.where(np.isfinite(values), values, 0).astype(values.dtype)
+            log.warning("%s: %d values of %s are a NaN or an infinity and were read as 0", path, wrong, name)
+    splats = replace(splats, rotations=rotations, extras=extras)
 
     finite = np.isfinite(splats.opacities)
     for array in (splats.positions, rotations, splats.scales, splats.sh.reshape(len(splats), splats.sh.shape[1] * 3)):
