@@ -28,7 +28,7 @@ OVERLAY_GAMMA = 2.2
 """Exponent with which Blender lays its overlays over the scene, on any display (measured in 5.2: sRGB's own curve is
 up to 7 levels of 255 off)."""
 FLOOR_TOLERANCE = 0.01
-"""Distance from the floor, as a fraction of 1 - depth, up to which a pixel may be of its grid in perspective views:
+"""Distance from the floor, as a fraction of 1 - depth, up to which a pixel may be of its grid in perspective:
 0.0065 was measured. In orthographic views, depth is as exact everywhere."""
 GRID_REACH = 2
 """Pixels from a line of the grid at which its depth is no longer found."""

@@ -189,9 +189,6 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
         return result
     target.write(out, splats, up, cameras)
     result["notes"] = target.notes(splats)
-    if any(splats.origin):
-        far = " ".join(f"{value:.15g}" for value in splats.origin)
-        result["notes"].append(f"Coordinates in the file are relative to {far}, which it names as origin.")
     if splats.development and splats.development.applied:
         done = replace(development, knee=1.0).to_text()
         how = remedy("--develop none", "Development: None in the panel Color")

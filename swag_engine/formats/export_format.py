@@ -47,8 +47,14 @@ class ExportFormat:
     read: Callable[[Path, Direction], Splats]
 
     def notes(self, splats: Splats) -> list[str]:
-        """Return sentences for the user about what a file of this format leaves out of splats."""
-        if not splats.extras or "extras" in self.options:
-            return []
-        names = ", ".join(splats.extras)
-        return [f"{self.title} has no place for these properties, which were left out: {names}. PLY and GLB keep them."]
+        """Return sentences for the user about what a file of this format says or leaves out of splats."""
+        notes = []
+        if splats.extras and "extras" not in self.options:
+            names = ", ".join(splats.extras)
+            notes = [
+                f"{self.title} has no place for these properties, which were left out: {names}. PLY and GLB keep them."
+            ]
+        if any(splats.origin):
+            origin = " ".join(f"{value:.15g}" for value in splats.origin)
+            notes.append(f"Coordinates in the file are relative to the origin {origin} (docs/formats.md).")
+        return notes
