@@ -454,7 +454,7 @@ def pinhole_images(scene: "Scene") -> list[Path]:
     distorted = [view for view in scene.views if not view.lens.is_pinhole]
     paths = {view.camera.name: view.path for view in scene.views}
     for image in load_images(scene, distorted, DISPLAY_WIDTH):
-        path = (folder / image.camera.name).with_suffix(".jpg")
+        path = folder / f"{image.camera.name}.jpg"
         with atomic_path(path) as temporary:
             temporary.write_bytes(cv2.imencode(".jpg", image.pixels[..., ::-1])[1].tobytes())
         paths[image.camera.name] = path

@@ -3,9 +3,10 @@
 import errno
 import os
 import sys
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import BinaryIO
 
 from .errors import InputError
@@ -55,6 +56,22 @@ def require_parent(path: Path) -> Path:
             f"There is no folder {path.parent} to write {path.name} to: create it, or choose another folder."
         )
     return path
+
+
+def output_names(images: Iterable[str], suffix: str) -> dict[str, str]:
+    """Name a file for each image: with `suffix` in place of its own, or after it where images would share a file.
+
+    Args:
+        images: Names of all images, so that a file has one name whichever of them are written.
+        suffix: Suffix of the files, with the dot.
+
+    Returns:
+        Names of files by names of images.
+    """
+    names = {image: str(PurePosixPath(image).with_suffix(suffix)) for image in images}
+    # Names are compared as Windows and macOS do.
+    counts = Counter(name.lower() for name in names.values())
+    return {image: name if counts[name.lower()] == 1 else f"{image}{suffix}" for image, name in names.items()}
 
 
 def not_writable(path: Path, error: OSError) -> InputError:

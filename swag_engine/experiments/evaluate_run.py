@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ..base.errors import InputError, continue_run
-from ..base.files import atomic_path
+from ..base.files import atomic_path, output_names
 from ..base.transfer import srgb_to_linear
 from ..effects.scene_effects import SceneEffects
 from ..evaluation.lpips import BACKBONES, load_lpips
@@ -254,36 +254,36 @@ def render_run(
     if not set(wanted) <= set(names):
         raise InputError(f"{scene.folder} has no photo named {camera}; the first is {names[0]}.")
     development = color_view(folder, develop, run.cloud, effects).at(water)
+    paths = output_names(names, ".exr" if exr else ".png")
     files = []
     for view in scene.views:
         if view.camera.name not in wanted:
             continue
         sized = view.camera.resized(min(settings.width, view.camera.width))
-        files.append(write_view(out, cloud, sized, settings.sh_degree, effects, water, development, exr))
+        path = out / paths[sized.name]
+        files.append(write_view(path, cloud, sized, settings.sh_degree, effects, water, development))
     return files
 
 
 def write_view(
-    out: Path,
+    path: Path,
     cloud: GaussianCloud,
     camera: Camera,
     sh_degree: int,
     effects: SceneEffects,
     water: float,
     development: Development,
-    exr: bool,
 ) -> Path:
-    """Render a view to an image file of its name.
+    """Render a view to an image file.
 
     Args:
-        out: Folder of the file.
+        path: The file, as `write_picture`.
         cloud: The Gaussians.
         camera: The camera.
         sh_degree: Degree of the spherical harmonics.
         effects: Effects to render with.
         water: Amount of water, from 0 (removed) to 1 (as photographed).
         development: Development of a PNG file.
-        exr: Write linear light without development to an OpenEXR file in place of a PNG file.
 
     Returns:
         The file.
@@ -292,18 +292,16 @@ def write_view(
         InputError: If it cannot be written.
     """
     color = render_color(cloud, camera, sh_degree, effects=effects, amount=water)
-    return write_picture(out, camera.name, color.numpy(), development, exr)
+    return write_picture(path, color.numpy(), development)
 
 
-def write_picture(out: Path, name: str, color: np.ndarray, development: Development, exr: bool) -> Path:
+def write_picture(path: Path, color: np.ndarray, development: Development) -> Path:
     """Write a picture to a file.
 
     Args:
-        out: Folder of the file.
-        name: Name of the photo that the file is named after.
+        path: A PNG file, or an OpenEXR file, which gets linear light without development.
         color: (H, W, 3) display values, which may be above 1.
         development: Of a PNG file.
-        exr: Write linear light without development to an OpenEXR file in place of a PNG file.
 
     Returns:
         The file.
@@ -311,8 +309,7 @@ def write_picture(out: Path, name: str, color: np.ndarray, development: Developm
     Raises:
         InputError: If it cannot be written.
     """
-    path = (out / name).with_suffix(".exr" if exr else ".png")
-    if exr:
+    if path.suffix == ".exr":
         write_light_exr(path, srgb_to_linear(color))
         return path
     pixels = in_8_bits(torch.from_numpy(development.apply(color))).mul(255).round().byte().numpy()

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..base.errors import InputError
+from ..base.files import output_names
 from ..base.transfer import linear_to_srgb
 from ..evidence.noise import estimate_noise
 from ..formats.run_folder import RunFolder
@@ -66,6 +67,7 @@ def restore_photos(
         raise InputError(f"{out} is in the folder of the photos, which must not be replaced: choose another folder.")
     colors = develop if isinstance(develop, ColorView) else color_view(folder, develop, run.cloud, run.effects)
     detail = TrainedDetail.of_training(run.trained.means, scene.training_cameras(settings.width))
+    paths = output_names((view.name for view in scene.views), ".exr" if exr else ".png")
     files = []
     for number, view in enumerate(views):
         progress("Restore photos", number / len(views))
@@ -73,5 +75,5 @@ def restore_photos(
         model = SceneModel(detail.widened(run.trained, image.camera), run.effects)
         noise = estimate_noise([image], [view])
         light = restored_photo(model, run.limit, image, noise, settings.sh_degree, run.haze, haze)
-        files.append(write_picture(out, view.name, linear_to_srgb(light), colors.at(0), exr))
+        files.append(write_picture(out / paths[view.name], linear_to_srgb(light), colors.at(0)))
     return files

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ..base.errors import InputError
+from ..base.files import output_names
 from ..experiments.evaluate_run import write_view
 from .merged_model import MergedModel
 
@@ -41,9 +42,10 @@ def render_survey(
     if not views:
         raise InputError(f"{model.survey.scene} has no photo named {camera}; the first is {model.views.views[0].name}.")
     development = model.folder.coarse.color_view(develop).at(water)
+    paths = output_names((view.name for view in model.views.views), ".exr" if exr else ".png")
     files = []
     for view in views:
         sized = view.camera.resized(min(model.survey.settings.width, view.camera.width))
         cloud, degree = model.in_view(sized, level), model.survey.settings.sh_degree
-        files.append(write_view(out, cloud, sized, degree, model.effects, water, development, exr))
+        files.append(write_view(out / paths[view.name], cloud, sized, degree, model.effects, water, development))
     return files

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from swag_engine.app.worker import pinhole_images
 from swag_engine.effects.caustics import Illumination
 from swag_engine.effects.exposure import Exposure
 from swag_engine.effects.lamp import lit
@@ -19,11 +20,13 @@ from swag_engine.effects.registry import REGISTRY
 from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.effects.vignetting import Vignetting
 from swag_engine.evaluation.metrics import render_image
+from swag_engine.experiments import evaluate_run, restore_photos
 from swag_engine.experiments.evaluate_run import load_newest, render_run
 from swag_engine.gaussians.cloud import GaussianCloud
 from swag_engine.kernels.reference.transfer import to_display, to_light
 from swag_engine.planning.plan import Plan, PlannedEffect, plan_scene
 from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.lenses import Lens
 from swag_engine.scene.split import split_views
 from swag_engine.settings.effect_names import EFFECTS
 from swag_engine.settings.settings import TrainSettings
@@ -98,6 +101,23 @@ def test_everything_on_is_learned_and_resumes_bit_equal(tiny_scene, tmp_path):
     assert learned <= expected.keys() and expected["vignetting.coefficients"].abs().min() > 0
     assert expected["exposure.raw"].std() > 0 and expected["caustics.log_light"].std() > 0
     assert float(expected["lamp.log_tau"]) != 0
+
+
+def test_photos_that_differ_in_suffix_alone_have_their_own_files(tiny_scene, tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    train(tiny_scene, run, replace(SETTINGS, iterations=2, effects=OFF))
+    scene = load_scene(tiny_scene)
+    names = ["same.png", "same.JPG", "a/same.png", "Same.tif", *(view.name for view in scene.views[4:])]
+    views = [replace(v, camera=replace(v.camera, name=name)) for v, name in zip(scene.views, names, strict=True)]
+    for module in (evaluate_run, restore_photos):
+        monkeypatch.setattr(module, "load_scene", lambda folder: replace(scene, views=tuple(views)))
+    expected = ["same.png.png", "same.JPG.png", "a/same.png", "Same.tif.png"]
+    assert restore_photos.restore_photos(run, tmp_path, width=16)[:4] == [tmp_path / name for name in expected]
+    for name, file in zip(names, expected, strict=False):
+        assert render_run(run, tmp_path, name, 0.0, "none") == [tmp_path / file]
+        assert restore_photos.restore_photos(run, tmp_path, name, width=16) == [tmp_path / file]
+    distorted = [replace(view, lens=Lens("SIMPLE_RADIAL", 64, 48, (60.0, 32, 24, 0.1))) for view in views]
+    assert len(set(pinhole_images(replace(scene, views=tuple(distorted))))) == len(views)
 
 
 def test_restored_images_have_no_effects(tiny_scene, tmp_path):
