@@ -35,6 +35,8 @@ from .tiles import Progress, TileRenderer, tiles_of
 from .views import height_errors
 
 ScaleChoice = Literal["fixed", "free"]
+GPS_ERROR = 100.0
+"""Distance between the coordinates of two surveys of one place that is put down to GPS, metres."""
 PREVIEW = 1600
 """Largest edge of an image on the page, pixels."""
 FLAG_COLORS: dict[int, Color] = {
@@ -98,6 +100,7 @@ def make_change(
                 "the panel Scale.",
             )
         )
+    _check_one_place(earlier, first, later, second)
     if progress:
         progress("Aligning", 0.0)
     alignment = align(second.splats, first.splats, _initial(first, second), scale == "free")
@@ -166,6 +169,33 @@ def describe(document: dict[str, Any]) -> str:
     if not document["objects"]:
         lines.append("No change can be told.")
     return "\n".join([*lines, *document["files"], *document["notes"]])
+
+
+def _check_one_place(earlier: Path, first: MapScene, later: Path, second: MapScene) -> None:
+    """Refuse surveys whose coordinates are farther apart than their sizes and errors of GPS.
+
+    Raises:
+        InputError: With the coordinates of both.
+    """
+    from rasterio.warp import transform
+
+    if not (first.placement and first.placement.crs and second.placement and second.placement.crs):
+        return
+    texts, places, reach = [], [], GPS_ERROR
+    for source, scene, placement in ((earlier, first, first.placement), (later, second, second.placement)):
+        across = scene.splats.positions[:, :2]
+        place = np.median(across, axis=0) + placement.offset[:2]
+        reach += float(np.linalg.norm(np.ptp(np.percentile(across, (2, 98), axis=0), axis=0)))
+        texts.append(f"{source} lies at {place[0]:.0f} {place[1]:.0f} in {placement.crs}")
+        (x,), (y,) = transform(map_crs(scene), map_crs(first), place[:1], place[1:])
+        places.append((x, y))
+    apart = float(np.linalg.norm(np.subtract(places[0], places[1])))
+    if not apart <= reach:
+        distance = f", {apart / 1000:.1f} km apart" if np.isfinite(apart) else ""
+        raise InputError(
+            f"The coordinates contradict each other: {' and '.join(texts)}{distance}. Compare surveys of one place, or "
+            "measure the scale of the wrong one again with its coordinate reference system."
+        )
 
 
 def _initial(first: MapScene, second: MapScene) -> np.ndarray | None:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import tracemalloc
 from dataclasses import replace
 from types import SimpleNamespace
@@ -23,7 +24,7 @@ from swag_engine.products.map_frame import load_map_scene
 from swag_engine.products.profile import make_profile
 from swag_engine.products.views import height_errors
 from swag_engine.scene.cameras import Camera
-from swag_engine.scene.georeference import Georeference
+from swag_engine.scene.georeference import Georeference, Placement
 from swag_engine.splats.splats import concatenate
 from swag_engine.splats.transform import C0, transformed
 from tests.scenes.flat_splats import GEOREFERENCE, sheet, write_run
@@ -216,6 +217,25 @@ def test_what_cannot_be_compared_is_explained(tmp_path, pair, capsys):
     found = make_change(earlier, unknown, tmp_path / "free", 0.05, scale="free")
     assert found["alignment"]["scale"] == pytest.approx(0.5, rel=0.005) and found["objects"] == []
     assert not (tmp_path / "change").exists()
+
+
+@pytest.mark.parametrize(
+    "crs, x, y, distance",
+    [("EPSG:32634", 500_000, 4_000_000, r"5\d\d\.\d km"), ("EPSG:32633", 500_000, 4_040_000, "40.0 km"),
+     ("EPSG:25833", 500_001, 4_000_000, None), ("EPSG:32634", -40_077.93, 4_016_714.88, None),
+     ("EPSG:32633", 500_060, 4_000_000, None)],
+)  # fmt: skip
+def test_coordinates_that_contradict_each_other_are_refused(tmp_path, pair, monkeypatch, crs, x, y, distance):
+    earlier = pair[0]
+    placed = Georeference(**(vars(GEOREFERENCE) | {"placement": Placement(crs, (x, y, -12.0))}))
+    later = write_run(tmp_path / "b", [survey(1)], measured=placed)
+    monkeypatch.setattr(change, "align", lambda *given: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(InputError if distance else KeyboardInterrupt) as caught:
+        make_change(earlier, later, tmp_path / "change", PIXEL)
+    assert not distance or re.search(
+        f"{earlier} lies at 500002 4000001 in EPSG:32633 and {later} lies at {x + 2} {y + 1} in {crs}, {distance}",
+        str(caught.value),
+    )
 
 
 def test_the_size_of_tiles_does_not_matter(pair, tmp_path, monkeypatch):
