@@ -133,7 +133,7 @@ def save_splats(context: bpy.types.Context, path: Path, settings: ExportSettings
     in_metres = settings.metres_per_unit != 1.0 or lies_at is not None
     _save_water(objects[0], turn @ to_file, folder / "water.json", in_metres)
     if lies_at:
-        write_json(folder / "georeference.json", lies_at.to_json())
+        write_json(folder / "georeference.json", lies_at.file_json(turn[:3, :3]))
     return len(joined), notes
 
 

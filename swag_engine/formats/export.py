@@ -202,7 +202,7 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
         result["notes"] += notes
         files += written
         if placement:
-            write_json(beside / "georeference.json", placement.to_json())
+            write_json(beside / "georeference.json", placement.file_json(turn[:3, :3]))
             files.append(beside / "georeference.json")
         if medium:
             in_file = transform_water(medium, rotation, metres or 1.0, settings.metres_per_unit, bool(metres))

@@ -130,10 +130,14 @@ def write_spz(path: Path, splats: Splats, up: Direction = COLMAP_UP) -> None:
         file.writelines(parts)
     beside = _placement_path(path)
     if place := place_to_json(splats):
+        turn = rotation_to_y_up(up_of(splats, up))
+        if splats.placement:
+            place |= splats.placement.file_json(turn)
         if "origin" in place:
-            place["origin"] = (rotation_to_y_up(up_of(splats, up)) @ place["origin"]).tolist()
+            place["origin"] = (turn @ place["origin"]).tolist()
         with atomic_path(beside) as temporary:
-            temporary.write_text(to_json(place, indent=2) + "\n", encoding="utf-8")
+            temporary.write_text(to_json(place, indent=2) + "
+", encoding="utf-8")
     else:
         beside.unlink(missing_ok=True)  # of an earlier file of this name
 

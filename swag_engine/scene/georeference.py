@@ -43,6 +43,13 @@ class Placement:
         """Return a plain dict that `from_json` reads."""
         return {"crs": self.crs, "offset": list(self.offset)}
 
+    def file_json(self, turn: np.ndarray) -> dict[str, Any]:
+        """Return the document beside a file whose axes are those of the local frame turned by `turn` (3, 3).
+
+        It is that of `to_json` with `rotation` (3, 3): coordinates = rotation @ position in the file + offset.
+        """
+        return self.to_json() | {"rotation": (turn.T + 0.0).tolist()}
+
     @classmethod
     def from_json(cls, document: Any) -> "Placement":
         """Read a plain dict.
