@@ -150,7 +150,8 @@ def measure(scene: Scene, known: Measurements, progress: Progress | None = None)
             positions, crs, point_notes = point_positions(known.points, scene, targets, known.crs)
             notes += point_notes
         else:
-            positions, crs = gps_positions(scene, depths)
+            positions, crs, gps_notes = gps_positions(scene, depths)
+            notes += gps_notes
         return _from_positions(scene, positions, crs, scale, known, residuals, notes)
     if depths:
         return _from_depths(scene, depths, scale, residuals, notes)

@@ -10,6 +10,7 @@ import numpy as np
 from PIL import ExifTags, Image
 
 from ..base.errors import InputError
+from ..base.text import first_names
 from ..scene.colmap import Scene, View
 from ..scene.colmap_library import pycolmap
 from .tables import Row, read_table
@@ -71,7 +72,7 @@ def _names(row: Row, photos: Mapping[str, View]) -> bool:
     return row.text("name").lower() in photos
 
 
-def gps_positions(scene: Scene, depths: Mapping[str, float]) -> tuple[list[KnownPosition], str]:
+def gps_positions(scene: Scene, depths: Mapping[str, float]) -> tuple[list[KnownPosition], str, list[str]]:
     """Read where the photos were taken from the GPS tags of their EXIF data.
 
     Args:
@@ -79,16 +80,22 @@ def gps_positions(scene: Scene, depths: Mapping[str, float]) -> tuple[list[Known
         depths: Depth below the surface by name of the view, in place of the tags' altitudes.
 
     Returns:
-        Positions of the photos that have one, in UTM coordinates (metres) with the altitude as z; and the coordinate
-        reference system.
+        Positions of the photos that have one, in UTM coordinates (metres) with the altitude as z; the coordinate
+        reference system; and sentences about positions that are not used.
 
     Raises:
         InputError: If fewer than three photos have a position, or altitudes are missing.
     """
     found: dict[str, tuple[float, float, float]] = {}
     without_altitude = []
+    unusable: dict[str, list[str]] = {}
     for view in scene.views:
-        if not (tag := read_gps(view.path)):
+        try:
+            tag = read_gps(view.path)
+        except ValueError as error:
+            unusable.setdefault(str(error), []).append(view.name)
+            continue
+        if tag is None:
             continue
         latitude, longitude, altitude = tag
         height = -depths[view.name] if view.name in depths else None if depths else altitude
@@ -96,6 +103,12 @@ def gps_positions(scene: Scene, depths: Mapping[str, float]) -> tuple[list[Known
             without_altitude.append(view.name)
         else:
             found[view.name] = (latitude, longitude, height)
+    if without_altitude and len(found) >= 3:
+        unusable["a depth is missing" if depths else "the altitude is missing"] = without_altitude
+    notes = [
+        f"GPS positions of {len(names)} of {len(scene.views)} photos are not used, as {reason}: {first_names(names)}."
+        for reason, names in unusable.items()
+    ]
     if len(found) < 3:
         if without_altitude:
             raise InputError(
@@ -104,11 +117,12 @@ def gps_positions(scene: Scene, depths: Mapping[str, float]) -> tuple[list[Known
             )
         raise InputError(
             f"{len(found)} of the {len(scene.views)} photos have a GPS position in their EXIF data, and at least three "
-            "are needed: write positions into the photos, or measure the scale from targets or depths."
+            "are needed: write positions into the photos, or measure the scale from targets or depths. "
+            + " ".join(notes)
         )
     places, crs = to_utm(np.array(list(found.values())))
     centres = {view.name: view.camera.centre for view in scene.views}
-    return [KnownPosition(n, centres[n], place) for n, place in zip(found, places, strict=True)], crs
+    return [KnownPosition(n, centres[n], place) for n, place in zip(found, places, strict=True)], crs, notes
 
 
 def to_utm(geographic: np.ndarray) -> tuple[np.ndarray, str]:
@@ -123,33 +137,61 @@ def read_gps(path: Path) -> tuple[float, float, float | None] | None:
     Returns:
         Latitude and longitude in degrees, north and east positive; altitude in metres, negative below the sea, None
         without; None for a photo without a position.
+
+    Raises:
+        ValueError: If the tags are no position, with the reason.
     """
     try:
         with Image.open(path) as image:
             tags = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
     except (OSError, ValueError, SyntaxError):  # PIL raises SyntaxError for damaged data
         return None
-    try:
-        latitude = _degrees(tags[ExifTags.GPS.GPSLatitude], tags.get(ExifTags.GPS.GPSLatitudeRef), "S")
-        longitude = _degrees(tags[ExifTags.GPS.GPSLongitude], tags.get(ExifTags.GPS.GPSLongitudeRef), "W")
-    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+    if not {ExifTags.GPS.GPSLatitude, ExifTags.GPS.GPSLongitude} <= set(tags):
         return None
-    if not (abs(latitude) <= 84 and abs(longitude) <= 180) or latitude == longitude == 0:
-        return None  # UTM ends at 84 degrees; 0, 0 is what cameras write without reception
+    latitude = _degrees(tags[ExifTags.GPS.GPSLatitude], tags.get(ExifTags.GPS.GPSLatitudeRef), "NS")
+    longitude = _degrees(tags[ExifTags.GPS.GPSLongitude], tags.get(ExifTags.GPS.GPSLongitudeRef), "EW")
+    if latitude == longitude == 0:
+        raise ValueError("latitude and longitude are 0, which cameras write without reception")
+    if not (abs(latitude) <= 84 and abs(longitude) <= 180):
+        raise ValueError("they are beyond 84 degrees of latitude (the end of UTM) or 180 of longitude")
     try:
-        altitude = float(tags[ExifTags.GPS.GPSAltitude])
-        below = tags.get(ExifTags.GPS.GPSAltitudeRef, b"\0") in (b"\1", 1)
-    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        altitude = float(np.ravel(tags[ExifTags.GPS.GPSAltitude])[0])
+        below = tags.get(ExifTags.GPS.GPSAltitudeRef, 0) in (b"\1", 1, b"\3", 3)  # of the sea, of the ellipsoid
+    except (KeyError, IndexError, TypeError, ValueError, ZeroDivisionError):
         return latitude, longitude, None
     if not math.isfinite(altitude):
         return latitude, longitude, None
     return latitude, longitude, -abs(altitude) if below else altitude
 
 
-def _degrees(parts: Any, direction: Any, negative: str) -> float:
-    degrees, minutes, seconds = (float(part) for part in parts)
-    value = degrees + minutes / 60 + seconds / 3600
-    return -value if str(direction).strip().upper().startswith(negative) else value
+def _degrees(parts: Any, reference: Any, letters: str) -> float:
+    """Return an angle from its degrees, minutes and seconds (minutes and seconds may be absent).
+
+    Args:
+        parts: One to three numbers; a part without a value counts as 0 after one with a fraction.
+        reference: The tag with one of the two letters, upper or lower case; a negative number needs none.
+        letters: That of positive angles and that of negative ones.
+
+    Raises:
+        ValueError: If the reference is missing or the numbers are no angle.
+    """
+    try:
+        values = [float(part) for part in np.ravel(parts)]
+    except (TypeError, ValueError, ZeroDivisionError):
+        values = []
+    for index in range(1, len(values)):
+        if math.isnan(values[index]) and sum(values[:index]) % 1:
+            values[index] = 0.0
+    if not (1 <= len(values) <= 3 and math.isfinite(sum(values)) and all(0 <= value <= 60 for value in values[1:])):
+        raise ValueError("they are not degrees, minutes and seconds")
+    angle = sum(abs(value) / 60**index for index, value in enumerate(values))
+    text = reference.decode("latin-1") if isinstance(reference, bytes) else str(reference or "")
+    letter = text.strip().upper()[:1]
+    if values[0] < 0 or (letter and letter == letters[1]):
+        return -angle
+    if not letter or letter not in letters:
+        raise ValueError(f"the reference {letters[0]} or {letters[1]} is missing")
+    return angle
 
 
 def point_positions(

@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
+from PIL.TiffImagePlugin import IFDRational
 
 from swag_engine.app.cli import main
 from swag_engine.base.errors import InputError
 from swag_engine.georeference.measure import Measurements, describe, measure, scale_scene
-from swag_engine.georeference.positions import read_gps
+from swag_engine.georeference.positions import _degrees, read_gps
 from swag_engine.georeference.sheet import Sheet, draw_pages, write_sheet
 from swag_engine.georeference.targets import detect
 from swag_engine.scene.colmap import load_scene, up_direction
@@ -195,25 +196,72 @@ def test_targets_give_the_scale_and_gps_the_place(photographed, tmp_path):
     assert [note[:28] for note in found.notes] == ["The GPS positions say 0.3885"]
 
 
-@pytest.mark.parametrize("tags", [{}, {1: "N", 2: (0.0, 0.0, 0.0), 3: "E", 4: (0.0, 0.0, 0.0)}, {2: (1.0, 0.0, 0.0)}])
-def test_photos_without_a_usable_position(tags, plain, tmp_path):
+def photo_with_gps(path: Path, tags: dict) -> Path:
     exif = Image.Exif()
     exif.get_ifd(ExifTags.IFD.GPSInfo).update(tags)
-    Image.new("RGB", (8, 8)).save(tmp_path / "a.jpg", exif=exif)
-    assert read_gps(tmp_path / "a.jpg") is None
+    Image.new("RGB", (8, 8)).save(path, exif=exif.tobytes())
+    return path
+
+
+def test_photos_without_a_usable_position(plain, tmp_path):
+    assert read_gps(photo_with_gps(tmp_path / "a.jpg", {})) is None
+    assert read_gps(photo_with_gps(tmp_path / "a.jpg", {2: (1.0, 0.0, 0.0)})) is None
     (tmp_path / "b.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:100])
     assert read_gps(tmp_path / "b.jpg") is None
     with pytest.raises(InputError, match="0 of the 12 photos have a GPS position"):
         measured(plain, gps=True)
 
 
-def test_altitude_and_hemisphere(tmp_path):
-    exif = Image.Exif()
-    exif.get_ifd(ExifTags.IFD.GPSInfo).update(
-        {1: "S", 2: (33.0, 30.0, 36.0), 3: "W", 4: (151.0, 0.0, 0.0), 5: b"\1", 6: 12.5}
+NONE = IFDRational(0, 0)
+SYDNEY = {1: "S", 2: (33.0, 30.0, 36.0), 3: "W", 4: (151.0, 0.0, 0.0), 5: b"\1", 6: 12.5}
+
+
+@pytest.mark.parametrize(
+    "tags, latitude, altitude",
+    [
+        ({}, -33.51, -12.5),
+        ({1: "s", 3: "w"}, -33.51, -12.5),
+        ({1: "n"}, 33.51, -12.5),
+        ({1: "North"}, 33.51, -12.5),
+        ({2: (33.51,)}, -33.51, -12.5),
+        ({2: (33.0, 30.6)}, -33.51, -12.5),
+        ({2: (IFDRational(3351, 100), NONE, NONE)}, -33.51, -12.5),
+        ({2: (33.0, 30.6, NONE)}, -33.51, -12.5),
+        ({5: b"\0"}, -33.51, 12.5),
+        ({5: None}, -33.51, 12.5),
+        ({5: b"\3"}, -33.51, -12.5),
+        ({6: NONE}, -33.51, None),
+        ({6: IFDRational(1, 0)}, -33.51, None),
+    ],
+)
+def test_altitude_and_hemisphere(tmp_path, tags, latitude, altitude):
+    given = {key: value for key, value in (SYDNEY | tags).items() if value is not None}
+    assert read_gps(photo_with_gps(tmp_path / "a.jpg", given)) == (pytest.approx(latitude), -151.0, altitude)
+
+
+def test_signs_of_degrees_without_a_reference():
+    assert _degrees((-33.0, 30.0, 36.0), None, "NS") == pytest.approx(-33.51) == _degrees("-33.51", b"N\0", "NS")
+
+
+@pytest.mark.parametrize(
+    "tags, reason",
+    [
+        ({1: None}, "the reference N or S is missing"),
+        ({3: ""}, "the reference E or W is missing"),
+        ({2: (33.0, 30.0, NONE)}, "they are not degrees, minutes and seconds"),
+        ({2: (33.0, 70.0, 0.0)}, "they are not degrees, minutes and seconds"),
+        ({2: (0.0, 0.0, 0.0), 4: (0.0, 0.0, 0.0)}, "latitude and longitude are 0"),
+        ({2: (95.0, 0.0, 0.0)}, "they are beyond 84 degrees"),
+    ],
+)
+def test_gps_that_cannot_be_used_is_named(plain, tags, reason):
+    write_gps(plain)
+    given = {key: value for key, value in (SYDNEY | tags).items() if value is not None}
+    photo_with_gps(plain.folder / "images" / "photo_03.png", given)
+    (note,) = [note for note in measured(plain, gps=True).notes if "are not used" in note]
+    assert note.startswith(f"GPS positions of 1 of 12 photos are not used, as {reason}") and note.endswith(
+        ": photo_03.png."
     )
-    Image.new("RGB", (8, 8)).save(tmp_path / "a.jpg", exif=exif)
-    assert read_gps(tmp_path / "a.jpg") == (pytest.approx(-33.51), -151.0, -12.5)
 
 
 def depth_table(path: Path, made: TargetScene, noise: float = 0.0) -> Path:
