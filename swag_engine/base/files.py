@@ -2,6 +2,8 @@
 
 import errno
 import os
+import secrets
+import shutil
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -11,18 +13,51 @@ from typing import BinaryIO
 
 from .errors import InputError
 
-LOCK = ".lock"
+LOCK = ".swag.lock"
 """Name of the file whose lock a process holds while it writes to a folder."""
-TEMPORARY_NAMES = (".*.part", ".tmp??????")
-"""Patterns of the files that killed processes leave: temporary files of `atomic_path` and of safetensors."""
+TEMPORARY = ".swag-"
+"""First characters of the names of temporary folders, before twelve random hexadecimal digits."""
+
+
+def inside(name: str) -> str:
+    """Return the name of an image or a file without parts that lead out of its folder; "_" where nothing is left."""
+    parts = name.replace("\\", "/").split("/")
+    return "/".join(part for part in parts if part not in ("", ".", "..") and not part.endswith(":")) or "_"
+
+
+def refuse_link(path: Path) -> None:
+    """Refuse a folder that is a link, or a junction of Windows: what is written or deleted there belongs to others.
+
+    Raises:
+        InputError: For a link.
+    """
+    if os.path.normcase(path.resolve()) != os.path.normcase(path.parent.resolve() / path.name):
+        raise InputError(f"{path} is a link to another folder: remove the link, or move that folder here.")
+
+
+def no_link(path: str, flags: int) -> int:
+    """Open a regular file that is no link, as an `opener` of `open`; raises OSError for others."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+
+
+@contextmanager
+def temporary_folder(parent: Path) -> Iterator[Path]:
+    """Make a hidden folder with a random name, and remove it with its files when the block ends."""
+    folder = parent / f"{TEMPORARY}{secrets.token_hex(6)}"
+    folder.mkdir()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """Yield a temporary sibling of a file to write to; flush it and rename it over the file when the block succeeds.
+    """Yield a temporary file to write to; flush it and rename it over the file when the block succeeds.
 
-    When the block fails, the temporary file is removed and an existing file is untouched. After a power cut there is
-    the old file or the new one: the bytes reach the disk before the name does.
+    It has the same name and lies in a temporary folder beside the file, which is removed with all that is in it. When
+    the block fails, an existing file is untouched. After a power cut there is the old file or the new one: the bytes
+    reach the disk before the name does.
 
     Args:
         path: The file; its parent folder is made.
@@ -30,19 +65,16 @@ def atomic_path(path: Path) -> Iterator[Path]:
     Raises:
         InputError: When the disk is full or the folder cannot be written to.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        with open(temporary, "rb+") as written:
-            os.fsync(written.fileno())
-        os.replace(temporary, path)
-        _flush_names(path.parent)
+        with temporary_folder(path.parent) as folder:
+            yield (temporary := folder / path.name)
+            with open(temporary, "rb+") as written:
+                os.fsync(written.fileno())
+            os.replace(temporary, path)
+            _flush_names(path.parent)
     except OSError as error:
         raise not_writable(path, error) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def require_parent(path: Path) -> Path:
@@ -101,7 +133,7 @@ class FolderInUse(InputError):
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Lock a folder against other processes while the block runs, and remove temporary files of killed ones.
+    """Lock a folder against other processes while the block runs, and remove temporary folders of killed ones.
 
     The system releases the lock when the process dies. A folder that stays empty is removed again.
 
@@ -122,8 +154,8 @@ def locked_folder(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise not_writable(folder, error) from error
     try:
-        for left in [path for pattern in TEMPORARY_NAMES for path in folder.glob(pattern)]:
-            left.unlink(missing_ok=True)
+        for left in list(folder.glob(TEMPORARY + 12 * "[0-9a-f]")):
+            shutil.rmtree(left, ignore_errors=True)  # which follows no link
         yield
     finally:
         if os.name == "posix":
@@ -137,7 +169,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
 
 def _locked(path: Path, folder: Path) -> BinaryIO:
     """Open and lock a file; without a lock on file systems that have none."""
-    file = open(path, "ab")  # noqa: SIM115 (stays open as long as the lock is held)
+    file = open(path, "ab", opener=no_link)  # noqa: SIM115 (stays open as long as the lock is held)
     try:
         if sys.platform == "win32":
             import msvcrt

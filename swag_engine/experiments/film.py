@@ -1,7 +1,6 @@
 """Films: a camera path rendered to an image sequence or a video, with alpha and depth."""
 
 import logging
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -325,20 +324,14 @@ def _video(path: Path, frames: Sequence[PathFrame], options: FilmOptions) -> Ite
 def _video_file(path: Path, camera: Camera, fps: float) -> Iterator[cv2.VideoWriter]:
     """Open a video that is whole or does not exist. Raises InputError when OpenCV cannot write it."""
     with atomic_path(path) as temporary:
-        # The suffix tells OpenCV the container.
-        unfinished = temporary.with_suffix(VIDEO_SUFFIX)
         size = (camera.width, camera.height)
+        writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter_fourcc(*VIDEO_CODEC), fps, size)  # type: ignore[attr-defined]
+        if not writer.isOpened():
+            raise InputError(f"This OpenCV cannot write the video {path}: render an image sequence.")
         try:
-            writer = cv2.VideoWriter(str(unfinished), cv2.VideoWriter_fourcc(*VIDEO_CODEC), fps, size)  # type: ignore[attr-defined]
-            if not writer.isOpened():
-                raise InputError(f"This OpenCV cannot write the video {path}: render an image sequence.")
-            try:
-                yield writer
-            finally:
-                writer.release()
-            os.replace(unfinished, temporary)
+            yield writer
         finally:
-            unfinished.unlink(missing_ok=True)
+            writer.release()
 
 
 @torch.no_grad()

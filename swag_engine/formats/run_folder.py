@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import InputError, remedy
-from ..base.files import atomic_path, not_writable
+from ..base.files import atomic_path, no_link, not_writable
 from ..base.strict_json import from_json, to_json
 from ..settings.settings import TrainSettings
 from ..splats.development import NO_DEVELOPMENT, ColorView, Development
@@ -278,7 +278,7 @@ class RunFolder:
             InputError: If the file cannot be written.
         """
         try:
-            with open(self.metrics_log, "a", encoding="utf-8") as log:
+            with open(self.metrics_log, "a", encoding="utf-8", opener=no_link) as log:
                 log.write(to_json(entry) + "\n")
         except OSError as error:
             raise not_writable(self.metrics_log, error) from error

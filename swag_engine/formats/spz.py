@@ -136,10 +136,9 @@ def write_spz(path: Path, splats: Splats, up: Direction = COLMAP_UP) -> None:
         if "origin" in place:
             place["origin"] = (turn @ place["origin"]).tolist()
         with atomic_path(beside) as temporary:
-            temporary.write_text(to_json(place, indent=2) + "
-", encoding="utf-8")
-    else:
-        beside.unlink(missing_ok=True)  # of an earlier file of this name
+            temporary.write_text(to_json(place, indent=2) + "\n", encoding="utf-8")
+    elif _place(path) != place_from_json(None):
+        beside.unlink()  # of an earlier file of this name
 
 
 def spz_size(path: Path, splats: Splats, up: Direction = COLMAP_UP) -> int:

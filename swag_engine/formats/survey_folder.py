@@ -9,6 +9,7 @@
 Whether a block is done, running or waiting follows from its files and is stored nowhere else.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.files import refuse_link
 from ..settings.settings import TrainSettings
 from .run_folder import RunFolder, read_json, write_json
 
@@ -24,6 +26,9 @@ VERSION = 1
 """Version of survey.json, block.json and done.json."""
 COARSE = "coarse"
 """Name of the job that trains the coarse model, among the names of blocks."""
+
+NAME = re.compile(r"B-\d{3,}|S-\d{3,}-\d{3,}")
+"""Names of blocks and seams, which are names of folders, too."""
 
 State = Literal["waiting", "begun", "running", "failed", "done"]
 """State of a block. begun: it has a checkpoint, and no process works on it."""
@@ -114,8 +119,9 @@ class Block:
         for name in ("core", "extended"):
             pairs = zip(values[name], ends, strict=True)
             values[name] = tuple(float(end if edge is None else edge) for edge, end in pairs)
-        for name in ("training", "validation", "test", "sides"):
+        for name in ("training", "validation", "test"):
             values[name] = tuple(str(image) for image in values[name])
+        (values["name"],), values["sides"] = _jobs([values["name"]]), _jobs(values["sides"])
         for name in ("seed", "iterations", "max_gaussians", "points", "memory"):
             values[name] = int(values[name])
         return cls(**values)
@@ -199,8 +205,8 @@ class Survey:
             ground=Ground(_triple(ground["origin"]), axes),
             bounds=(left, bottom, right, top),
             images=int(document["images"]),
-            blocks=_names(document["blocks"]),
-            seams=_names(document["seams"]),
+            blocks=_jobs(document["blocks"]),
+            seams=_jobs(document["seams"]),
             median_range=float(document["median_range"]),
         )
 
@@ -287,10 +293,16 @@ class SurveyFolder:
         """Read survey.json. A scene that is given relative to the folder is returned as an absolute path.
 
         Raises:
-            InputError: If the folder is not a survey, the file is damaged or of another version.
+            InputError: If the folder is not a survey, the file is damaged or of another version, or one of its folders
+                is a link.
         """
         document = read_json(self.survey, f"{self.path} is not a survey: it has no survey.json.")
         survey = _parsed(self.survey, document, Survey.from_json)
+        jobs = [self.job(name) for name in survey.jobs]
+        runs = [self.run(name).path for name in survey.parts]
+        tiles = self.merged / "tiles"
+        for folder in {self.merged, tiles, *tiles.glob("*"), *jobs, *runs, *(job.parent for job in jobs[1:])}:
+            refuse_link(folder)
         return replace(survey, scene=(self.path / survey.scene).resolve())
 
     def write_block(self, block: Block) -> None:
@@ -328,6 +340,12 @@ def _parsed(file: Path, document: dict[str, Any], parse: Any) -> Any:
 
 def _names(values: Any) -> tuple[str, ...]:
     return tuple(str(value) for value in values)
+
+
+def _jobs(values: Any) -> tuple[str, ...]:
+    if wrong := [name for name in _names(values) if not NAME.fullmatch(name)]:
+        raise ValueError(f"{wrong[0]!r} is no name of a block")
+    return _names(values)
 
 
 def _triple(values: Any) -> tuple[float, float, float]:

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -109,34 +109,29 @@ def create_map(
     check_name(path)
     crs = map_crs(scene)
     with atomic_path(path) as temporary:
-        work = temporary.with_name(f"{temporary.name}.tif")
-        try:
-            profile = {
-                "driver": "GTiff", "width": grid.width, "height": grid.height, "count": len(bands), "dtype": dtype,
-                "crs": crs, "transform": map_transform(scene, grid), "nodata": nodata, "tiled": True,
-                "blockxsize": BLOCK, "blockysize": BLOCK, "compress": "deflate", "bigtiff": "if_safer",
-            }  # fmt: skip
-            if len(bands) >= 3:
-                profile["photometric"] = "rgb"
-            with rasterio.open(work, "w", **profile) as dataset:
-                for number, name in enumerate(bands, start=1):
-                    dataset.set_band_description(number, name)
-                if bands[-1] == "alpha":
-                    dataset.colorinterp = (*dataset.colorinterp[:3], ColorInterp.alpha)
-                if palette:
-                    dataset.write_colormap(1, {value: (*color, 255) for value, color in palette.items()})
-                dataset.update_tags(UNITS="metres" if scene.unit == "m" else "units of the scene", **(tags or {}))
-                yield MapWriter(dataset)
-            resampling = "nearest" if palette else "average"
-            predictor = "NO" if palette else "YES"
-            copy(
-                work, temporary, driver="COG", compress="deflate", predictor=predictor, blocksize=BLOCK,
-                bigtiff="if_safer", resampling=resampling, overviews="auto",
-            )  # fmt: skip
-        finally:
-            for left in (work, work.with_name(f"{work.name}.aux.xml")):
-                with suppress(OSError):
-                    left.unlink()
+        work = temporary.with_name(f"work-{path.name}")
+        profile = {
+            "driver": "GTiff", "width": grid.width, "height": grid.height, "count": len(bands), "dtype": dtype,
+            "crs": crs, "transform": map_transform(scene, grid), "nodata": nodata, "tiled": True,
+            "blockxsize": BLOCK, "blockysize": BLOCK, "compress": "deflate", "bigtiff": "if_safer",
+        }  # fmt: skip
+        if len(bands) >= 3:
+            profile["photometric"] = "rgb"
+        with rasterio.open(work, "w", **profile) as dataset:
+            for number, name in enumerate(bands, start=1):
+                dataset.set_band_description(number, name)
+            if bands[-1] == "alpha":
+                dataset.colorinterp = (*dataset.colorinterp[:3], ColorInterp.alpha)
+            if palette:
+                dataset.write_colormap(1, {value: (*color, 255) for value, color in palette.items()})
+            dataset.update_tags(UNITS="metres" if scene.unit == "m" else "units of the scene", **(tags or {}))
+            yield MapWriter(dataset)
+        resampling = "nearest" if palette else "average"
+        predictor = "NO" if palette else "YES"
+        copy(
+            work, temporary, driver="COG", compress="deflate", predictor=predictor, blocksize=BLOCK,
+            bigtiff="if_safer", resampling=resampling, overviews="auto",
+        )  # fmt: skip
 
 
 def check_name(path: Path) -> None:

@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..base.errors import InputError, remedy
+from ..base.files import inside
 from ..base.foreign_files import refuse_foreign
 from ..base.local_origin import local_origin
 from ..base.text import first_names
@@ -438,16 +439,10 @@ def _image_names(model_folder: Path, images: list[pycolmap.Image]) -> dict[int, 
             f"The COLMAP model {model_folder} has image names that are not UTF-8: rename the photos with plain "
             "letters and reconstruct the scene again."
         ) from error
-    inside = {image_id: _inside(name) for image_id, name in names.items()}
-    if len(set(inside.values())) < len(inside):
+    cleaned = {image_id: inside(name) for image_id, name in names.items()}
+    if len(set(cleaned.values())) < len(cleaned):
         raise InputError(f"The COLMAP model {model_folder} gives two photos the same name: reconstruct it again.")
-    return inside
-
-
-def _inside(name: str) -> str:
-    """Return a name without parts that lead out of its folder: images are also written under it."""
-    parts = name.replace("\\", "/").split("/")
-    return "/".join(part for part in parts if part not in ("", ".", "..") and not part.endswith(":")) or "_"
+    return cleaned
 
 
 def _usable_points(

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..base.errors import InputError
-from ..base.files import locked_folder
+from ..base.files import locked_folder, refuse_link
 
 
 @contextmanager
@@ -24,7 +24,8 @@ def new_scene(out: Path) -> Iterator[tuple[Path, Path]]:
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} exists and is not an empty folder: choose another folder for the scene.")
-    work = out.with_name(f".{out.name}.part")
+    work = out.with_name(f".{out.name}.swag-part")
+    refuse_link(work)
     scene, scratch = work / "scene", work / "scratch"
     with locked_folder(work):
         try:

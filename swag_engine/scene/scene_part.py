@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
-from ..base.files import atomic_path
+from ..base.files import atomic_path, inside
 from ..base.text import first_names
 from .cameras import Camera
 from .colmap import Points, Scene, View
@@ -117,6 +117,8 @@ def read_part(path: Path, scene_folder: Path) -> Scene:
         with np.load(path, allow_pickle=False) as stored:  # a zip file: its checksums tell when it is corrupt
             arrays = {name: stored[name] for name in stored.files}
         about = json.loads(arrays["about"].tobytes())
+        if any(name != inside(name) for name in about["names"]):
+            raise ValueError("the name of a photo leads out of its folder")
         lenses = [Lens(model, width, height, tuple(params)) for model, width, height, params in about["lenses"]]
         starts = np.concatenate([[0], arrays["point_ends"][:-1]])
         views = tuple(
@@ -137,7 +139,16 @@ def read_part(path: Path, scene_folder: Path) -> Scene:
         images, model = scene_folder / about["images"], scene_folder / about["model"]
     except FileNotFoundError as error:
         raise InputError(f"{path} is missing: plan the survey again to a new folder.") from error
-    except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        IndexError,
+        AttributeError,
+        EOFError,
+        zipfile.BadZipFile,
+    ) as error:
         raise InputError(f"{path} is damaged ({error}): plan the survey again to a new folder.") from error
     _check_images(views, scene_folder)
     measured = read_georeference(scene_folder, origin)

@@ -248,7 +248,9 @@ def _splat_transform(out: Path) -> list[str]:
             "A streamed SOG is written by PlayCanvas' program splat-transform, which was not found: install Node, then "
             f"run `npm install --global {SPLAT_TRANSFORM}`."
         )
-    if out.exists() and not (out / META).is_file() and (out.is_file() or any(out.iterdir())):
+    held = [path for path in out.rglob("*") if not path.is_dir()] if out.is_dir() else []
+    others = [path for path in held if path.suffix != ".webp" and not path.name.endswith("meta.json")]
+    if out.is_file() or others or (held and not (out / META).is_file()):
         raise InputError(f"{out} exists and is not a streamed SOG: choose a new folder.")
     try:
         listed = subprocess.run([program, "--list-gpus"], capture_output=True, text=True, timeout=60, check=True)

@@ -9,7 +9,7 @@ earlier merge are in place. Files that tiles.json does not list are removed.
 """
 
 import os
-import shutil
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import InputError, remedy
-from ..base.files import locked_folder, not_writable
+from ..base.files import locked_folder, not_writable, temporary_folder
 from ..base.text import first_names
 from ..formats.ply import read_ply, write_ply
 from ..formats.run_folder import read_json
@@ -41,6 +41,10 @@ SAMPLES = 4096
 """Positions of a block that the size of tiles is chosen by."""
 ARRAYS = ("positions", "rotations", "scales", "opacities", "sh")
 """The arrays of splats besides extras."""
+TILE = re.compile(r"-?\d+_-?\d+_-?\d+-[0-9a-f]{12}\.ply")
+"""Names of the files of tiles."""
+NEW = "new.ply"
+"""Name of the file of a tile whose content is not known yet."""
 VISIBLE = 1 / 255
 """Least opacity that is drawn (kernels/reference/projection.py)."""
 
@@ -114,13 +118,11 @@ class _Merge:
         self.folder, self.survey, self.blocks, self.progress = folder, survey, blocks, progress
         self.seams = [folder.read_block(name) for name in blocks if name in survey.seams]
         self.merged = folder.merged
-        self.staging = folder.merged / "staging"
         self.labels = SurveyLabels.of(folder, blocks)
         self.label_counts = np.zeros(len(self.labels.names) + 1, np.int64)
 
     def run(self) -> Tiles:
         """Write all tiles, then tiles.json."""
-        shutil.rmtree(self.staging, ignore_errors=True)
         try:
             tiles = self._tiles()
             self.labels.write(self.merged, self.label_counts[1:].tolist())
@@ -129,7 +131,6 @@ class _Merge:
         except OSError as error:
             raise not_writable(self.merged, error) from error
         finally:
-            shutil.rmtree(self.staging, ignore_errors=True)
             _remove_unlisted(self.merged)
 
     def _tiles(self) -> Tiles:
@@ -213,24 +214,23 @@ class _Merge:
     def _finest(self, pattern: Splats, edge: float) -> list[Tile]:
         """Write the tiles of level 0."""
         parts: dict[Cell, list[tuple[Path, slice]]] = {}
-        self.staging.mkdir(parents=True)
-        for number, name in enumerate(self.blocks):
-            self.progress("Cutting into tiles", 0.5 * number / len(self.blocks))
-            splats = concatenate([self._core(name), pattern])
-            if LABEL in splats.extras:
-                counts = np.bincount(splats.extras[LABEL], minlength=len(self.label_counts))
-                self.label_counts += counts[: len(self.label_counts)]  # numbers beyond have no name
-            order, cells = by_cell(splats.positions, edge)
-            sorted_rows = self.staging / f"{number}.npy"
-            np.save(sorted_rows, _rows(splats)[order])
-            for cell, place in cells.items():
-                parts.setdefault(cell, []).append((sorted_rows, place))
         tiles = []
-        for number, cell in enumerate(sorted(parts)):
-            self.progress("Cutting into tiles", 0.5 + 0.5 * number / len(parts))
-            rows = [np.load(file, mmap_mode="r")[place] for file, place in parts[cell]]
-            tiles.append(self._store(0, cell, _splats(np.concatenate(rows), pattern)))
-        shutil.rmtree(self.staging)
+        with temporary_folder(self.merged) as staging:
+            for number, name in enumerate(self.blocks):
+                self.progress("Cutting into tiles", 0.5 * number / len(self.blocks))
+                splats = concatenate([self._core(name), pattern])
+                if LABEL in splats.extras:
+                    counts = np.bincount(splats.extras[LABEL], minlength=len(self.label_counts))
+                    self.label_counts += counts[: len(self.label_counts)]  # numbers beyond have no name
+                order, cells = by_cell(splats.positions, edge)
+                sorted_rows = staging / f"{number}.npy"
+                np.save(sorted_rows, _rows(splats)[order])
+                for cell, place in cells.items():
+                    parts.setdefault(cell, []).append((sorted_rows, place))
+            for number, cell in enumerate(sorted(parts)):
+                self.progress("Cutting into tiles", 0.5 + 0.5 * number / len(parts))
+                rows = [np.load(file, mmap_mode="r")[place] for file, place in parts[cell]]
+                tiles.append(self._store(0, cell, _splats(np.concatenate(rows), pattern)))
         return tiles
 
     def _coarser(self, tiles: Sequence[Tile]) -> list[Tile]:
@@ -256,7 +256,7 @@ class _Merge:
 
     def _store(self, level: int, cell: Cell, splats: Splats) -> Tile:
         """Write a tile."""
-        new = self.merged / "tiles" / "new.ply"
+        new = self.merged / "tiles" / NEW
         write_ply(new, splats)
         file = f"tiles/{level}/{_cell_name(cell)}-{hash_of(new)[:12]}.ply"
         (self.merged / file).parent.mkdir(parents=True, exist_ok=True)
@@ -336,7 +336,10 @@ def _remove_unlisted(merged: Path) -> None:
         listed = {merged / tile.file for tile in Tiles.read(merged).tiles}
     except InputError:
         listed = set()
-    for path in sorted((merged / "tiles").rglob("*"), reverse=True):  # files before their folders
-        if path not in listed:
-            with suppress(OSError):
-                path.rmdir() if path.is_dir() else path.unlink()
+    for path in [*merged.glob("tiles/*/*.ply"), *merged.glob("tiles/*"), merged / "tiles"]:
+        with suppress(OSError):
+            if path == merged / "tiles" / NEW or TILE.fullmatch(path.name):
+                if path not in listed:
+                    path.unlink()
+            else:
+                path.rmdir()

@@ -46,7 +46,7 @@ def save_checkpoint(run: Path, iteration: int, tensors: dict[str, torch.Tensor],
 
 def checkpoints(run: Path) -> list[Path]:
     """Return the checkpoints of a run, oldest first."""
-    return sorted(run.glob("checkpoint-*.safetensors"))
+    return sorted(path for path in run.glob("checkpoint-*.safetensors") if path.stem[11:].isdecimal())
 
 
 def load_checkpoint(run: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]] | None:

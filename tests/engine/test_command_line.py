@@ -203,7 +203,7 @@ def test_a_full_disk_ends_in_one_sentence(tiny_scene, tmp_path):
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert done.stderr.strip().splitlines()[-1].startswith("Cannot write")
     assert "Cannot write" in json.loads(done.stdout)["error"]
-    assert not list((tmp_path / "run").glob("*.part")) and not list((tmp_path / "run").glob("result*"))
+    assert not list((tmp_path / "run").glob(".swag-*")) and not list((tmp_path / "run").glob("result*"))
 
 
 @pytest.mark.parametrize(

@@ -261,7 +261,7 @@ def test_evaluation_holds_what_it_promises(run, evaluation):
     stored = json.loads((folder / "evaluation.json").read_text(encoding="utf-8"))
     assert stored["views"] == evaluation["views"]
     assert stored["test_lpips"] == {"alex": None, "vgg": None}
-    assert not list(folder.glob("*.part")) and not list(folder.glob(".*.part"))
+    assert not list(folder.glob(".swag-*"))
 
 
 def test_the_page_needs_nothing_but_itself(run, evaluation):

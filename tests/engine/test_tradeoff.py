@@ -123,7 +123,7 @@ def test_files_hold_every_run_and_name_the_dominated(done):
     assert not re.search(r"https?:|<script|<link|@import|src=", page)
     assert all(found.startswith("#") for found in re.findall(r'href="([^"]*)"', page))
     assert len(describe(document).splitlines()) == 2 + 4 + 1 + len(document["notes"])
-    assert not list(out.glob(".*.part"))
+    assert not list(out.glob(".swag-*"))
 
 
 def test_runs_that_are_finished_are_kept(done, tiny_scene, tmp_path):

@@ -51,7 +51,7 @@ def test_the_run_folder_has_all_files(whole_run):
     folder, result, _ = whole_run
     names = {path.name for path in folder.iterdir()}
     assert {"config.json", "metrics.jsonl", "metrics.json", "result.ply", "result.glb"} <= names
-    assert not [name for name in names if name.endswith(".part")]
+    assert not [name for name in names if name.startswith(".swag-")]
     assert len(read_ply(folder / "result.ply").positions) == result["metrics"]["gaussians"]
     lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
     assert {"iteration", "seconds", "loss", "psnr", "ssim", "gaussians", "ms"} <= set(lines[0])

@@ -32,7 +32,7 @@ import torch
 from safetensors import safe_open
 
 from swag_engine.base.errors import InputError
-from swag_engine.base.files import LOCK, TEMPORARY_NAMES, locked_folder
+from swag_engine.base.files import LOCK, TEMPORARY, locked_folder
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
@@ -121,7 +121,7 @@ def check_whole(out: Path) -> None:
     """Assert that every file with its final name is whole."""
     for path in out.iterdir() if out.exists() else ():
         if path.name.startswith("."):
-            assert path.name == LOCK or any(path.match(pattern) for pattern in TEMPORARY_NAMES), path
+            assert path.name == LOCK or path.name.startswith(TEMPORARY), path
         elif path.suffix == ".json":
             json.loads(path.read_text())
         elif path.suffix == ".ply":

@@ -98,7 +98,8 @@ def test_a_second_claim_in_one_process_is_refused(tmp_path):
 
 
 def test_unfinished_files_of_a_killed_process_are_removed(tmp_path):
-    for name in (".result.ply.123.part", ".tmpAb12Cd", ".keep", "result.ply"):
+    for name in (f"{files.TEMPORARY}0123456789ab/result.ply", ".keep", "result.ply"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("x")
     with locked_folder(tmp_path):
         assert sorted(os.listdir(tmp_path)) == [".keep", files.LOCK, "result.ply"]

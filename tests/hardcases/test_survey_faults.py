@@ -128,5 +128,5 @@ def test_results_are_equal_to_the_bit(planned, undisturbed, tmp_path):
     again.threads[0].join()
     for name in undisturbed.read().jobs:
         assert hash_of(files.run(name).ply) == hash_of(undisturbed.run(name).ply), name
-    left = [path for path in files.path.rglob("*") if path.suffix == ".part" or path.name == "failed.json"]
+    left = [path for path in files.path.rglob("*") if path.name.startswith(".swag-") or path.name == "failed.json"]
     assert not left, "files of ended processes"

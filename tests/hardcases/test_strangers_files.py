@@ -1,0 +1,122 @@
+"""A folder or a file of a stranger can do no harm: nothing is deleted, written or run that is not the program's own."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from swag_engine.base.errors import InputError
+from swag_engine.base.files import atomic_path, inside, locked_folder
+from swag_engine.formats.run_folder import RunFolder
+from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.new_scene import new_scene
+from swag_engine.scene.scene_part import part_of, read_part, write_part
+from swag_engine.scene.split import Split
+from swag_engine.survey import job
+from swag_engine.survey.merge import merge_survey
+from swag_engine.training.checkpoint import checkpoints
+from tests.scenes.small_surveys import make_survey, random_splats
+
+
+def documents(folder: Path) -> Path:
+    """Make a folder with files of somebody else, among them names that this program uses."""
+    for name in ("letter.txt", "done.json", "run/metrics.json", "0/a.ply", "new.ply", "scene/a.txt", "config.json"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text('{"version": 1}')
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@pytest.mark.parametrize("part", ["merged", "merged/tiles", "merged/tiles/0", "blocks", "blocks/B-001", "coarse"])
+def test_a_survey_with_a_link_is_refused(tmp_path, part):
+    """Merging, and a block whose result is not what done.json says, delete files."""
+    survey, others = make_survey(tmp_path / "survey", random_splats(200)), documents(tmp_path / "documents")
+    before, place = contents(others), survey.path / part
+    if place.exists():
+        place.rename(tmp_path / "moved")
+    place.parent.mkdir(parents=True, exist_ok=True)
+    place.symlink_to(others)
+    for work in (lambda: merge_survey(survey.path), lambda: job.run_job(survey.path, "B-001")):
+        with pytest.raises(InputError, match=f"{part} is a link"):
+            work()
+    assert contents(others) == before
+
+
+@pytest.mark.parametrize("name", ["../../documents", "{}/documents", "S-/../../documents", "B-001/..", "", "C:B-001"])
+@pytest.mark.parametrize("field", ["blocks", "seams"])
+def test_names_of_blocks_do_not_lead_out_of_a_survey(tmp_path, name, field):
+    survey, others = make_survey(tmp_path / "survey", random_splats(200)), documents(tmp_path / "documents")
+    name = name.format(tmp_path)
+    document = json.loads(survey.survey.read_text())
+    document[field] = [name]
+    survey.survey.write_text(json.dumps(document))
+    before = contents(tmp_path)
+    for work in (lambda: merge_survey(survey.path), lambda: job.run_job(survey.path, name)):
+        with pytest.raises(InputError, match="survey.json is damaged"):
+            work()
+    assert contents(tmp_path) == before and others.exists()
+    block = survey.block_file("B-002")
+    block.write_text(block.read_text().replace('"sides": []', f'"sides": [{json.dumps(name)}]'))
+    with pytest.raises(InputError, match="block.json is damaged"):
+        survey.read_block("B-002")
+
+
+def test_merging_removes_its_own_tiles_alone(tmp_path):
+    survey = make_survey(tmp_path, random_splats(200))
+    merge_survey(survey.path)
+    tiles = survey.merged / "tiles"
+    own = [tiles / "0" / "0_-1_0-0123456789ab.ply", tiles / "new.ply", tiles / "7" / "0_0_0-0123456789ab.ply"]
+    others = [tiles / "letter.txt", tiles / "0" / "reef.ply", survey.merged / "staging" / "letter.txt"]
+    for path in own + others:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("x")
+    merge_survey(survey.path)
+    assert not any(path.exists() for path in own) and not (tiles / "7").exists()
+    assert all(path.exists() for path in others)
+
+
+@pytest.mark.parametrize("name", ["../outside.png", "/outside.png", "a/../../outside.png", "C:/outside.png"])
+def test_names_of_views_do_not_lead_out_of_a_folder(tiny_scene, tmp_path, name):
+    scene = load_scene(tiny_scene)
+    first = scene.views[0]
+    views = (replace(first, camera=replace(first.camera, name=name)), *scene.views[1:])
+    write_part(tmp_path / "views.npz", part_of(replace(scene, views=views), Split((name,), (), ())))
+    with pytest.raises(InputError, match="views.npz is damaged .*leads out"):
+        read_part(tmp_path / "views.npz", tiny_scene)
+    assert inside(name) in ("outside.png", "a/outside.png")
+
+
+def test_a_folder_keeps_the_files_of_other_programs(tmp_path):
+    """Those that look like temporary files, locks, and checkpoints."""
+    names = (".a.part", ".tmpAb12Cd", ".lock", ".swag-0123", "checkpoint-best.safetensors")
+    for name in names:
+        (tmp_path / name).write_text("x")
+    (tmp_path / ".swag-0123456789ab").mkdir()  # of a process of this program that was killed
+    (tmp_path / ".swag-0123456789ab" / "result.ply").write_text("x")
+    documents(tmp_path.parent / "documents")
+    (tmp_path / ".swag-ffffffffffff").symlink_to(tmp_path.parent / "documents")
+    with locked_folder(tmp_path):
+        assert not (tmp_path / ".swag-0123456789ab").exists()
+        assert checkpoints(tmp_path) == []
+    assert set(names) <= set(os.listdir(tmp_path)) and (tmp_path.parent / "documents" / "letter.txt").exists()
+
+
+def test_nothing_is_written_through_a_link(tmp_path):
+    letter = documents(tmp_path / "documents") / "letter.txt"
+    for name in ("metrics.jsonl", ".swag.lock", "water.json"):
+        (tmp_path / name).symlink_to(letter)
+    with pytest.raises(InputError, match="Cannot write .*metrics.jsonl"):
+        RunFolder(tmp_path).log({"iteration": 1})
+    with pytest.raises(InputError, match="Cannot write"), locked_folder(tmp_path):
+        pass
+    with atomic_path(tmp_path / "water.json") as temporary:
+        temporary.write_text("{}")
+    (tmp_path / ".new.swag-part").symlink_to(letter.parent)
+    with pytest.raises(InputError, match="is a link"), new_scene(tmp_path / "new"):
+        pass
+    assert set(contents(letter.parent).values()) == {b'{"version": 1}'} and not (tmp_path / "water.json").is_symlink()
