@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -71,9 +72,10 @@ def chart_kinds() -> dict[str, ChartKind]:
 def _known_light(chart: int, count: int) -> np.ndarray:
     """Read the linear light (N, 3) of a chart in cv2.ccm, where only a fit to measured colors gives it."""
     measured = np.linspace(0.2, 0.8, 3 * count).reshape(count, 1, 3)
-    model = cv2.ccm.ColorCorrectionModel(measured, chart)
+    ccm: Any = cv2.ccm
+    model = ccm.ColorCorrectionModel(measured, chart)
     opencv5 = hasattr(model, "compute")  # OpenCV 5 renamed three names of OpenCV 4
-    model.setColorSpace(cv2.ccm.COLOR_SPACE_SRGB if opencv5 else cv2.ccm.COLOR_SPACE_S_RGB)
+    model.setColorSpace(ccm.COLOR_SPACE_SRGB if opencv5 else ccm.COLOR_SPACE_S_RGB)
     model.setSaturatedThreshold(-100.0, 100.0)  # it leaves out colors beyond these
     (model.compute if opencv5 else model.run)()
     return np.clip((model.getRefLinearRGB if opencv5 else model.get_dst_rgbl)()[:, 0], 0, 1)

@@ -139,8 +139,9 @@ def _proposals(pixels: np.ndarray, kind: ChartKind) -> Iterator[np.ndarray]:
 
 def _detect(detector: Any, pixels: np.ndarray, kind: ChartKind, size: int) -> bool:
     """Search BGR pixels, made no smaller than `size`, for up to three charts, with OpenCV 4 or 5."""
+    mcc: Any = cv2.mcc
     opencv5 = hasattr(detector, "setDetectionParams")
-    parameters = cv2.mcc.DetectorParametersMCC() if opencv5 else cv2.mcc.DetectorParameters.create()
+    parameters = mcc.DetectorParametersMCC() if opencv5 else mcc.DetectorParameters.create()
     parameters.minImageSize = size
     if not opencv5:
         return detector.process(pixels, kind.opencv_detector, 3, False, parameters)
