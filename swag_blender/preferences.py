@@ -184,10 +184,8 @@ def draw_doctor(layout: bpy.types.UILayout, found: dict[str, Any]) -> None:
     if not backends:
         return
     cuda, wgpu = backends["cuda"], backends["wgpu"]
-    if cuda["runs"]:
-        column.label(text=f"Graphics card: {cuda['device']}, {cuda['memory_gb']} GB")
-    elif wgpu["runs"]:
-        column.label(text=f"Graphics card: {wgpu['device']}")
+    if card := next((backend for backend in (cuda, wgpu) if backend["runs"]), None):
+        column.label(text=f"Graphics card: {card['device']}, {card['memory_gb']} GB")
     else:
         column.label(text=f"No graphics card is used: {wgpu['reason']} CUDA: {cuda['reason']}")
     for adapter in wgpu["adapters"]:

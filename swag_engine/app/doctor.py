@@ -39,7 +39,9 @@ def describe(found: dict[str, Any]) -> str:
         size = f"reads {adapter['largest_binding'] / 2**20:.0f} MiB at once"
         use = f"not used: {adapter['refused']}" if adapter["refused"] else "used"
         lines.append(f"  adapter {adapter['name']}, {adapter['api']}, {adapter['driver']}: {sums}, {size}, {use}")
-    lines.append(f"Training uses {found['auto']}.")
+    used = found["hardware"]
+    memory = f", {used['memory'] / 1e9:.1f} GB" if used["memory"] else ""
+    lines.append(f"Training uses {used['backend']} on {used['name']}{memory}.")
     return "\n".join(lines)
 
 

@@ -30,7 +30,7 @@ from ..evaluation.metrics import (
 from ..formats.exr import write_light_exr
 from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud
-from ..kernels.backends import automatic_backend, device_for
+from ..kernels.hardware import Hardware, device_for, hardware_for
 from ..kernels.machine import describe_machine
 from ..rendering.haze import without_haze
 from ..rendering.model import SceneModel
@@ -127,7 +127,7 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
         "gaussians": len(cloud),
         "megabytes": {path.name: path.stat().st_size / 1e6 for path in run.results.values() if path.exists()},
         "seconds": round(state["seconds"], 2),
-        "machine": machine(cloud.means.device),
+        "machine": machine(hardware_for("auto", with_wgpu=False)),
         "notes": notes,
         "views": views,
     }  # fmt: skip
@@ -202,13 +202,12 @@ def true_image(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarr
     return pixels / np.float32(255), valid
 
 
-def machine(device: torch.device) -> dict[str, Any]:
-    """Describe the machine: device, backend, system and versions."""
+def machine(hardware: Hardware) -> dict[str, Any]:
+    """Describe the machine: card or processor, backend, system and versions."""
     found = describe_machine()
-    name = torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU, {found['cores']} cores"
     return {
-        "device": name,
-        "backend": automatic_backend(),
+        "device": hardware.name,
+        "backend": hardware.backend,
         "system": found["system"],
         "engine": found["engine"],
         "python": found["python"],

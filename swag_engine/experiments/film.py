@@ -24,7 +24,7 @@ from ..formats.run_folder import RunFolder, read_json
 from ..formats.survey_folder import COARSE, SurveyFolder
 from ..formats.water import DAMAGED, has_background_light
 from ..gaussians.cloud import GaussianCloud
-from ..kernels.backends import device_for
+from ..kernels.hardware import device_for
 from ..rendering.haze import with_haze
 from ..rendering.model import SceneModel
 from ..rendering.render import Picture, render

@@ -7,7 +7,7 @@ from ..base.errors import InputError, continue_run
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder
 from ..gaussians.cloud import to_numpy
-from ..kernels.backends import device_for
+from ..kernels.hardware import device_for
 from ..rendering.haze import haze_score, without_haze
 from ..rendering.model import SceneModel
 from ..scene.colmap import load_scene

@@ -21,7 +21,7 @@ from ..base.errors import InputError
 from ..base.files import atomic_path
 from ..base.strict_json import from_json, to_json
 from ..formats.run_folder import RunFolder, read_json, write_json
-from ..kernels.backends import device_for
+from ..kernels.hardware import hardware_of
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import cache_folder, cache_root
 from ..settings.presets import PRESETS, Size
@@ -191,7 +191,7 @@ def past_outcomes() -> list[dict[str, Any]]:
 
 def machine(settings: TrainSettings) -> str:
     """Return a name for what the speed of a run depends on: processor, cores, backend."""
-    return f"{platform.machine()} {platform.node()}, {os.cpu_count()} cores, {device_for(settings.backend)}"
+    return f"{platform.machine()} {platform.node()}, {os.cpu_count()} cores, {hardware_of(settings).backend}"
 
 
 def describe(forecast: dict[str, Any]) -> str:

@@ -12,7 +12,7 @@ from ..formats.export import ExportOptions, export_run
 from ..formats.ply import read_ply
 from ..formats.registry import find_format
 from ..formats.run_folder import RunFolder
-from ..kernels.backends import device_for
+from ..kernels.hardware import device_for
 from ..rendering.model import cloud_from_checkpoint
 from ..scene.colmap import Scene, load_scene
 from ..scene.images import cache_folder, load_images

@@ -12,6 +12,7 @@ from ..base.html_page import NONE, number, paragraph_html, table_html, write_pag
 from ..base.strict_json import from_json
 from ..evaluation.metrics import render_image
 from ..formats.run_folder import RunFolder, read_json
+from ..kernels.hardware import hardware_for
 from ..planning.plan import STATES
 from ..rendering.restoration import render_confidence
 from ..scene.colmap import load_scene
@@ -77,7 +78,7 @@ def write_report(folder: Path) -> Path:
         sure = None if loaded.confidence is None else render_confidence(cloud, loaded.confidence, image.camera)
         comparisons.append(compare_view(image, rendered[0], rendered[1] if effects.models else None, sure))
 
-    where = machine(cloud.means.device)
+    where = machine(hardware_for("auto", with_wgpu=False))
     parts = [
         *_summary(scene_folder, metrics, state, len(cloud)),
         *_curves(log, _ranges(forecast)),

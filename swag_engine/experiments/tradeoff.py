@@ -14,7 +14,7 @@ from ..base.html_page import number, paragraph_html, table_html, write_page
 from ..evaluation.lpips import BACKBONES, Lpips, load_lpips
 from ..evaluation.metrics import ViewScore, mask_invalid, mean, mean_score, median_image_psnr, render_image, score_image
 from ..formats.run_folder import RunFolder, write_json
-from ..kernels.backends import device_for
+from ..kernels.hardware import hardware_for
 from ..scene.colmap import load_scene
 from ..scene.images import TrainingImage, load_images
 from ..scene.split import split_views
@@ -92,7 +92,7 @@ def tradeoff(
     lpips, notes = load_lpips(weights_dir)
     document: dict[str, Any] = {"scene": str(scene_folder), "score_width": max(image.camera.width for image in test)}
     document |= {
-        "machine": machine(device_for("auto")),
+        "machine": machine(hardware_for("auto")),
         "control_psnr": control,
         "notes": notes,
         "rows": [],

@@ -86,18 +86,21 @@ class RunFolder:
         """Splats during training, for the viewport."""
         return self.path / "preview.ply"
 
-    def write_config(self, scene: Path, settings: TrainSettings, up: list[float]) -> None:
+    def write_config(
+        self, scene: Path, settings: TrainSettings, up: list[float], hardware: dict[str, Any] | None = None
+    ) -> None:
         """Write config.json.
 
         Args:
             scene: Folder of the scene.
             settings: All settings of the run.
             up: Up direction (3,) in the scene's coordinates.
+            hardware: What computes the run, as `Hardware.to_json`.
 
         Raises:
             InputError: If the file cannot be written.
         """
-        document = {"scene": str(scene.resolve()), "settings": settings.to_json(), "up": up}
+        document = {"scene": str(scene.resolve()), "settings": settings.to_json(), "up": up, "hardware": hardware}
         write_json(self.config, document)
 
     def read_config(self) -> tuple[Path, TrainSettings, list[float]]:

@@ -1,9 +1,5 @@
 """The backends and the choice among them."""
 
-import sys
-from pathlib import Path
-
-import torch
 from torch import Tensor
 
 from ..base.errors import InputError
@@ -16,27 +12,7 @@ from .webgpu import WebGpuKernels
 CPU = CpuKernels()
 """The CPU kernels, which the backend "wgpu" needs too."""
 KERNELS: dict[str, Kernels] = {"cpu": CPU, "cuda": CudaKernels(), "wgpu": WebGpuKernels(CPU), "torch": REFERENCE}
-"""The backends by name; for single operations "auto" takes the first that can run, for runs `automatic_backend`."""
-
-CARD_FILES = ("dri", "nvidia*", "dxg", "mali*", "kgsl*")
-"""Files in /dev by which programs reach a card on Linux: any card, with NVIDIA's driver, in WSL, Mali, Adreno."""
-
-
-def may_have_card() -> bool:
-    """Return whether this machine may have a graphics card; where it has none, `wgpu` takes a second to find that."""
-    return sys.platform != "linux" or any(any(Path("/dev").glob(name)) for name in CARD_FILES)
-
-
-def automatic_backend() -> str:
-    """Return the backend that a run with "auto" takes: cuda, then wgpu on a card, then cpu, then torch."""
-    if not KERNELS["cuda"].unavailable_reason():
-        return "cuda"
-    if may_have_card():
-        wgpu = KERNELS["wgpu"]
-        assert isinstance(wgpu, WebGpuKernels)
-        if not wgpu.unavailable_reason() and not wgpu.gpu.software and not wgpu.failure:
-            return "wgpu"
-    return "torch" if CPU.unavailable_reason() else "cpu"
+"""The backends by name; for single operations "auto" takes the first that can run, for runs see hardware.py."""
 
 
 def kernels_for(backend: str, *tensors: Tensor) -> Kernels:
@@ -65,23 +41,3 @@ def kernels_for(backend: str, *tensors: Tensor) -> Kernels:
         reason = kernels.unavailable_reason() or f"it takes float32 on its own device, not {kind}."
         raise InputError(f"The {backend} backend cannot run here: {reason}")
     return kernels
-
-
-def device_for(backend: str) -> torch.device:
-    """Choose where a run keeps its tensors.
-
-    Args:
-        backend: A name in `KERNELS`, or "auto": the card where CUDA kernels can run, the CPU otherwise.
-
-    Returns:
-        The device.
-
-    Raises:
-        InputError: The backend is "cuda" or "wgpu" and cannot run here.
-    """
-    if backend == "auto":
-        backend = "cpu" if KERNELS["cuda"].unavailable_reason() else "cuda"
-    reason = KERNELS[backend].unavailable_reason() if backend in ("cuda", "wgpu") else None
-    if reason:
-        raise InputError(f"The {backend} backend cannot run here: {reason}")
-    return KERNELS[backend].device()

@@ -35,20 +35,22 @@ def examine() -> dict[str, Any]:
 
     Returns:
         As `describe_machine`; where torch is installed also `backends` (by name: whether it `runs`, the `reason` why
-        not, what it runs on) and `auto`, the backend that "auto" takes.
+        not, what it runs on), `auto`, the backend that "auto" takes, and `hardware`, as `Hardware.to_json`.
     """
     found = describe_machine()
     return found | _backends() if found["packages"]["torch"] else found
 
 
 def _backends() -> dict[str, Any]:
-    from .backends import KERNELS, automatic_backend
+    from .backends import KERNELS
+    from .hardware import hardware_for
 
     backends = {}
     for name, kernels in KERNELS.items():
         reason = kernels.unavailable_reason()
         backends[name] = {"runs": reason is None, "reason": reason} | kernels.details()
-    return {"backends": backends, "auto": automatic_backend()}
+    found = hardware_for("auto").to_json()
+    return {"backends": backends, "auto": found["backend"], "hardware": found}
 
 
 def engine_version() -> str | None:

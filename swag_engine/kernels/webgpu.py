@@ -112,13 +112,14 @@ class WebGpuKernels:
         return torch.device("cpu")
 
     def details(self) -> dict[str, Any]:
-        """Return the adapters of this machine and the name of the one that is used, if any."""
+        """Return the adapters of this machine, and name and memory (GB) of the one that is used, if any."""
         try:
             found = adapters()
         except WebGpuUnavailable:
             found = []
-        used = None if isinstance(self._device_or_reason, str) else self.gpu.adapter_name
-        return {"device": used, "adapters": found}
+        used = None if isinstance(self._device_or_reason, str) else self.gpu
+        memory = used and used.memory and round(used.memory / 1e9, 1)
+        return {"device": used and used.adapter_name, "memory_gb": memory, "adapters": found}
 
     def run(self, kernel: str, count: int, *arguments: Any) -> None:
         """Run a kernel of `elementwise` on its tensors, in parts that fit the device's bindings."""

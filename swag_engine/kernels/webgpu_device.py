@@ -3,6 +3,7 @@
 The kernels are the .wgsl files beside this one. A kernel's bindings and the fields of its `Call` are passed by name.
 """
 
+import ctypes
 import os
 import re
 import struct
@@ -19,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..base.computer_memory import total_memory
 from ..base.errors import InputError
 from .constants import wgsl
 
@@ -69,6 +71,10 @@ BAD_DRIVERS = {
 """Adapters and drivers that are known to compute wrongly, as patterns of name and driver, and what is wrong."""
 OLDEST_MESA = 22, 3
 """Oldest version of Mesa whose software driver is used: the tests ran on 22.3.6, and on none before."""
+SHARED_FRACTION = 0.5
+"""Fraction of the computer's memory that a graphics chip without memory of its own may take."""
+DEVICE_LOCAL = 1
+"""VK_MEMORY_HEAP_DEVICE_LOCAL_BIT of vulkan_core.h."""
 LEAST_BUFFER = 64
 """Smallest buffer, bytes: a kernel refuses one without room for an item."""
 CALL_BYTES = 256
@@ -139,6 +145,7 @@ class WebGpu:
         device: The device of the `wgpu` package.
         float_atomics: Whether kernels add floats with the adapter's own atomic operation.
         largest_binding: Largest binding of a buffer, bytes.
+        memory: Memory that the adapter has, bytes, None where that is not known.
         counters: What was asked of the device.
     """
 
@@ -147,11 +154,17 @@ class WebGpu:
     device: Any
     float_atomics: bool
     largest_binding: int
+    memory: int | None
     counters: Counters = field(default_factory=Counters)
     _pipelines: dict[str, Any] = field(default_factory=dict)
     _pending: list[Any] = field(default_factory=list)
     _calls: bytearray = field(default_factory=bytearray)
     _call_buffer: Any = None
+
+    @property
+    def is_card(self) -> bool:
+        """Whether it counts as a graphics card: not in software, unless `ALLOW_SOFTWARE` says so."""
+        return not self.software or os.environ.get(ALLOW_SOFTWARE) == "1"
 
     @contextmanager
     def _errors_named(self) -> Iterator[None]:
@@ -450,8 +463,8 @@ def adapters() -> list[dict[str, Any]]:
 
     Returns:
         For each: `name`, `driver`, `api` ("Vulkan", "Metal", ...), `software` (whether it computes on the processor),
-        `float_atomics`, `largest_binding` (bytes) and `refused` (why it is not used, a clause; empty where it is).
-        OpenGL is left out.
+        `float_atomics`, `largest_binding` (bytes), `memory` (bytes, None where it is not known) and `refused` (why it
+        is not used, a clause; empty where it is). OpenGL is left out.
 
     Raises:
         WebGpuUnavailable: The package `wgpu` is missing or does not load.
@@ -513,7 +526,41 @@ def _describe(adapter: Any) -> dict[str, Any]:
         "software": info["adapter_type"] == "CPU",
         "float_atomics": FLOAT_ATOMICS in adapter.features,
         "largest_binding": adapter.limits["max-storage-buffer-binding-size"],
+        "memory": _memory(adapter),
     }
+
+
+def _memory(adapter: Any) -> int | None:
+    """Return the memory of an adapter, bytes: of a card of its own, or of a chip what it may take of the computer's."""
+    info, total = adapter.info, total_memory()
+    if info["adapter_type"] in ("IntegratedGPU", "CPU"):
+        return total and int(SHARED_FRACTION * total)
+    # A card has room for its largest buffer at least.
+    return _vulkan_memory(info["vendor_id"], info["device_id"]) or adapter.limits["max-buffer-size"]
+
+
+def _vulkan_memory(vendor: int, device: int) -> int | None:
+    """Return the size of a card's largest memory that is its own, bytes, which WebGPU does not tell but Vulkan."""
+    try:
+        vulkan = ctypes.CDLL("vulkan-1.dll" if sys.platform == "win32" else "libvulkan.so.1")
+    except OSError:
+        return None
+    instance, count = ctypes.c_void_p(), ctypes.c_uint32()
+    if vulkan.vkCreateInstance((ctypes.c_uint64 * 8)(1), None, ctypes.byref(instance)):  # VkInstanceCreateInfo, all 0
+        return None
+    sizes = [0]
+    vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), None)
+    found = (ctypes.c_void_p * count.value)()
+    vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), found)
+    for handle in map(ctypes.c_void_p, found):
+        properties, memory = (ctypes.c_uint32 * 256)(), (ctypes.c_uint64 * 65)()
+        vulkan.vkGetPhysicalDeviceProperties(handle, properties)
+        vulkan.vkGetPhysicalDeviceMemoryProperties(handle, memory)
+        if properties[2:4] == [vendor, device]:
+            heaps = zip(memory[33::2], memory[34::2], strict=True)  # sizes and flags, after 32 types of memory
+            sizes += [size for size, flags in heaps if flags & DEVICE_LOCAL]
+    vulkan.vkDestroyInstance(instance, None)
+    return max(sizes) or None
 
 
 def request(float_atomics: bool = True, default_limits: bool = False) -> WebGpu:
@@ -545,4 +592,4 @@ def request(float_atomics: bool = True, default_limits: bool = False) -> WebGpu:
     except RuntimeError as error:
         raise WebGpuUnavailable(f"{adapter.info['device']} gave no device: {error}") from error
     found = _describe(adapter)
-    return WebGpu(found["name"], found["software"], device, bool(features), binding)
+    return WebGpu(found["name"], found["software"], device, bool(features), binding, found["memory"])

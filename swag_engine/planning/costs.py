@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..effects.effect import CostProbe
 from ..effects.registry import REGISTRY
-from ..kernels.backends import device_for
+from ..kernels.hardware import Hardware, hardware_for
 from ..scene.cameras import Camera
 
 TIMED_GAUSSIANS = 30_000
@@ -32,20 +32,20 @@ def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, 
         backend: What computes.
 
     Returns:
-        Milliseconds by effect, of the processor, or of the graphics card where that computes; 0 for effects that change
-        only which images there are.
+        Milliseconds by effect, of the processor, or of the graphics card where that computes (through WebGPU with
+        transfers of each operation, which training avoids); 0 for effects that change only which images there are.
     """
-    device = device_for(backend)
+    hardware = hardware_for(backend)
     generator = torch.Generator().manual_seed(0)
 
     def random(*shape: int) -> Tensor:
-        return torch.rand(*shape, generator=generator).to(device).requires_grad_()
+        return torch.rand(*shape, generator=generator).to(hardware.device).requires_grad_()
 
     camera = Camera("", width, height, width, width, width / 2, height / 2, np.eye(4))
-    probe = CostProbe(camera, backend, device, random, TIMED_GAUSSIANS)
+    probe = CostProbe(camera, hardware.backend, hardware.device, random, TIMED_GAUSSIANS)
     works = {name: effect.cost(probe) for name, effect in REGISTRY.items() if effect.cost}
     with _one_thread():
-        rounds = [{name: _seconds(work, device) for name, work in works.items()} for _ in range(ROUNDS + 1)][1:]
+        rounds = [{name: _seconds(work, hardware) for name, work in works.items()} for _ in range(ROUNDS + 1)][1:]
     return {
         name: 1000 * min(seconds[name] for seconds in rounds) / effect.cost_every if name in works else 0.0
         for name, effect in REGISTRY.items()
@@ -63,12 +63,11 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def _seconds(once: Callable[[], Tensor], device: torch.device) -> float:
+def _seconds(once: Callable[[], Tensor], hardware: Hardware) -> float:
     """Time of a forward and backward pass."""
     # Windows counts processor time in steps of 16 ms.
-    clock = time.process_time if device.type == "cpu" and sys.platform != "win32" else time.perf_counter
+    clock = time.process_time if not hardware.card and sys.platform != "win32" else time.perf_counter
     started = clock()
     once().backward()
-    if device.type == "cuda":
-        torch.cuda.synchronize()
+    hardware.synchronize()
     return clock() - started

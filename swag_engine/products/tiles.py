@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from ..gaussians.sh import evaluate_sh
-from ..kernels.backends import device_for
+from ..kernels.hardware import device_for
 from ..rasterize.api import contributions, rasterize
 from ..splats.splats import Splats
 from ..splats.transform import covariances

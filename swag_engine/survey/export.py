@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
+from ..base.computer_memory import free_memory
 from ..base.errors import InputError
 from ..base.files import not_writable
 from ..formats.ply import read_ply, write_ply_parts
@@ -27,7 +27,6 @@ from ..splats.develop_splats import bake_development, name_development
 from ..splats.development import NO_DEVELOPMENT
 from ..splats.splats import Splats, concatenate
 from ..splats.transform import transformed
-from ..training.pacing.memory import free_memory
 
 STREAMED_SOG = "sog"
 """Name of the format that PlayCanvas' splat-transform writes: all levels, cut into pieces for the web."""
@@ -218,7 +217,7 @@ def _require_room(format: str, tiles: Tiles, parts: _Parts) -> None:
     pattern = concatenate([parts.pattern] * 100)
     size = FORMATS[format].size(Path("size"), pattern, tiles.up, ()) / 100 * parts.count
     memory = COPIES * FORMATS["ply"].size(Path("size"), pattern, tiles.up, ()) / 100 * parts.count
-    free = free_memory(torch.device("cpu"))
+    free = free_memory()
     instead = "choose a coarser level, a box or the format ply, which needs the memory of one tile"
     if free is not None and memory > free:
         raise InputError(

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ..gaussians.sizes import nearest_offsets
-from ..kernels.backends import device_for
+from ..kernels.hardware import hardware_of
 from ..scene.colmap import Scene
 from ..scene.images import TrainingImage, load_images
 from ..settings.settings import TrainSettings
@@ -102,7 +102,7 @@ def load_inputs(
         [images[name] for name in split.validation],
         [images[name] for name in split.test],
         median_range(scene, training),
-        device_for(settings.backend),
+        hardware_of(settings).device,
         schedule,
     )
 

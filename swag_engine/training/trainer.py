@@ -29,7 +29,8 @@ from ..formats.run_folder import RunFolder, write_json
 from ..gaussians.cloud import GaussianCloud, to_numpy
 from ..gaussians.densify import PER_GAUSSIAN
 from ..gaussians.init import gaussians_from_points
-from ..kernels.backends import KERNELS, device_for
+from ..kernels.backends import KERNELS
+from ..kernels.hardware import hardware_of, with_backend_of_run
 from ..kernels.webgpu import WebGpuKernels
 from ..planning.plan import write_plan
 from ..rendering.haze import describe_haze, haze_score, without_haze
@@ -63,7 +64,7 @@ from .network_priors import depth_of_images, interpolated_frames
 from .optimizer import EPS
 from .pacing.budget import Budget, fit_budget
 from .pacing.clock import FLAT_DB, FLAT_FRACTION, Clock, is_flat, next_minute
-from .pacing.memory import TOO_LITTLE, Relief, fit_memory, free_memory, none_if_out_of_memory, reduced
+from .pacing.memory import TOO_LITTLE, Relief, fit_memory, none_if_out_of_memory, reduced
 from .pacing.pacer import Pacer
 from .pacing.preset_size import fit_preset, limit_gaussians
 from .pacing.speed import Extent
@@ -74,7 +75,7 @@ from .step import GEOMETRY, AutogradStep, Step, StepConfig
 from .target_cache import Targets
 from .trials import run_trials, trials_due
 from .water_fit import fit_again
-from .webgpu_step import WebGpuStep, leave_card, with_backend_of_run
+from .webgpu_step import WebGpuStep, leave_card
 from .whole import Whole
 
 T = TypeVar("T")
@@ -173,6 +174,8 @@ def make_trainer(
     scene = part or load_scene(scene_folder)
     if not resume:
         settings = with_scale_of(scene, settings)
+    chosen = settings.backend
+    settings, backend_note = with_backend_of_run(settings, resume)
     asked = fit_preset(scene, settings)
     fitted = _or_on_cpu(asked.backend, lambda: fit_budget(scene, asked, started, schedule.closing_seconds))
     if not fitted:
@@ -183,10 +186,11 @@ def make_trainer(
         if not part:  # the Gaussians of a part are its share of the whole
             settings, pixels_note = limit_gaussians(scene, settings)
             notes.append(pixels_note)
-        settings, memory_note = fit_memory(Extent.of(scene), settings, free_memory(device_for(settings.backend)))
+        settings, memory_note = fit_memory(Extent.of(scene), settings, hardware_of(settings).free_memory())
         notes.append(memory_note)
-    run.write_config(scene.folder, settings, scene.up.tolist())
-    settings, backend_note = with_backend_of_run(settings, resume)
+    run.write_config(
+        scene.folder, replace(settings, backend=chosen), scene.up.tolist(), hardware_of(settings).to_json()
+    )
     try:
         trainer = _or_on_cpu(
             settings.backend,

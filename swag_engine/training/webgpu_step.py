@@ -17,7 +17,7 @@ from ..effects.exposure import Exposure
 from ..effects.vignetting import LEAST_GAIN, MOST_GAIN, Vignetting
 from ..formats.water import NO_BACKGROUND_LIGHT
 from ..gaussians.cloud import LOG_SCALE_LIMITS
-from ..kernels.backends import KERNELS, automatic_backend
+from ..kernels.backends import KERNELS
 from ..kernels.protocol import TooManyPairs
 from ..kernels.webgpu import WebGpuKernels
 from ..kernels.webgpu_device import WebGpuFailure
@@ -37,7 +37,6 @@ from ..kernels.webgpu_training import (
 from ..rendering.native_image import NativeImage
 from ..rendering.render import DAZZLING, FARTHEST, background_color
 from ..scene.cameras import Camera
-from ..settings.settings import TrainSettings
 from ..water.medium import MAX_DEGREE, Medium
 from ..water.network import WaterNetwork
 from .densification import strategy_of
@@ -52,8 +51,6 @@ from .targets import Target
 
 RESIDENT = ("means", "quats", "log_scales", "opacity_logits", "sh0", "shN")
 """Parameters that are kept on the GPU, with their moments."""
-RECIPES = ("swag", "3dgs")
-"""Recipes that are trained on a GPU through WebGPU."""
 COMPARED = ("means", "log_scales", "opacity_logits", "sh0")
 """Parameters whose gradients in the first step are compared with the CPU's; that of quats is 0 for round Gaussians."""
 DIFFERENCE = 0.02
@@ -73,29 +70,6 @@ SURFACE = 255
 """Value of a pixel of a training image that surely shows a surface, in photo.wgsl."""
 NOT_UPDATED = -1.0
 """Step size of a parameter that a step leaves as it is, in effects.wgsl."""
-
-
-def with_backend_of_run(settings: TrainSettings, resume: bool) -> tuple[TrainSettings, str]:
-    """Choose what computes: "auto" takes a graphics card through WebGPU where its recipe and the machine allow it.
-
-    Args:
-        settings: What the user chose.
-        resume: Whether the run continues, which it does without the card that it began on.
-
-    Returns:
-        The settings, and a sentence for the user where a run on "wgpu" is computed on the processor.
-    """
-    if settings.backend == "auto" and settings.recipe in RECIPES and automatic_backend() == "wgpu":
-        return replace(settings, backend="wgpu"), ""
-    if settings.backend == "wgpu" and settings.recipe not in RECIPES:
-        note = (
-            f"The recipe {settings.recipe} does not run on the backend wgpu, which has {' and '.join(RECIPES)}: this "
-            "run was computed on the processor."
-        )
-        return replace(settings, backend="cpu"), note
-    if settings.backend == "wgpu" and resume and (reason := KERNELS["wgpu"].unavailable_reason()):
-        return replace(settings, backend="cpu"), f"The run was continued on the processor: {reason}"
-    return settings, ""
 
 
 def leave_card(backend: str) -> bool:

@@ -246,7 +246,7 @@ def test_the_doctor_says_what_runs_and_why_not_the_other(call):
         assert found["auto"] == "cuda" and cuda["device"] in text
     else:
         assert found["auto"] == "cpu" and f"backend cuda: does not run here: {cuda['reason']}" in text
-    assert f"Training uses {found['auto']}." in text
+    assert f"Training uses {found['auto']} on {found['hardware']['name']}, " in text
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a card here")

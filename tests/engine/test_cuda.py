@@ -17,8 +17,8 @@ from benchmarks import gpu_check
 from benchmarks.step import both_steps
 from swag_engine.base.errors import InputError
 from swag_engine.kernels import build, cuda, cuda_driver
-from swag_engine.kernels.backends import device_for
 from swag_engine.kernels.cuda import CudaKernels
+from swag_engine.kernels.hardware import device_for
 from swag_engine.kernels.protocol import Projection
 from swag_engine.kernels.reference.projection import project
 from swag_engine.rasterize.api import contributions, rasterize

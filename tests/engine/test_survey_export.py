@@ -109,7 +109,7 @@ def test_what_cannot_be_exported_is_said_and_nothing_is_written(merged, tmp_path
 
 
 def test_a_level_that_does_not_fit_is_refused_before_it_is_read(merged, tmp_path, monkeypatch):
-    monkeypatch.setattr(export, "free_memory", lambda device: 10**5)
+    monkeypatch.setattr(export, "free_memory", lambda: 10**5)
     with pytest.raises(InputError, match=r"Level 0 has 6000 splats; as glb .* memory"):
         export_survey(merged.path, "glb", tmp_path / "a.glb")
     monkeypatch.undo()

@@ -230,7 +230,7 @@ def test_another_version_is_refused(tmp_path, monkeypatch):
     "memory, jobs, at_once, threads", [(1, 8, 4, 1), (40, 8, 2, 2), (40, 1, 1, 4), (90, 8, 1, 4), (1000, 8, 1, 4)]
 )
 def test_memory_and_cores_say_how_many_run_at_once(monkeypatch, tmp_path, memory, jobs, at_once, threads):
-    monkeypatch.setattr(local, "free_memory", lambda device: 125)
+    monkeypatch.setattr(local, "free_memory", lambda: 125)
     executor = LocalExecutor("cpu")
     executor.divide([Job(tmp_path, str(number), memory) for number in range(jobs)])
     assert executor.room() == at_once and executor.describe().startswith(f"{at_once} at once with {threads} thread")

@@ -5,13 +5,15 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
 
 from swag_engine.base.errors import InputError
-from swag_engine.kernels import backends, constants, webgpu_device, webgpu_tiles, webgpu_training
-from swag_engine.kernels.backends import CPU, KERNELS, automatic_backend, device_for, kernels_for
+from swag_engine.kernels import constants, hardware, webgpu_device, webgpu_tiles, webgpu_training
+from swag_engine.kernels.backends import CPU, KERNELS, kernels_for
+from swag_engine.kernels.hardware import device_for, hardware_for, with_backend_of_run
 from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.kernels.webgpu_device import (
     ALLOW_SOFTWARE,
@@ -26,7 +28,6 @@ from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.losses import photometric
 from swag_engine.training.optimizer import BETAS
 from swag_engine.training.trainer import train
-from swag_engine.training.webgpu_step import with_backend_of_run
 from tests.engine.kernel_suite import KernelSuite
 from tests.engine.raster_scenes import (
     changed,
@@ -35,7 +36,7 @@ from tests.engine.raster_scenes import (
     relative_error,
     run,
 )
-from tests.engine.webgpu_devices import software_device
+from tests.engine.webgpu_devices import Adapter, adapters_are, software_device
 
 
 @pytest.fixture(scope="module")
@@ -184,21 +185,6 @@ def test_dispatches_and_bytes_of_an_image_are_counted(kernels, gpu):
 # -- adapters ----------------------------------------------------------------------------------------------------------
 
 
-class Adapter:
-    features: set[str] = set()
-    limits = {"max-storage-buffer-binding-size": 2**27, "max-buffer-size": 2**28} | DEFAULT_LIMITS
-
-    def __init__(self, name, kind, driver="driver 1"):
-        self.info = {"device": name, "adapter_type": kind, "backend_type": "Vulkan", "description": driver}
-
-    def request_device_sync(self, **_):
-        return self.info["device"]
-
-
-def adapters_are(monkeypatch, *found):
-    monkeypatch.setattr(webgpu_device, "_adapters", lambda: list(found))
-
-
 def test_a_card_comes_before_a_graphics_chip_and_software_comes_last(monkeypatch):
     software, chip, card = Adapter("llvm", "CPU"), Adapter("chip", "IntegratedGPU"), Adapter("card", "DiscreteGPU")
     monkeypatch.setenv(ALLOW_SOFTWARE, "1")
@@ -208,6 +194,12 @@ def test_a_card_comes_before_a_graphics_chip_and_software_comes_last(monkeypatch
     assert request().adapter_name == "chip"
     adapters_are(monkeypatch, software)
     assert request().adapter_name == "llvm" and request().software
+
+
+def test_the_memory_of_a_card_is_asked_of_its_driver(driver):
+    info = webgpu_device._adapters()[0].info
+    assert webgpu_device._vulkan_memory(info["vendor_id"], info["device_id"]) >= 2**30
+    assert webgpu_device._vulkan_memory(1, 2) is None
 
 
 def test_software_is_refused_unless_asked_for(monkeypatch):
@@ -262,11 +254,11 @@ def test_an_adapter_that_vanishes_before_it_gives_a_device_is_said(monkeypatch):
     card = Adapter("card", "DiscreteGPU")
     adapters_are(monkeypatch, card)
     monkeypatch.setattr(Adapter, "request_device_sync", vanished)
-    monkeypatch.setattr(backends, "may_have_card", lambda: True)
+    monkeypatch.setattr(hardware, "may_have_card", lambda: True)
     monkeypatch.setitem(KERNELS, "wgpu", WebGpuKernels(CPU))
     with pytest.raises(InputError, match="The wgpu backend cannot run here: card gave no device: adapter is gone"):
         device_for("wgpu")
-    assert automatic_backend() == "cpu"
+    assert hardware_for("auto").backend == "cpu"
     settings, note = with_backend_of_run(TrainSettings(backend="wgpu"), resume=True)
     assert settings.backend == "cpu" and "card gave no device" in note
 
@@ -289,22 +281,27 @@ def test_a_device_that_sorts_wrongly_is_refused(gpu, monkeypatch):
 
 
 def test_auto_takes_cards_and_no_software(kernels, gpu, monkeypatch):
-    monkeypatch.setattr(backends, "may_have_card", lambda: True)
+    monkeypatch.setattr(hardware, "may_have_card", lambda: True)
     monkeypatch.setattr(gpu, "software", True)  # on a machine with a card it is not
-    assert kernels_for("auto", torch.zeros(1)) is CPU and automatic_backend() == "cpu"
+    assert kernels_for("auto", torch.zeros(1)) is CPU and hardware_for("auto").backend == "cpu"
     monkeypatch.setattr(gpu, "software", False)
-    assert automatic_backend() == "wgpu"
+    assert hardware_for("auto").backend == "wgpu"
     with monkeypatch.context() as patch:
-        patch.setattr(backends, "may_have_card", lambda: False)
-        assert automatic_backend() == "cpu"
+        patch.setattr(hardware, "may_have_card", lambda: False)
+        assert hardware_for("auto").backend == "cpu"
     with monkeypatch.context() as patch:
         patch.setattr(KERNELS["cuda"], "unavailable_reason", lambda: None)
-        assert automatic_backend() == "cuda"
+        patch.setattr(KERNELS["cuda"], "device", lambda: torch.device("cuda"))
+        patch.setattr(torch.cuda, "get_device_properties", lambda _: SimpleNamespace(name="H200", total_memory=9))
+        patch.setattr(torch.cuda, "mem_get_info", lambda _: (7, 9))
+        found = hardware_for("auto")
+        assert found.to_json() == {"backend": "cuda", "card": True, "name": "H200", "memory": 9}
+        assert found.free_memory() == 7
     auto = TrainSettings(backend="auto")
     assert with_backend_of_run(auto, False)[0].backend == "wgpu"
     assert with_backend_of_run(replace(auto, recipe="seasplat"), False)[0].backend == "auto"
     kernels.fail(WebGpuFailure("Lost."))
-    assert automatic_backend() == "cpu"
+    assert hardware_for("auto").backend == "cpu"
 
 
 def test_a_run_is_resumed_without_the_card_it_began_on(monkeypatch):

@@ -11,14 +11,18 @@ from swag_engine.effects.scene_effects import SceneEffects
 from swag_engine.evaluation.metrics import render_color
 from swag_engine.gaussians.densify import PER_GAUSSIAN
 from swag_engine.kernels.backends import CPU, KERNELS
+from swag_engine.kernels.hardware import hardware_for
 from swag_engine.kernels.webgpu import WebGpuKernels
+from swag_engine.kernels.webgpu_device import WebGpuFailure
 from swag_engine.kernels.webgpu_training import ResidentGaussians
+from swag_engine.scene.colmap import load_scene
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training import native_step
 from swag_engine.training.checkpoint import load_checkpoint
 from swag_engine.training.guard import Guard
 from swag_engine.training.native_step import NativeStep
 from swag_engine.training.optimizer import EPS
+from swag_engine.training.pacing import speed
 from swag_engine.training.step import AutogradStep
 from swag_engine.training.trainer import train
 from swag_engine.training.webgpu_step import RESIDENT, WebGpuStep
@@ -105,6 +109,20 @@ def test_a_step_is_that_of_the_cpu(make, kernels, case):
         assert relative(moments[0][name][1], square) < 4e-4, name
     assert relative(states[0].statistics.gradient, states[1].statistics.gradient) < 1e-4
     assert torch.equal(states[0].statistics.views, states[1].statistics.views)
+
+
+@one_gpu
+def test_the_speed_of_a_card_is_that_of_its_own_steps(tiny_scene, kernels, gpu, monkeypatch):
+    monkeypatch.setattr(speed, "TIMED_GAUSSIANS", 500)
+    monkeypatch.setattr(speed, "TIMED_WIDTH", 64)
+    scene, settings, before = load_scene(tiny_scene), TrainSettings(backend="wgpu"), replace(gpu.counters)
+    measured = speed.measure_speed(scene, settings)
+    assert measured.milliseconds(500, 64 * 48) > 0
+    waits, steps = gpu.counters.waits - before.waits, 3 * speed.TIMINGS
+    assert steps <= waits <= 2 * steps and gpu.counters.dispatches - before.dispatches > 40 * steps
+    monkeypatch.setattr(ResidentGaussians, "step", lambda *_: (_ for _ in ()).throw(WebGpuFailure("The card is lost.")))
+    assert speed.measure_speed(scene, settings).milliseconds(500, 64 * 48) > 0
+    assert hardware_for("wgpu").backend == "cpu" and "The card is lost." in kernels.failure
 
 
 @pytest.mark.parametrize("case", ["3dgs", "water on display values", "all effects", "no backscatter"])

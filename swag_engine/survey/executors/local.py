@@ -4,11 +4,10 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
-import torch
-
+from ...base.computer_memory import free_memory
 from ...base.threads import available_cores
-from ...kernels.backends import device_for
-from ...training.pacing.memory import USABLE_FRACTION, free_memory
+from ...kernels.hardware import hardware_for
+from ...training.pacing.memory import USABLE_FRACTION
 from .child import Child, end
 from .protocol import BAD_INPUT, KILLED, ROOT, Ended, Job, Machine, cores_for_each, result_of
 
@@ -20,19 +19,18 @@ class LocalExecutor:
     """Runs jobs on this machine.
 
     Args:
-        backend: `backend` of the survey's settings: memory is that of the device on which blocks are trained.
+        backend: `backend` of the survey's settings: memory is that of the hardware on which blocks are trained.
         most: Number of jobs that run at the same time at most; None for as many as memory and cores allow.
     """
 
     def __init__(self, backend: str, most: int | None = None) -> None:
-        self._device, self._most = device_for(backend), most
+        self._hardware, self._most = hardware_for(backend), most
         self._threads = self._at_once = 1
         self._children: dict[str, Child] = {}
 
     def divide(self, jobs: Sequence[Job]) -> None:
         """Divide the cores; a job that needs more memory than is free runs alone, and is reduced to what is free."""
-        devices = {torch.device("cpu"), self._device}
-        free = [free for device in devices if (free := free_memory(device)) is not None]
+        free = [free for free in (free_memory(), self._hardware.free_memory()) if free is not None]
         memory = max(job.memory for job in jobs)
         usable = max(memory, int(USABLE_FRACTION * min(free))) if free else memory * len(jobs)
         machine = Machine(available_cores(), usable, self._most or len(jobs))

@@ -83,7 +83,9 @@ class RayExecutor:
         if not nodes:
             raise InputError("The Ray cluster has no node with processor cores: add one with `ray start`.")
         resources = [node["Resources"] for node in nodes]
-        cards = self._backend == "cuda" or (self._backend == "auto" and any("GPU" in node for node in resources))
+        cards = self._backend == "cuda" or (
+            self._backend in ("auto", "wgpu") and any("GPU" in node for node in resources)
+        )
         memory = min(max(job.memory for job in jobs), max(int(node.get("memory", 0)) for node in resources))
         machines = [
             Machine(int(node["CPU"]), int(node.get("memory", 0)), int(node.get("GPU", 0)) if cards else len(jobs))

@@ -1,10 +1,7 @@
 """Memory of a run: what it needs, how it is reduced to what is free, and what happens when memory runs out."""
 
-import ctypes
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TypeVar
 
 import torch
@@ -49,21 +46,6 @@ def needed(extent: Extent, width: int, gaussians: int) -> int:
     return gaussians * BYTES_PER_GAUSSIAN + int(
         extent.pixels(width) * (extent.training + extent.held_out) * BYTES_PER_PIXEL
     )
-
-
-def free_memory(device: torch.device) -> int | None:
-    """Return how many bytes are free on a device, None where the system does not say."""
-    if device.type == "cuda":
-        return torch.cuda.mem_get_info(device)[0]
-    if sys.platform == "win32":
-        status = (ctypes.c_uint64 * 8)()
-        ctypes.cast(status, ctypes.POINTER(ctypes.c_uint32))[0] = ctypes.sizeof(status)
-        return int(status[2]) if ctypes.windll.kernel32.GlobalMemoryStatusEx(status) else None
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        return 1024 * int(next(line.split()[1] for line in lines if line.startswith("MemAvailable")))
-    except (OSError, StopIteration):
-        return None
 
 
 def fit_memory(extent: Extent, settings: TrainSettings, free: int | None) -> tuple[TrainSettings, str]:

@@ -3,13 +3,13 @@
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from ...kernels.backends import device_for
+from ...kernels.hardware import hardware_of
 from ...scene.colmap import Scene
 from ...scene.resolved_width import resolved_width
 from ...settings.presets import CARD_PRESETS, LADDER, PRESETS, SIZES, Size, size_at
 from ...settings.recipes import recipe_of
 from ...settings.settings import TrainSettings
-from .memory import fit_memory, free_memory
+from .memory import fit_memory
 from .speed import Extent, Speed, measure_speed, predicted_seconds
 
 
@@ -43,7 +43,7 @@ DRAFT_STEPS = 40
 
 def fit_of(settings: TrainSettings) -> Fit:
     """Return how the preset of a run follows the photos on the machine that trains."""
-    return (ON_CARD if device_for(settings.backend).type == "cuda" else ON_PROCESSOR)[settings.preset]
+    return (ON_CARD if hardware_of(settings).card else ON_PROCESSOR)[settings.preset]
 
 
 def suitable_gaussians(extent: Extent, width: int, pixels_each: float) -> int:
@@ -106,7 +106,7 @@ def fit_preset(
     largest = replace(largest, iterations=min(largest.iterations, enough))
     widest = settings.width or min(largest.width, resolved or resolved_width(scene, largest.width))
     found = suited(settings, largest, extent, widest)
-    if settings.preset == "draft" and device_for(settings.backend).type != "cuda":
+    if settings.preset == "draft" and not hardware_of(settings).card:
         speed = speed or measure_speed(scene, settings)
         densify_until = recipe_of(settings.recipe, settings.effects).densify_until
         for step in range(1, DRAFT_STEPS):
@@ -135,7 +135,7 @@ def sizes_of_presets(scene: Scene, settings: TrainSettings, speed: Speed | None 
     """
     by_preset: dict[str, Any] = dict.fromkeys(SIZES, 0)
     runs = [replace(settings, preset=name, time_budget="", **by_preset) for name in PRESETS]
-    extent, free = Extent.of(scene), free_memory(device_for(settings.backend))
+    extent, free = Extent.of(scene), hardware_of(settings).free_memory()
     resolved = resolved_width(scene, max(largest_size(run).width for run in runs))
     presets: dict[str, dict[str, Any]] = {}
     for run in runs:
@@ -167,7 +167,7 @@ def limit_gaussians(scene: Scene, settings: TrainSettings) -> tuple[TrainSetting
 
 def largest_size(settings: TrainSettings) -> Size:
     """Return the largest sizes that a preset takes on the machine that trains."""
-    if device_for(settings.backend).type == "cuda":
+    if hardware_of(settings).card:
         return CARD_PRESETS[settings.preset]
     return _grown(PRESETS[settings.preset])
 

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
 
 import torch
@@ -11,7 +11,10 @@ from ...effects.scene_effects import SceneEffects
 from ...gaussians.cloud import GaussianCloud
 from ...gaussians.densify import PER_GAUSSIAN
 from ...gaussians.init import gaussians_from_points
-from ...kernels.backends import device_for
+from ...kernels.backends import KERNELS
+from ...kernels.hardware import hardware_of
+from ...kernels.webgpu import WebGpuKernels
+from ...kernels.webgpu_device import WebGpuFailure
 from ...rendering.render import render
 from ...scene.colmap import Scene
 from ...scene.images import TrainingImage, load_images
@@ -21,6 +24,8 @@ from ...water.medium import Medium
 from ..losses import photometric
 from ..optimizer import Optimizer
 from ..schedule import STANDARD
+from ..targets import Target
+from .card_speed import steps_on_card
 
 TIMED_GAUSSIANS = 20_000
 """Gaussians of the timed iterations."""
@@ -121,13 +126,13 @@ def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
     points = gaussians_from_points(scene.points, TIMED_GAUSSIANS, settings.sh_degree, 0, torch.zeros(3).numpy())
     cloud, half = _grown(points, TIMED_GAUSSIANS), _grown(points, TIMED_GAUSSIANS // 2)
     pixels = image.camera.width * image.camera.height
-    work = [
-        _iteration(cloud, image, 1, settings),
-        _iteration(cloud, image, 2, settings),
-        _iteration(half, image, 1, settings),
-    ]
-    # In turns, so that other load on the machine affects all of them alike.
-    rounds = [[once() for once in work] for _ in range(TIMINGS)]
+    try:
+        rounds = _rounds(((cloud, 1), (cloud, 2), (half, 1)), image, settings)
+    except WebGpuFailure as failure:
+        kernels = KERNELS["wgpu"]
+        assert isinstance(kernels, WebGpuKernels)
+        kernels.fail(failure)
+        return measure_speed(scene, settings)
     whole, smaller, fewer = (min(times) for times in zip(*rounds, strict=True))
     per_pixel = max(0.0, (whole - smaller) / (0.75 * pixels))
     per_gaussian = max(0.0, (whole - fewer) / (len(cloud) - len(half)))
@@ -144,25 +149,31 @@ def _grown(points: GaussianCloud, count: int) -> GaussianCloud:
     return cloud
 
 
+def _rounds(
+    works: Sequence[tuple[GaussianCloud, int]], image: TrainingImage, settings: TrainSettings
+) -> list[list[float]]:
+    """Milliseconds of iterations, in turns, so that other load on the machine affects all of them alike."""
+    iterations = [_iteration(cloud, image, factor, settings) for cloud, factor in works]
+    return [[once() for once in iterations] for _ in range(TIMINGS)]
+
+
 def _iteration(cloud: GaussianCloud, image: TrainingImage, factor: int, settings: TrainSettings) -> Callable[[], float]:
     """An iteration at 1/factor of the image's size, which returns how many milliseconds it took."""
-    from ..targets import Target
-
-    device = device_for(settings.backend)
+    hardware = hardware_of(settings)
+    backend, device, kernels = hardware.backend, hardware.device, KERNELS[hardware.backend]
     target = Target.shrunk(image, factor, device)
-    optimizer = Optimizer(cloud.to(device), SceneEffects({"medium": Medium.starting(1.0)}).to(device), settings.backend)
+    if isinstance(kernels, WebGpuKernels):
+        return steps_on_card(kernels.gpu, cloud, target, settings.sh_degree)
+    optimizer = Optimizer(cloud.to(device), SceneEffects({"medium": Medium.starting(1.0)}).to(device), backend)
     rates = dict.fromkeys(optimizer.parameters(), 0.0)
 
     def once() -> float:
         started = time.perf_counter()
-        picture = render(
-            optimizer.cloud, target.camera, settings.sh_degree, optimizer.effects.medium, backend=settings.backend
-        )
-        loss = photometric(picture.color, target.color, target.valid, 0.8, 0.2, 0.0, False, settings.backend)
+        picture = render(optimizer.cloud, target.camera, settings.sh_degree, optimizer.effects.medium, backend=backend)
+        loss = photometric(picture.color, target.color, target.valid, 0.8, 0.2, 0.0, False, backend)
         loss.backward()
         optimizer.step(rates)
-        if device.type == "cuda":
-            torch.cuda.synchronize()
+        hardware.synchronize()
         return 1000 * (time.perf_counter() - started)
 
     return once
