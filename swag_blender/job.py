@@ -4,12 +4,12 @@ import os
 import tempfile
 import time
 import traceback
-from pathlib import Path
 from types import FunctionType, MethodType
 from typing import Any, cast
 
 import bpy
 
+from ..swag_engine.base.computer_memory import free_memory
 from ..swag_engine.base.errors import InputError
 from . import open_run, scene_import, survey
 from .blender_types import OperatorResult, present
@@ -334,10 +334,10 @@ def obstacle(operator: type[Job], context: bpy.types.Context) -> str:
     for job in running:
         if job.name == operator.job or job.heavy and operator.heavy:
             return f"{job.name} is running: wait for its end, or cancel it"
-    free = free_memory_mb() if running else None
-    if free is not None and free < operator.memory_mb:
+    free = free_memory() if running else None
+    if free is not None and free < 1e6 * operator.memory_mb:
         return (
-            f"{running[-1].name} is running, and {free / 1000:.1f} GB of memory are free (at least "
+            f"{running[-1].name} is running, and {free / 1e9:.1f} GB of memory are free (at least "
             f"{operator.memory_mb / 1000:.1f} GB are needed): wait for its end, or cancel it"
         )
     return ""
@@ -357,15 +357,6 @@ def folder_of(request: dict[str, Any]) -> str:
     if request["request"] in WRITE_TO_SCENE:
         names.append("scene")
     return next((os.path.abspath(request[name]) for name in names if request.get(name)), "")
-
-
-def free_memory_mb() -> int | None:
-    """Memory that is free, MB; None where the system does not say."""
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return None
-    return next((int(line.split()[1]) // 1000 for line in lines if line.startswith("MemAvailable:")), None)
 
 
 def can_run_engine(operator: type[Job], context: bpy.types.Context, folder: str = "") -> bool:

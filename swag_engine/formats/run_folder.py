@@ -95,7 +95,7 @@ class RunFolder:
             scene: Folder of the scene.
             settings: All settings of the run.
             up: Up direction (3,) in the scene's coordinates.
-            hardware: What computes the run, as `Hardware.to_json`.
+            hardware: What computes the run: the fields of `Hardware`.
 
         Raises:
             InputError: If the file cannot be written.

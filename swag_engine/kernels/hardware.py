@@ -2,9 +2,8 @@
 
 import os
 import sys
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -29,14 +28,17 @@ class Hardware:
         card: Whether it is a graphics card; the processor otherwise.
         name: Name of the card, or of the processor.
         memory: Memory of the card or of the computer, bytes; None where the system does not say.
-        device: Where torch keeps the tensors: for "wgpu" the CPU.
     """
 
     backend: str
     card: bool
     name: str
     memory: int | None
-    device: torch.device
+
+    @property
+    def device(self) -> torch.device:
+        """Where torch keeps the tensors: for "wgpu" the CPU."""
+        return KERNELS[self.backend].device()
 
     def free_memory(self) -> int | None:
         """Return how many bytes a run may take, None where that is not known."""
@@ -48,10 +50,6 @@ class Hardware:
         """Wait until the card has done what was asked of it; other backends wait themselves."""
         if self.device.type == "cuda":
             torch.cuda.synchronize()
-
-    def to_json(self) -> dict[str, Any]:
-        """Return all but the device."""
-        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "device"}
 
 
 def may_have_card() -> bool:
@@ -83,12 +81,11 @@ def hardware_for(backend: str, with_wgpu: bool = True) -> Hardware:
     device = kernels.device()
     if device.type == "cuda":
         properties = torch.cuda.get_device_properties(device)
-        return Hardware(backend, True, properties.name, properties.total_memory, device)
+        return Hardware(backend, True, properties.name, properties.total_memory)
     if wgpu:
-        return Hardware(backend, wgpu.gpu.is_card, wgpu.gpu.adapter_name, wgpu.gpu.memory, device)
-    processor = device.type == "cpu"
-    name = f"CPU, {os.cpu_count()} cores" if processor else str(device)
-    return Hardware(backend, not processor, name, total_memory(), device)
+        return Hardware(backend, wgpu.gpu.is_card, wgpu.gpu.adapter_name, wgpu.gpu.memory)
+    name = f"CPU, {os.cpu_count()} cores" if device.type == "cpu" else str(device)
+    return Hardware(backend, device.type != "cpu", name, total_memory())
 
 
 def hardware_of(settings: TrainSettings) -> Hardware:
@@ -110,19 +107,16 @@ def with_backend_of_run(settings: TrainSettings, resume: bool) -> tuple[TrainSet
     Raises:
         InputError: The backend is "cuda" or "wgpu" and cannot run here.
     """
-    note = ""
-    if settings.backend == "wgpu":
-        if settings.recipe not in WGPU_RECIPES:
-            note = (
-                f"The recipe {settings.recipe} does not run on the backend wgpu, which has "
-                f"{' and '.join(WGPU_RECIPES)}: this run was computed on the processor."
-            )
-        elif resume and (reason := KERNELS["wgpu"].unavailable_reason()):
-            note = f"The run was continued on the processor: {reason}"
-    if note:
+    if settings.backend == "wgpu" and settings.recipe not in WGPU_RECIPES:
+        note = (
+            f"The recipe {settings.recipe} does not run on the backend wgpu, which has {' and '.join(WGPU_RECIPES)}: "
+            "this run was computed on the processor."
+        )
         return replace(settings, backend="cpu"), note
+    if settings.backend == "wgpu" and resume and (reason := KERNELS["wgpu"].unavailable_reason()):
+        return replace(settings, backend="cpu"), f"The run was continued on the processor: {reason}"
     found = hardware_of(settings).backend
-    return (replace(settings, backend=found) if found == "wgpu" else settings), ""
+    return replace(settings, backend=found if found == "wgpu" else settings.backend), ""
 
 
 def device_for(backend: str) -> torch.device:

@@ -3,6 +3,7 @@
 import os
 import platform
 import tomllib
+from dataclasses import asdict
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ def examine() -> dict[str, Any]:
 
     Returns:
         As `describe_machine`; where torch is installed also `backends` (by name: whether it `runs`, the `reason` why
-        not, what it runs on), `auto`, the backend that "auto" takes, and `hardware`, as `Hardware.to_json`.
+        not, what it runs on), `auto`, the backend that "auto" takes, and `hardware`, the fields of `Hardware`.
     """
     found = describe_machine()
     return found | _backends() if found["packages"]["torch"] else found
@@ -49,7 +50,7 @@ def _backends() -> dict[str, Any]:
     for name, kernels in KERNELS.items():
         reason = kernels.unavailable_reason()
         backends[name] = {"runs": reason is None, "reason": reason} | kernels.details()
-    found = hardware_for("auto").to_json()
+    found = asdict(hardware_for("auto"))
     return {"backends": backends, "auto": found["backend"], "hardware": found}
 
 

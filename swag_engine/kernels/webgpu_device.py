@@ -463,8 +463,8 @@ def adapters() -> list[dict[str, Any]]:
 
     Returns:
         For each: `name`, `driver`, `api` ("Vulkan", "Metal", ...), `software` (whether it computes on the processor),
-        `float_atomics`, `largest_binding` (bytes), `memory` (bytes, None where it is not known) and `refused` (why it
-        is not used, a clause; empty where it is). OpenGL is left out.
+        `float_atomics`, `largest_binding` and `memory` (bytes) and `refused` (why it is not used, a clause; empty where
+        it is). OpenGL is left out.
 
     Raises:
         WebGpuUnavailable: The package `wgpu` is missing or does not load.

@@ -97,7 +97,6 @@ class View:
         dazzling: Largest display value that water is applied to.
     """
 
-    target: Any
     viewmat: Tensor
     K: Tensor
     centre: Tensor
@@ -107,14 +106,15 @@ class View:
     water_degree: int
     mode: int
     effects: Mapping[str, Any]
-    dropout: float
-    seed: int
-    geometry: bool
-    weights: tuple[float, float, float, float]
     surface: tuple[float, float, float]
     log_scale_limits: tuple[float, float]
     farthest: float
     dazzling: float
+    target: Any = None
+    dropout: float = 0.0
+    seed: int = 0
+    geometry: bool = False
+    weights: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)

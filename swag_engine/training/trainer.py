@@ -188,9 +188,7 @@ def make_trainer(
             notes.append(pixels_note)
         settings, memory_note = fit_memory(Extent.of(scene), settings, hardware_of(settings).free_memory())
         notes.append(memory_note)
-    run.write_config(
-        scene.folder, replace(settings, backend=chosen), scene.up.tolist(), hardware_of(settings).to_json()
-    )
+    run.write_config(scene.folder, replace(settings, backend=chosen), scene.up.tolist(), asdict(hardware_of(settings)))
     try:
         trainer = _or_on_cpu(
             settings.backend,

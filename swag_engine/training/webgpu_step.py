@@ -16,7 +16,6 @@ from ..effects.beam import MOST_LOG_GAIN
 from ..effects.exposure import Exposure
 from ..effects.vignetting import LEAST_GAIN, MOST_GAIN, Vignetting
 from ..formats.water import NO_BACKGROUND_LIGHT
-from ..gaussians.cloud import LOG_SCALE_LIMITS
 from ..kernels.backends import KERNELS
 from ..kernels.protocol import TooManyPairs
 from ..kernels.webgpu import WebGpuKernels
@@ -35,22 +34,20 @@ from ..kernels.webgpu_training import (
     adam_fields,
 )
 from ..rendering.native_image import NativeImage
-from ..rendering.render import DAZZLING, FARTHEST, background_color
+from ..rendering.render import background_color
 from ..scene.cameras import Camera
 from ..water.medium import MAX_DEGREE, Medium
 from ..water.network import WaterNetwork
 from .densification import strategy_of
 from .effect_selection import EffectSelection
 from .inputs import RunInputs
-from .losses import SURFACE_LIMITS
 from .native_step import IMAGE_EFFECTS, compare, runs_natively
 from .optimizer import BETAS, EPS, MOMENTS, epsilon_of
+from .resident import RESIDENT, view_of, words_of
 from .state import RunState
 from .step import GEOMETRY, Step, StepConfig, StepResult
 from .targets import Target
 
-RESIDENT = ("means", "quats", "log_scales", "opacity_logits", "sh0", "shN")
-"""Parameters that are kept on the GPU, with their moments."""
 COMPARED = ("means", "log_scales", "opacity_logits", "sh0")
 """Parameters whose gradients in the first step are compared with the CPU's; that of quats is 0 for round Gaussians."""
 DIFFERENCE = 0.02
@@ -66,8 +63,6 @@ LEARNED = {
     "exposure.raw": slice(EXPOSURES, None),
 }
 """Other parameters that are kept on the GPU with their moments, and their places there, as in effects.wgsl."""
-SURFACE = 255
-"""Value of a pixel of a training image that surely shows a surface, in photo.wgsl."""
 NOT_UPDATED = -1.0
 """Step size of a parameter that a step leaves as it is, in effects.wgsl."""
 
@@ -287,11 +282,7 @@ class WebGpuStep:
         """Return the buffer of a training image."""
         key = id(target)
         if key not in self._images:
-            kind = target.valid.to(torch.uint8)
-            if target.surface is not None:
-                kind[target.surface & target.valid] = SURFACE
-            words = torch.cat([target.pixels, kind[..., None]], -1).contiguous().view(torch.int32)
-            self._images[key] = self.kernels.gpu.upload(words)
+            self._images[key] = self.kernels.gpu.upload(words_of(target))
             finalize(target, self._images.pop, key, None)
         return self._images[key]
 
@@ -406,26 +397,8 @@ class WebGpuStep:
             mode |= OPEN if medium.background_sh is not None else 0
         mode |= (LAMP if state.effects.lamp else 0) | (GAIN if models.keys() & set(IMAGE_EFFECTS) else 0)
         seed = np.random.SeedSequence((self.inputs.settings.seed, state.iteration)).generate_state(1)[0]
-        return View(
-            target=None,
-            viewmat=torch.from_numpy(camera.world_to_camera).float(),
-            K=torch.from_numpy(camera.K).float(),
-            centre=torch.from_numpy(camera.centre).float(),
-            width=camera.width,
-            height=camera.height,
-            sh_degree=min(sh_degree, math.isqrt(1 + state.cloud.shN.shape[1]) - 1),
-            water_degree=water_degree,
-            mode=mode,
-            effects=fields,
-            dropout=0.0,
-            seed=int(seed),
-            geometry=False,
-            weights=(0.0, 0.0, 0.0, 0.0),
-            surface=SURFACE_LIMITS,
-            log_scale_limits=LOG_SCALE_LIMITS,
-            farthest=FARTHEST,
-            dazzling=DAZZLING,
-        )
+        degree = min(sh_degree, math.isqrt(1 + state.cloud.shN.shape[1]) - 1)
+        return replace(view_of(camera, degree, water_degree, mode, fields), seed=int(seed))
 
 
 @dataclass

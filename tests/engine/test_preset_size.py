@@ -1,23 +1,21 @@
 """Sizes of presets: what the photos resolve, the surface they show, and what the machine does in two minutes."""
 
 import json
-from dataclasses import replace
-from functools import cache
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import torch
 
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.kernels import hardware, webgpu_device
 from swag_engine.kernels.backends import CPU, KERNELS
-from swag_engine.kernels.hardware import Hardware, hardware_of
+from swag_engine.kernels.hardware import hardware_of
 from swag_engine.kernels.webgpu import WebGpuKernels
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.resolved_width import resolved_width
-from swag_engine.settings.presets import CARD_PRESETS, FEWEST, PRESETS, Surface
+from swag_engine.settings.presets import CARD_PRESETS, FEWEST, PRESETS, Size, Surface
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.training.pacing import preset_size
 from swag_engine.training.pacing.memory import USABLE_FRACTION, needed
@@ -38,7 +36,6 @@ from tests.scenes.tiny import make_tiny_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 SURVEY = Extent(training=90, held_out=10, points=9000, overlap=8, width=1280, height=960)
-CARD = Hardware("cuda", True, "card", 10**11, torch.device("cpu"))
 FAST, SLOW = Speed(1, 2e-4, 2e-5, 0.01), Speed(20, 4e-3, 4e-4, 0.2)
 
 
@@ -76,9 +73,6 @@ def test_better_presets_have_more_gaussians_for_the_same_surface(scenes, monkeyp
     sizes = [fit_preset(scenes["sharp"], TrainSettings(preset=name, width=480), FAST) for name in PRESETS]
     gaussians = [settings.max_gaussians for settings in sizes]
     assert FEWEST < gaussians[0] < gaussians[1] < gaussians[2] < PRESETS["high"].max_gaussians
-    monkeypatch.setattr(preset_size, "hardware_of", lambda settings: CARD)
-    on_card = fit_preset(scenes["sharp"], TrainSettings(preset="draft", width=480), FAST)
-    assert on_card.max_gaussians >= gaussians[2]
 
 
 def test_no_preset_has_more_gaussians_on_a_processor_than_gain_anything(scenes, monkeypatch):
@@ -122,65 +116,47 @@ def test_a_draft_ends_in_two_minutes_on_a_slow_machine(scenes, monkeypatch):
     assert high.iterations == PRESETS["high"].iterations  # a result to keep may take its time
 
 
-def test_a_card_takes_photos_at_full_size(scenes, monkeypatch):
+@pytest.mark.parametrize(
+    "kind, api, memory",
+    [("DiscreteGPU", "Vulkan", 24e9), ("IntegratedGPU", "Metal", 16e9), ("IntegratedGPU", "D3D12", 16e9),
+     ("DiscreteGPU", "Metal", 2**28), ("CPU", "Vulkan", None)],
+    ids=["AMD", "Apple", "Intel", "AMD in a Mac", "software"],
+)  # fmt: skip
+def test_a_card_of_any_make_takes_photos_at_full_size(scenes, monkeypatch, kind, api, memory):
+    """In a computer of 32 GB; a processor has no memory of a card."""
+    monkeypatch.delenv(webgpu_device.ALLOW_SOFTWARE, raising=False)
+    monkeypatch.setattr(webgpu_device, "_vulkan_memory", lambda *card: 24 * 10**9 if api == "Vulkan" else None)
     monkeypatch.setattr(Extent, "of", lambda scene: replace(SURVEY, training=2000, width=6000, height=4000))
     monkeypatch.setattr(preset_size, "resolved_width", lambda scene, most: min(most, 6000))
-    monkeypatch.setattr(preset_size, "hardware_of", lambda settings: CARD)
-    high = fit_preset(scenes["sharp"], TrainSettings(preset="high"))
-    assert high.size.numbers() == CARD_PRESETS["high"].numbers() | {"width": 6000}
-
-
-ADAPTERS = {
-    "Radeon": (Adapter("Radeon RX 7900", "DiscreteGPU"), 24e9),
-    "Radeon of a Mac": (Adapter("Radeon Pro", "DiscreteGPU", api="Metal"), 2**28),
-    "Apple": (Adapter("Apple M3", "IntegratedGPU", api="Metal"), 16e9),
-    "Intel": (Adapter("Iris Xe", "IntegratedGPU", api="D3D12"), 16e9),
-    "llvmpipe": (Adapter("llvmpipe", "CPU"), None),
-    "WARP": (Adapter("Microsoft Basic Render Driver", "CPU", api="D3D12"), None),
-}
-"""Adapters, and the memory of a run on them in a computer of 32 GB; None where it runs on the processor."""
-
-
-@pytest.mark.parametrize("name", ADAPTERS)
-def test_a_card_of_any_make_has_the_presets_of_a_card(scenes, monkeypatch, name):
-    adapter, memory = ADAPTERS[name]
-    monkeypatch.delenv(webgpu_device.ALLOW_SOFTWARE, raising=False)
-    monkeypatch.setattr(webgpu_device, "_vulkan_memory", lambda *card: 24 * 10**9 if name == "Radeon" else None)
-    monkeypatch.setattr(Extent, "of", lambda scene: replace(SURVEY, training=2000))
     for module in (webgpu_device, hardware):
         monkeypatch.setattr(module, "total_memory", lambda: 32 * 10**9)
     monkeypatch.setattr(hardware, "free_memory", lambda: 30 * 10**9)
     monkeypatch.setattr(hardware, "may_have_card", lambda: True)
     monkeypatch.setattr(KERNELS["cuda"], "unavailable_reason", lambda: "no NVIDIA card.")
     monkeypatch.setitem(KERNELS, "wgpu", WebGpuKernels(CPU, webgpu_device.request))
-    adapters_are(monkeypatch, adapter)
-    found = hardware_of(TrainSettings())
-    draft = fit_preset(scenes["sharp"], TrainSettings(preset="draft", width=480), FAST).size.numbers()
+    adapters_are(monkeypatch, Adapter("a card", kind, api=api))
+    found, high = hardware_of(TrainSettings()), TrainSettings(preset="high")
+    sizes, processor = fit_preset(scenes["sharp"], high).size.numbers(), hardware_of(replace(high, recipe="seasplat"))
+    assert (processor.backend, processor.card, processor.free_memory()) == ("cpu", False, 30e9)
     if memory:
-        assert (found.backend, found.card, found.name) == ("wgpu", True, adapter.info["device"])
-        assert found.memory == found.free_memory() == memory
-        assert draft == CARD_PRESETS["draft"].numbers() | {"width": 480}
+        assert asdict(found) == {"backend": "wgpu", "card": True, "name": "a card", "memory": memory}
+        assert found.free_memory() == memory and sizes == CARD_PRESETS["high"].numbers() | {"width": 6000}
     else:
-        assert (found.backend, found.card, found.memory, found.free_memory()) == ("cpu", False, 32e9, 30e9)
-        assert draft == PRESETS["draft"].numbers() | {"max_gaussians": 3 * PRESETS["draft"].max_gaussians}
-    other = hardware_of(TrainSettings(recipe="seasplat"))  # which does not run through WebGPU
-    assert (other.backend, other.card) == ("cpu", False)
+        assert found == processor and sizes == PRESETS["high"].numbers() | {"max_gaussians": MOST_ON_PROCESSOR}
 
 
 def test_software_that_counts_as_a_card_has_its_presets(monkeypatch, missing):
     device, scene = software_device(missing), load_scene(ROOT / "tests" / "scenes" / "reef_wreck")
     monkeypatch.setitem(KERNELS, "wgpu", WebGpuKernels(CPU, lambda: device))
-    monkeypatch.setattr(preset_size, "resolved_width", cache(resolved_width))
-    sizes = {}
-    for flag in "01":
+    extent, width = Extent.of(scene), resolved_width(scene, 960)
+
+    def draft(flag, backend="wgpu"):
         monkeypatch.setenv(webgpu_device.ALLOW_SOFTWARE, flag)
-        drafts = [TrainSettings(preset="draft", backend=backend) for backend in ("cpu", "wgpu")]
-        sizes[flag] = [fit_preset(scene, draft, FAST).size.numbers() for draft in drafts]
-    processor, card = sizes["1"]
-    assert sizes["0"] == [processor, processor]
-    assert card["width"] == scene.views[0].camera.width > processor["width"]
-    assert card["max_gaussians"] == suitable_gaussians(Extent.of(scene), card["width"], ON_CARD["draft"].pixels_each)
-    assert card["iterations"] == ON_CARD["draft"].visits * Extent.of(scene).training > processor["iterations"]
+        return fit_preset(scene, TrainSettings(preset="draft", backend=backend), FAST, width).size
+
+    most = suitable_gaussians(extent, width, ON_CARD["draft"].pixels_each)
+    assert draft("1") == Size(ON_CARD["draft"].visits * extent.training, width, most)
+    assert draft("0") == draft("1", "cpu") and draft("0").width == PRESETS["draft"].width < width
 
 
 def test_what_the_user_chose_stays(scenes):
@@ -205,7 +181,7 @@ def test_no_more_gaussians_are_trained_than_the_photos_have_pixels(scenes, tmp_p
     metrics = train(scene.folder, tmp_path / "run", more)["metrics"]
     assert note in metrics["notes"] and RunFolder(tmp_path / "run").read_config()[1].max_gaussians == pixels
     config = json.loads(RunFolder(tmp_path / "run").config.read_text())
-    assert config["settings"]["backend"] == "auto" and config["hardware"] == hardware_of(more).to_json()
+    assert config["settings"]["backend"] == "auto" and config["hardware"] == asdict(hardware_of(more))
 
 
 def test_sizes_of_presets_are_those_of_runs_and_read_the_photos_once(scenes, tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import pytest
@@ -295,7 +295,7 @@ def test_auto_takes_cards_and_no_software(kernels, gpu, monkeypatch):
         patch.setattr(torch.cuda, "get_device_properties", lambda _: SimpleNamespace(name="H200", total_memory=9))
         patch.setattr(torch.cuda, "mem_get_info", lambda _: (7, 9))
         found = hardware_for("auto")
-        assert found.to_json() == {"backend": "cuda", "card": True, "name": "H200", "memory": 9}
+        assert asdict(found) == {"backend": "cuda", "card": True, "name": "H200", "memory": 9}
         assert found.free_memory() == 7
     auto = TrainSettings(backend="auto")
     assert with_backend_of_run(auto, False)[0].backend == "wgpu"

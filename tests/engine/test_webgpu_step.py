@@ -23,9 +23,10 @@ from swag_engine.training.guard import Guard
 from swag_engine.training.native_step import NativeStep
 from swag_engine.training.optimizer import EPS
 from swag_engine.training.pacing import speed
+from swag_engine.training.resident import RESIDENT
 from swag_engine.training.step import AutogradStep
 from swag_engine.training.trainer import train
-from swag_engine.training.webgpu_step import RESIDENT, WebGpuStep
+from swag_engine.training.webgpu_step import WebGpuStep
 from tests.engine.step_scenes import (
     ALL,
     NO_BACKSCATTER,

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import astuple, dataclass
 
 import torch
@@ -23,9 +23,9 @@ from ...settings.settings import TrainSettings
 from ...water.medium import Medium
 from ..losses import photometric
 from ..optimizer import Optimizer
+from ..resident import timed_step
 from ..schedule import STANDARD
 from ..targets import Target
-from .card_speed import steps_on_card
 
 TIMED_GAUSSIANS = 20_000
 """Gaussians of the timed iterations."""
@@ -127,7 +127,9 @@ def measure_speed(scene: Scene, settings: TrainSettings) -> Speed:
     cloud, half = _grown(points, TIMED_GAUSSIANS), _grown(points, TIMED_GAUSSIANS // 2)
     pixels = image.camera.width * image.camera.height
     try:
-        rounds = _rounds(((cloud, 1), (cloud, 2), (half, 1)), image, settings)
+        work = [_iteration(*timed, image, settings) for timed in ((cloud, 1), (cloud, 2), (half, 1))]
+        # In turns, so that other load on the machine affects all of them alike.
+        rounds = [[once() for once in work] for _ in range(TIMINGS)]
     except WebGpuFailure as failure:
         kernels = KERNELS["wgpu"]
         assert isinstance(kernels, WebGpuKernels)
@@ -149,21 +151,13 @@ def _grown(points: GaussianCloud, count: int) -> GaussianCloud:
     return cloud
 
 
-def _rounds(
-    works: Sequence[tuple[GaussianCloud, int]], image: TrainingImage, settings: TrainSettings
-) -> list[list[float]]:
-    """Milliseconds of iterations, in turns, so that other load on the machine affects all of them alike."""
-    iterations = [_iteration(cloud, image, factor, settings) for cloud, factor in works]
-    return [[once() for once in iterations] for _ in range(TIMINGS)]
-
-
-def _iteration(cloud: GaussianCloud, image: TrainingImage, factor: int, settings: TrainSettings) -> Callable[[], float]:
+def _iteration(cloud: GaussianCloud, factor: int, image: TrainingImage, settings: TrainSettings) -> Callable[[], float]:
     """An iteration at 1/factor of the image's size, which returns how many milliseconds it took."""
     hardware = hardware_of(settings)
     backend, device, kernels = hardware.backend, hardware.device, KERNELS[hardware.backend]
     target = Target.shrunk(image, factor, device)
     if isinstance(kernels, WebGpuKernels):
-        return steps_on_card(kernels.gpu, cloud, target, settings.sh_degree)
+        return timed_step(kernels.gpu, cloud, target, settings.sh_degree)
     optimizer = Optimizer(cloud.to(device), SceneEffects({"medium": Medium.starting(1.0)}).to(device), backend)
     rates = dict.fromkeys(optimizer.parameters(), 0.0)
 

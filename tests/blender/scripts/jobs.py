@@ -118,9 +118,9 @@ def beside(folder):
     found["same run"] = reasons(*names)
     other["swag_run"] = folder
     found["other run"] = reasons(*names)
-    enough, job.free_memory_mb = job.free_memory_mb, lambda: 200
+    enough, job.free_memory = job.free_memory, lambda: 2 * 10**8
     found["no memory"] = reasons("swag.inspect_scene")
-    job.free_memory_mb = enough
+    job.free_memory = enough
     bpy.ops.swag.inspect_scene()
     found["checked"] = [status.message, [one.name for one in status.running]]
     bpy.ops.swag.cancel()
