@@ -149,10 +149,15 @@ def _draw_legend(image: np.ndarray, legend: Legend) -> None:
 def _draw_text(image: np.ndarray, text: str, place: tuple[int, int], color: Color) -> None:
     """Write a text with a black outline into an image (H, W, 4); OpenCV's fonts have ASCII characters alone."""
     size = _size(image)
-    for shade, thickness in (((0, 0, 0), 5), (color, 2)):
-        thick = max(1, round(thickness * size))
-        plain = text.encode("ascii", "replace").decode()
-        cv2.putText(image, plain, place, cv2.FONT_HERSHEY_SIMPLEX, 0.8 * size, (*shade, 255), thick)
+    plain = text.encode("ascii", "replace").decode()
+    # OpenCV 5 has other fonts than OpenCV 4: it blends the edges, also in the alpha channel, and has no thick strokes.
+    mask = np.zeros(image.shape[:2], np.uint8)
+    cv2.putText(mask, plain, place, cv2.FONT_HERSHEY_SIMPLEX, 0.8 * size, [255], max(1, round(2 * size)))
+    outline = cv2.dilate(mask, np.ones((3, 3), np.uint8), iterations=max(1, round(1.5 * size)))
+    for pixels, shade in ((outline, (0, 0, 0)), (mask, color)):
+        seen = pixels > 0
+        weight = pixels[seen, None] / 255
+        image[seen] = np.round(image[seen] * (1 - weight) + np.array([*shade, 255]) * weight)
 
 
 def _size(image: np.ndarray) -> float:

@@ -2,9 +2,6 @@ import json
 
 """Development of restored colors: the formula, its text and file, baking into splats, and finding it."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import cv2
@@ -28,6 +25,7 @@ from swag_engine.splats.development import (
     white_balance,
 )
 from swag_engine.splats.splats import Splats
+from tests.engine.exr_files import read_exr
 
 MIXED = Development(0.5, (1.2, 0.95, 0.8), 1.3, ((1.1, -0.1, 0.0), (0.0, 0.9, 0.1), (-0.05, 0.0, 1.05)), knee=0.7)
 
@@ -196,15 +194,7 @@ def test_an_image_of_light_is_read_back_from_half_floats(tmp_path):
     light[0, 0] = 1e9
     write_light_exr(tmp_path / "light.exr", light[..., :3])
     write_light_exr(tmp_path / "alpha.exr", light)
-    script = (
-        "import cv2, sys, numpy as np\n"
-        "for name in sys.argv[1:]: np.save(name + '.npy', cv2.imread(name, cv2.IMREAD_UNCHANGED))"
-    )
-    files = [str(tmp_path / "light.exr"), str(tmp_path / "alpha.exr")]
-    subprocess.run(
-        [sys.executable, "-c", script, *files], env=os.environ | {"OPENCV_IO_ENABLE_OPENEXR": "1"}, check=True
-    )
-    opaque, both = (np.load(f"{file}.npy") for file in files)
+    opaque, both = (read_exr(tmp_path / name) for name in ("light.exr", "alpha.exr"))
     wanted = light.clip(max=65504).astype("f2").astype("f4")
     np.testing.assert_array_equal(cv2.cvtColor(opaque, cv2.COLOR_BGR2RGB), wanted[..., :3])
     np.testing.assert_array_equal(cv2.cvtColor(both, cv2.COLOR_BGRA2RGBA), wanted)
