@@ -123,7 +123,7 @@ class Installer:
             encoding="utf-8",
             errors="replace",
             # Packages that Blender's own Python finds must not count as installed.
-            env={**os.environ, "PYTHONPATH": str(self.root), "PYTHONNOUSERSITE": "1"},
+            env={**os.environ, "PYTHONPATH": str(self.root), "PYTHONNOUSERSITE": "1", "PYTHONSAFEPATH": "1"},
         )
         assert self.child.stdout
         output = []

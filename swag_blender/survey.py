@@ -8,7 +8,6 @@ user did to their splats.
 import itertools
 import json
 import os
-import shlex
 import zlib
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from bpy.types import PropertyGroup
 
 from ..swag_engine.base.errors import InputError
 from ..swag_engine.base.files import require_parent
+from ..swag_engine.base.text import command_text
 from ..swag_engine.formats.ply import read_ply
 from ..swag_engine.formats.survey_detail import finest_level, refine
 from ..swag_engine.formats.survey_folder import Box, Survey, SurveyFolder
@@ -143,10 +143,7 @@ def run_command(folder: str, blender: bool) -> str:
         blender: whether this Blender runs it, with the engine of the extension; otherwise any Python with the engine.
     """
     program = [bpy.app.binary_path or "blender", "--background", "--command", "swag"] if blender else None
-    command = [*(program or ["python", "-m", "swag_engine"]), "survey", "run", folder]
-    return (
-        shlex.join(command) if os.name != "nt" else " ".join(f'"{word}"' if " " in word else word for word in command)
-    )
+    return command_text([*(program or ["swag"]), "survey", "run", folder])
 
 
 # -- objects ----------------------------------------------------------------------------------------------------------

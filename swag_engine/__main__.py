@@ -1,6 +1,11 @@
-"""`python -m swag_engine COMMAND ...`: the command line."""
+"""`swag COMMAND ...` or `python -m swag_engine COMMAND ...`: the command line."""
 
+import os
 import sys
+from pathlib import Path
+
+if sys.path[0] == os.getcwd() != str(Path(__file__).resolve().parents[1]):
+    del sys.path[0]  # python -m would import packages from the current folder
 
 from .app.answers import refuse_missing
 

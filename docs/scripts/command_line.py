@@ -32,9 +32,9 @@ This page is generated from the commands themselves. `swag COMMAND` works wherev
 command, `import`.
 
 ```
-python -m swag_engine train SCENE --out RUN --preset draft
-python -m swag_engine render RUN --out pictures --water 0
-python -m swag_engine export RUN --format glb --out scene.glb
+swag train SCENE --out RUN --preset draft
+swag render RUN --out pictures --water 0
+swag export RUN --format glb --out scene.glb
 ```
 
 {DESCRIPTION}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import InputError
+from ..base.isolation import child_environment
 from ..formats.registry import FORMATS
 from .interrupts import Interrupts
 
@@ -65,13 +66,14 @@ def batch(
 
 def _row(command: str, entry: Path, out: Path | None, options: Sequence[str], interrupts: Interrupts) -> dict[str, Any]:
     """Run the command for one folder and return its row of the table."""
-    arguments = [command, str(entry)]
+    arguments = [command, str(entry.absolute())]  # a name that begins with "-" is no option
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         arguments += ["--out", str(out / (entry.name + _suffix(command, options)))]
     started = time.monotonic()
     engine = [sys.executable, "-m", __package__.partition(".")[0]]
-    with subprocess.Popen([*engine, *arguments, *options, "--json"], stdout=subprocess.PIPE, encoding="utf-8") as child:
+    words = [*engine, *arguments, *options, "--json"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, encoding="utf-8", env=child_environment()) as child:
         answer, code = _answer(child, interrupts)
     row = {
         "name": entry.name,

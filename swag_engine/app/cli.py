@@ -1,4 +1,4 @@
-"""The command line: `python -m swag_engine COMMAND ...`."""
+"""The command line: `swag COMMAND ...`."""
 
 import functools
 import operator
@@ -976,7 +976,7 @@ def main(arguments: list[str] | None = None) -> int:
     interrupts.install()
     try:
         # Within Blender the same words follow others.
-        prog = os.environ.get("SWAG_PROG", "python -m swag_engine")
+        prog = os.environ.get("SWAG_PROG", "swag")
         parse = functools.partial(tyro.cli, union, prog=prog, description=DESCRIPTION, args=arguments)
         if arguments[:1] == ["batch"]:
             command, options = parse(return_unknown_args=True)

@@ -1,5 +1,8 @@
 """Figures and lists as short texts, the same on the command line and in Blender."""
 
+import os
+import re
+import shlex
 from collections.abc import Sequence
 
 BLOCKS = "▁▂▃▄▅▆▇█"
@@ -16,6 +19,17 @@ def time_text(seconds: float) -> str:
 def first_names(names: Sequence[str]) -> str:
     """List the first three names, and show that there are more."""
     return f"{', '.join(names[:3])}{' ...' if len(names) > 3 else ''}"
+
+
+def command_text(words: Sequence[str], windows: bool = os.name == "nt") -> str:
+    """Format a command for a terminal to paste: no name of a folder can end it and start another one.
+
+    A word with characters that act within quotes in one of the two shells of Windows is written as NAME.
+    """
+    if not windows:
+        return shlex.join(words)
+    quoted = ("NAME" if re.search('[%$`!"\u201c-\u201f\x00-\x1f]', word) else word for word in words)
+    return " ".join(word if re.fullmatch(r"[\w.:/\\-]+", word) else f'"{word}"' for word in quoted)
 
 
 def sparkline(values: Sequence[float], bars: str = BLOCKS) -> str:

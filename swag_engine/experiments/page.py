@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from ..base.html_page import number
+from ..base.isolation import import_matplotlib
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -144,6 +145,7 @@ def new_plots(x: str, *ys: str) -> "tuple[Figure, list[Axes]]":
     Returns:
         The figure and its plots.
     """
+    import_matplotlib()
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 

@@ -1,6 +1,5 @@
 """report.html: quality, time, effects, development and settings of a run, and the command that repeats it."""
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import fields
 from html import escape
@@ -10,6 +9,7 @@ from typing import Any
 from ..base.errors import InputError, remedy
 from ..base.html_page import NONE, number, paragraph_html, table_html, write_page
 from ..base.strict_json import from_json
+from ..base.text import command_text
 from ..evaluation.metrics import render_image
 from ..formats.run_folder import RunFolder, read_json
 from ..kernels.hardware import hardware_for
@@ -130,13 +130,13 @@ def command_line(scene: Path, out: Path, settings: TrainSettings) -> str:
         out: Folder of the run.
         settings: Settings of the run.
     """
-    words = ["python", "-m", "swag_engine", "train", str(scene), "--out", str(out.resolve())]
+    words = ["swag", "train", str(scene), "--out", str(out.resolve())]
     for field in fields(TrainSettings):
         value = getattr(settings, field.name)
         if value != field.default:
             option = f"--{field.name.replace('_', '-')}"
             words += [option] if value is True else [option, str(value)]
-    return shlex.join(words)
+    return command_text(words)
 
 
 # Its parts ------------------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.files import atomic_path
+from ..base.isolation import import_matplotlib
 from .papers import PAPERS
 from .targets import target_cells
 
@@ -98,6 +99,7 @@ def write_sheet(path: Path, sheet: Sheet) -> dict[str, Any]:
     Raises:
         InputError: If the file cannot be written.
     """
+    import_matplotlib()
     from matplotlib.backends.backend_pdf import PdfPages
 
     if path.suffix.lower() != ".pdf":
@@ -134,6 +136,7 @@ def draw_pages(sheet: Sheet) -> Iterator["Figure"]:
     Yields:
         A figure of the size of the paper, whose data coordinates are millimetres from its lower left corner.
     """
+    import_matplotlib()
     from matplotlib.figure import Figure
 
     width, height = PAPERS[sheet.paper]

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..base.errors import InputError, remedy
 from ..base.files import atomic_path
+from ..base.isolation import import_matplotlib
 from .dem import read_heights, write_heights
 from .geotiff import map_crs
 from .grid import USUAL_PIXELS, MapGrid, make_grid, splat_size
@@ -155,6 +156,7 @@ def _write_table(out: Path, distances: np.ndarray, places: np.ndarray, first: np
 
 
 def _plot(distances: np.ndarray, first: np.ndarray, median: np.ndarray, unit: str) -> "Figure":
+    import_matplotlib()
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 3), layout="constrained")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import InputError
+from ..base.isolation import child_environment
 from .progress import Progress
 
 
@@ -37,17 +38,17 @@ def run_child(module: str, task: dict[str, Any], scratch: Path, first_stage: str
     """
     job = scratch / "job.json"
     job.write_text(json.dumps(task), encoding="utf-8")
-    package_root = Path(__file__).resolve().parents[2]
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join(filter(None, [str(package_root), os.environ.get("PYTHONPATH")])),
-        "PYTHONIOENCODING": "utf-8",
-    }
-    command = [sys.executable, "-P", "-m", module, str(job)]  # -P: not the code of the current folder
+    command = [sys.executable, "-m", module, str(job)]
     result: dict[str, Any] | None = None
     with (
         open(scratch / "colmap.log", "ab") as log,
         subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=environment, encoding="utf-8"
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            env=child_environment(),
+            encoding="utf-8",
         ) as child,
     ):
         try:

@@ -181,7 +181,7 @@ def test_a_survey_is_planned_and_merged_from_the_panel(blender, fake_engine, tmp
     assert request["out"] == str(photos / "swag_survey") and request["settings"]["preset"] == "standard"
     shown = "".join(found["waiting"]).replace(" ", "")  # in several lines
     assert "swag.plan_survey" not in shown and found["command"].replace(" ", "") in shown
-    assert found["command"] == f"python -m swag_engine survey run '{photos / 'swag_survey'}'"
+    assert found["command"] == f"swag survey run '{photos / 'swag_survey'}'"
     assert found["again"].endswith("holds a survey already: choose another folder in Survey.")
     message, failed, tiles = found["merged"]
     assert (

@@ -2,19 +2,28 @@
 
 import json
 import os
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from swag_engine.app.batch import batch
+from swag_engine.app.interrupts import Interrupts
 from swag_engine.base.errors import InputError
 from swag_engine.base.files import atomic_path, inside, locked_folder
+from swag_engine.base.isolation import ROOT, child_environment
+from swag_engine.base.text import command_text
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.new_scene import new_scene
 from swag_engine.scene.scene_part import part_of, read_part, write_part
 from swag_engine.scene.split import Split
 from swag_engine.survey import job
+from swag_engine.survey.executors.child import Child
+from swag_engine.survey.executors.protocol import Job
 from swag_engine.survey.merge import merge_survey
 from swag_engine.training.checkpoint import checkpoints
 from tests.scenes.small_surveys import make_survey, random_splats
@@ -120,3 +129,51 @@ def test_nothing_is_written_through_a_link(tmp_path):
     with pytest.raises(InputError, match="is a link"), new_scene(tmp_path / "new"):
         pass
     assert set(contents(letter.parent).values()) == {b'{"version": 1}'} and not (tmp_path / "water.json").is_symlink()
+
+
+EVIL = 'import os, pathlib; pathlib.Path(os.environ["PROOF"]).write_text("ran"); raise SystemExit(7)\n'
+
+
+@pytest.fixture
+def evil_folder(tmp_path, monkeypatch):
+    """The current folder is one whose files would run, or be obeyed, when they are imported."""
+    folder = tmp_path / "current"
+    for name in ("swag_engine/__init__.py", "swag_engine/__main__.py", "numpy.py", "tyro.py", "torch/__init__.py"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(EVIL)
+    (folder / "matplotlibrc").write_text("savefig.dpi: 10\nlines.linewidth: 20\nbackend: module://numpy\n")
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("PROOF", str(tmp_path / "proof"))
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    return folder
+
+
+def test_batch_and_survey_run_no_code_of_the_current_folder(evil_folder, tiny_scene, tmp_path):
+    (tmp_path / "scenes" / "--resume").mkdir(parents=True)
+    document = batch("inspect", tmp_path / "scenes", None, [], Interrupts())
+    assert [row["state"] for row in document["rows"]] == ["not usable"]
+    assert str(tmp_path / "scenes" / "--resume") in document["rows"][0]["error"]
+    child = Child(Job(tmp_path / "none", "B-001", 1).words(), 1, str(ROOT))
+    assert "is not a survey" in child.exit().error
+    assert not (tmp_path / "proof").exists()
+
+
+def test_the_command_runs_no_code_of_the_current_folder(evil_folder, tmp_path):
+    shutil.rmtree(evil_folder / "swag_engine")  # with it, Python runs that one before any line of this program
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-m", "swag_engine", "targets", "--help"], env=environment, check=False)
+    assert done.returncode == 0 and not (tmp_path / "proof").exists()
+
+
+def test_a_matplotlibrc_in_the_current_folder_is_not_obeyed(evil_folder, tmp_path):
+    code = "from swag_engine.experiments.page import new_plots; new_plots('x', 'y'); import matplotlib"
+    code += "; print(matplotlib.rcParams['lines.linewidth'])"
+    printed = subprocess.run([sys.executable, "-c", code], env=child_environment(), capture_output=True, check=True)
+    assert printed.stdout == b"1.5\n"
+
+
+@pytest.mark.parametrize("word", [r"C:\reef&calc.exe", "C:\\a b", "C:\\a;b", "C:\\(a)|b>c"])
+def test_names_do_not_end_a_command_on_windows(word):
+    assert command_text(["swag", word], windows=True) == f'swag "{word}"'
+    for acting in ("%PATH%", "$(calc)", "`b", "a\u201d;calc", 'a";calc'):
+        assert command_text(["swag", word + acting], windows=True) == "swag NAME"

@@ -51,6 +51,7 @@ class Child:
             "OMP_NUM_THREADS": str(threads),
             "PYTHONIOENCODING": "utf-8",
             "PYTHONPATH": os.pathsep.join(filter(None, search)),
+            "PYTHONSAFEPATH": "1",  # nothing is imported from the current folder
         }
         # In a session of its own: Ctrl-C reaches the parent alone, which asks each child once.
         self._process = subprocess.Popen(

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ...base.computer_memory import free_memory
+from ...base.isolation import ROOT
 from ...base.threads import available_cores
 from ...kernels.hardware import hardware_for
 from ...training.pacing.memory import USABLE_FRACTION
 from .child import Child, end
-from .protocol import BAD_INPUT, KILLED, ROOT, Ended, Job, Machine, cores_for_each, result_of
+from .protocol import BAD_INPUT, KILLED, Ended, Job, Machine, cores_for_each, result_of
 
 POLL_SECONDS = 0.1
 """Time between two looks whether a job has ended."""

@@ -10,8 +10,6 @@ from . import child
 
 JOB = ("-m", __package__.partition(".")[0], "survey", "block")
 """Words after the name of Python that start a job; the folder of the survey and the name of the block follow."""
-ROOT = Path(__file__).resolve().parents[3]
-"""Folder from which Python imports the engine."""
 
 BAD_INPUT = 2
 """Exit code of a job that cannot use its input; failed.json and its output say why."""

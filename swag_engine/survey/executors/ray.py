@@ -18,8 +18,9 @@ from http.client import HTTPConnection
 from typing import Any
 
 from ...base.errors import InputError
+from ...base.isolation import ROOT
 from . import child
-from .protocol import BAD_INPUT, ROOT, Ended, Job, Machine, cores_for_each, result_of
+from .protocol import BAD_INPUT, Ended, Job, Machine, cores_for_each, result_of
 
 NODE_LOSSES = 20
 """How often Ray starts a job again because its node is gone (spot machines); not counted as a failed attempt."""
