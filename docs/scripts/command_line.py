@@ -37,6 +37,12 @@ swag render RUN --out pictures --water 0
 swag export RUN --format glb --out scene.glb
 ```
 
+`swag` alone shows how to start. Its completion for bash (for zsh and tcsh write their name):
+
+```
+swag --tyro-print-completion bash > ~/.local/share/bash-completion/completions/swag
+```
+
 {DESCRIPTION}
 """
 

@@ -1,5 +1,6 @@
 """The command line: `swag COMMAND ...`."""
 
+import difflib
 import functools
 import operator
 import os
@@ -9,12 +10,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import tyro
 
 from ..base import threads  # noqa: F401
-from ..base.errors import InputError
+from ..base.errors import InputError, program
 from ..base.files import require_parent
 from ..experiments.grid import Grid
 from ..formats.export import ExportOptions, export_run
@@ -22,16 +23,25 @@ from ..formats.export import describe as describe_export
 from ..formats.registry import FormatName
 from ..georeference.families import FAMILIES
 from ..georeference.papers import PAPERS
+from ..kernels.machine import engine_version
 from ..settings.field import settings_of
 from ..settings.settings import TrainSettings
 from .answers import refuse, refuse_missing, show
 from .interrupts import interrupts
-from .survey import Survey
+from .survey import Step, Survey
 
 DESCRIPTION = """Underwater photos to 3D Gaussian splats. COMMAND --help says what a command takes.
+--version prints the version.
 
 Exit codes: 0 done, 1 a bug, 2 bad input or usage; with what exists kept, 130 interrupted by Ctrl-C and 143 by SIGTERM.
 Progress and errors go to stderr; with --json stdout carries one JSON document and nothing else."""
+START = """Underwater photos to 3D Gaussian splats.
+
+  {0} sfm PHOTOS --out SCENE                  find the cameras of photos or of a video
+  {0} train SCENE --out RUN --preset draft    train; the folder of the run has the result and a report
+  {0} restore RUN --out PICTURES              write the photos without water
+
+{0} --help lists all commands."""
 STOPPING = "Stopping after this iteration; press Ctrl-C again to stop at once."
 STOPPING_TRAINING = "Stopping after this iteration; press Ctrl-C again to skip the evaluation."
 STARTED = time.monotonic()
@@ -961,6 +971,20 @@ def command_name(command: type) -> str:
     return re.sub("(?<=[a-z])(?=[A-Z])", "-", command.__name__).lower()
 
 
+def _suggest(arguments: Sequence[str]) -> None:
+    """Raise InputError for a word that is no command, with the command that is spelled most like it."""
+    known, words = [command_name(command) for command in COMMANDS], arguments
+    if words[0] == "survey":
+        known, words = [command_name(get_args(step)[0]) for step in get_args(Step)], words[1:]
+    elif words[0] == "batch":
+        known, words = list(get_args(get_args(Batch.__annotations__["command"])[0])), words[1:]
+    if words and not words[0].startswith("-") and words[0] not in known:
+        close = difflib.get_close_matches(words[0].lower(), known, 1)
+        guess = f" Did you mean {close[0]}?" if close else ""
+        before = " ".join([program(), *arguments[: len(arguments) - len(words)]])
+        raise InputError(f"{before} has no command {words[0]}.{guess} {before} --help lists the commands.")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one command.
 
@@ -971,13 +995,16 @@ def main(arguments: list[str] | None = None) -> int:
         The exit code.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments in ([], ["--version"]):
+        print(f"swag {engine_version()}" if arguments else START.format(program()))
+        return 0
+    os.environ["SWAG_PROG"] = program()  # for commands that start others
     named = [Annotated[command, tyro.conf.subcommand(name=command_name(command))] for command in COMMANDS]
     union: Any = functools.reduce(operator.or_, named)
     interrupts.install()
     try:
-        # Within Blender the same words follow others.
-        prog = os.environ.get("SWAG_PROG", "swag")
-        parse = functools.partial(tyro.cli, union, prog=prog, description=DESCRIPTION, args=arguments)
+        _suggest(arguments)
+        parse = functools.partial(tyro.cli, union, prog=program(), description=DESCRIPTION, args=arguments)
         if arguments[:1] == ["batch"]:
             command, options = parse(return_unknown_args=True)
             return command.run(options)

@@ -1,5 +1,9 @@
 """The exception whose message is shown to the user, remedies on the command line and in Blender, common sentences."""
 
+import os
+import sys
+from pathlib import Path
+
 
 class InputError(Exception):
     """Input that cannot be used.
@@ -22,6 +26,15 @@ def name_buttons() -> None:
 def remedy(command: str, button: str) -> str:
     """Return what the user can do: `command` on the command line, `button` in Blender."""
     return button if _names_buttons else command
+
+
+def program() -> str:
+    """Return the words that start the command line, as the user wrote them: `swag`, or `python -m swag_engine`.
+
+    Blender and a command that starts others pass theirs on in SWAG_PROG.
+    """
+    started = "swag" if Path(sys.argv[0]).stem == "swag" else "python -m swag_engine"
+    return os.environ.get("SWAG_PROG", started)
 
 
 def continue_run() -> str:

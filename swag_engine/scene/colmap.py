@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..base.errors import InputError, remedy
+from ..base.errors import InputError, program, remedy
 from ..base.files import inside
 from ..base.foreign_files import refuse_foreign
 from ..base.local_origin import local_origin
@@ -302,7 +302,7 @@ def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, _Model]:
         refuse_foreign(folder)
         raise InputError(
             f"No COLMAP model was found in {folder}, its sparse or its colmap/sparse: make one from the photos with "
-            f"{remedy('`python -m swag_engine sfm PHOTOS --out SCENE`', 'Find Cameras')}."
+            f"{remedy(f'`{program()} sfm PHOTOS --out SCENE`', 'Find Cameras')}."
         )
     read = [_read_model(model) for model in models]
     counts = [model.cameras.num_reg_images() for model in read]

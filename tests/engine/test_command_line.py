@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -15,7 +16,7 @@ import torch
 
 from swag_engine.app import cli, progress
 from swag_engine.app.interrupts import Interrupts
-from swag_engine.kernels.machine import PACKAGES
+from swag_engine.kernels.machine import PACKAGES, engine_version
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAIN = ["--iterations", "60", "--width", "64", "--max-gaussians", "400", "--sh-degree", "0"]
@@ -220,6 +221,38 @@ def test_bad_input_is_one_sentence(arguments, call):
     assert_one_sentence(call(*arguments))
 
 
+@pytest.mark.parametrize(
+    "wrong, meant",
+    [("trian", "train"), ("survey rnu", "run"), ("batch evalute", "evaluate"), ("sacle", "scale"), ("qqq", None)],
+)
+def test_a_misspelled_command_is_named_with_the_one_that_is_meant(wrong, meant, call):
+    done = call(*wrong.split(), "--json")
+    assert_one_sentence(done)
+    assert wrong.split()[-1] in done.stderr and done.stderr.strip() == json.loads(done.stdout)["error"]
+    assert (f"Did you mean {meant}?" in done.stderr) if meant else ("Did you mean" not in done.stderr)
+
+
+@pytest.mark.parametrize("name, program", [("swag", "swag"), ("__main__.py", "python -m swag_engine")])
+def test_messages_name_the_program_as_it_was_started(name, program, tmp_path):
+    """Also those of the commands that a command starts."""
+    script = tmp_path / name
+    script.write_text("import sys; from swag_engine.__main__ import main; sys.exit(main())")
+    environment = {key: value for key, value in os.environ.items() if key != "SWAG_PROG"} | {"PYTHONPATH": str(ROOT)}
+    (tmp_path / "scenes" / "empty").mkdir(parents=True)
+
+    def printed(*arguments):
+        command = [sys.executable, str(script), *map(str, arguments)]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+        return done.stdout + done.stderr
+
+    start = printed()
+    assert [line.strip().startswith(f"{program} ") for line in start.splitlines()].count(True) == 4, start
+    assert printed("--version") == f"swag {engine_version()}\n"
+    assert f"{program} survey --help" in printed("survey", "rnu")
+    assert f"For full helptext, run {program} --help" in printed("survey").replace("│\n", "")
+    assert f"`{program} sfm PHOTOS --out SCENE`" in printed("batch", "inspect", tmp_path / "scenes")
+
+
 def test_usage_errors_exit_with_two(call):
     assert call("paint").returncode == 2
     assert call("train").returncode == 2
@@ -234,7 +267,8 @@ def test_torch_trains_where_no_kernel_runs(tiny_scene, tmp_path, call):
 
 
 def test_the_doctor_knows_all_that_the_engine_requires():
-    assert sorted(PACKAGES) == sorted((ROOT / "requirements.txt").read_text().split())
+    listed = (ROOT / "requirements.txt").read_text()
+    assert sorted(PACKAGES) == sorted(re.findall(r"^[\w-]+", listed, re.MULTILINE))
 
 
 def test_the_doctor_says_what_runs_and_why_not_the_other(call):
