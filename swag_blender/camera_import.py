@@ -13,8 +13,8 @@ from .properties import swag_of
 from .sidebar import draw_job, draw_outcome
 
 JOB = "Import Cameras"
-FILES = "*.xml;*.json;*.csv;*.xmp;*.out"
-"""File names that the file browser shows: Metashape, nerfstudio and others, RealityScan (2), Bundler."""
+FILES = "*.xml;*.json;*.csv;*.xmp;*.out;images.bin;images.txt"
+"""File names that the file browser shows: Metashape, nerfstudio and others, RealityScan (2), Bundler, COLMAP (2)."""
 
 
 def make_request(chosen: str, photos: str, points: str, scene_folder: str) -> dict[str, Any]:

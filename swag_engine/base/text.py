@@ -9,6 +9,11 @@ BLOCKS = "▁▂▃▄▅▆▇█"
 """Characters of a sparkline, from low to high."""
 
 
+def text_encoding(start: bytes) -> str:
+    """Return the encoding of a text by its first bytes: UTF-16 with a byte order mark, else UTF-8."""
+    return "utf-16" if start[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+
+
 def time_text(seconds: float) -> str:
     """Format a duration as m:ss, or h:mm:ss."""
     minutes, seconds = divmod(round(seconds), 60)

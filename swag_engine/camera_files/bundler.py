@@ -4,16 +4,21 @@ Source: Bundler's README, "Output format". The camera is x right, y up, looking 
 of the image, y up, and x/-z is scaled by f (1 + k1 r^2 + k2 r^4).
 """
 
+import re
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
+from ..scene.colmap import IMAGE_SUFFIXES
 from ..scene.lenses import Lens
-from .camera_file import OPENGL_AXES, Calibration, CameraFile, FileCamera, FilePoints, photos_are, rigid
+from .camera_file import OPENGL_AXES, Calibration, CameraFile, FileCamera, FilePoints, photos_are, reading, rigid
 from .source import Source
 
 PROGRAM = "Bundler"
 _LISTS = ("list.txt", "bundle.txt", "list_tmp.txt", "pmvs_options.txt.list")
+_ENTRY = re.compile(r"(.+?)(\s+\d+\s+[\d.eE+-]+)?")
+"""Line of a list: a name, which may have spaces, and Bundler's 0 and focal length."""
 
 
 def recognise(source: Source) -> bool:
@@ -46,10 +51,11 @@ def _read(source: Source, words: Iterator[str]) -> CameraFile:
     for number in range(camera_count):
         focal, k1, k2 = floats(3)
         rotation, translation = floats(9).reshape(3, 3), floats(3)
-        if not focal > 0:
+        if focal == 0 and not rotation.any():
             continue  # an image without a pose is written as zeros
         index[number] = len(cameras)
-        pose = rigid(OPENGL_AXES @ rotation, OPENGL_AXES @ translation)
+        with reading(names[number]):
+            pose = rigid(OPENGL_AXES @ rotation, OPENGL_AXES @ translation)
         cameras.append(FileCamera(names[number], _calibration(focal, k1, k2), pose))
     positions, colors, observations = np.zeros((point_count, 3)), np.zeros((point_count, 3), np.uint8), []
     for number in range(point_count):
@@ -83,10 +89,23 @@ def _names(source: Source, count: int) -> list[str]:
     candidates = [source.path.with_suffix(".txt"), source.path.with_name(f"{source.path.name}.list.txt")]
     candidates += [folder / name for folder in (source.path.parent, source.path.parent.parent) for name in _LISTS]
     for path in candidates:
-        if path.is_file():
-            lines = [line.split()[0] for line in Source(path).text.splitlines() if line.strip()]
-            if len(lines) == count:
-                return [line.replace("\\", "/") for line in lines]
+        if path.is_file() and len(names := _entries(path)) == count:
+            return names
+    others = [path for path in source.path.parent.iterdir() if path.suffix.lower() in (".lst", ".txt")]
+    lists = [names for path in sorted(others) if len(names := _entries(path)) == count and all(map(_is_photo, names))]
+    if lists and lists.count(lists[0]) == len(lists):
+        return lists[0]
     raise ValueError(
-        f"the list of its {count} images was not found: put list.txt, one name a line, beside {source.path.name}"
+        f"{'several lists' if lists else 'no list'} of its {count} images {'were' if lists else 'was'} found: put "
+        f"list.txt, one name a line, beside {source.path.name}"
     )
+
+
+def _entries(path: Path) -> list[str]:
+    """Return the names of a list, with forward slashes."""
+    found = [_ENTRY.fullmatch(line.strip()) for line in Source(path).text.splitlines()]
+    return [match[1].replace("\\", "/") for match in found if match]
+
+
+def _is_photo(name: str) -> bool:
+    return Path(name).suffix.lower() in IMAGE_SUFFIXES

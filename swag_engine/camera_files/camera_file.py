@@ -3,7 +3,8 @@
 Axes of a camera are x right, y down, z forward; the centre of the top left pixel is (0.5, 0.5).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,8 @@ from ..scene.georeference import Georeference
 from ..scene.lenses import Lens
 from .polynomial_lens import PolynomialLens, rescaled
 
-_ROTATION_TOLERANCE = 0.01
-"""Largest deviation of the product of a rotation and its transpose from the identity, for files with few decimals."""
+_ROTATION_TOLERANCE = 0.02
+"""Largest deviation of the product of a rotation and its transpose from the identity: two decimals make 0.018."""
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0])
 """Camera axes x right, y up, z backward (OpenGL, Blender, Bundler) to COLMAP's."""
 
@@ -88,6 +89,16 @@ class CameraFile:
     points_file: Path | None = None
     georeference: Georeference | None = None
     warnings: list[str] = field(default_factory=list)
+
+
+@contextmanager
+def reading(what: str) -> Iterator[None]:
+    """Name what is being read in the ValueError of anything wrong with it."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"{what}: {reason}") from error
 
 
 def photos_are(count: int) -> str:

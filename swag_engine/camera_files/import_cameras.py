@@ -16,13 +16,13 @@ from ..scene.colmap_library import pycolmap
 from ..scene.georeference import write_georeference
 from ..scene.images import read_image
 from ..scene.new_scene import new_scene
+from ..scene.ply_points import FEWEST_VISIBLE, read_points, visible_fraction
 from ..sfm.photos import copy_name, equalise, write_jpeg
 from ..sfm.progress import Progress
 from .camera_file import CameraFile, FilePoints
 from .find_photos import find_photos
-from .model import add_cloud, add_observed_points, build_model, points_inside
+from .model import add_cloud, add_observed_points, build_model
 from .place_photos import PlacedPhoto, place_photos
-from .ply_points import read_points
 from .registry import read_camera_file
 from .triangulation import triangulate
 
@@ -31,10 +31,6 @@ _LARGE_ERROR = 2.0
 _FAR = 100.0
 """Distance of the cameras from the origin, over their extent, above which they are moved there: Gaussians and Blender
 count in 32 bits."""
-_FEWEST_VISIBLE = 0.1
-"""Fraction of the points of a PLY file in front of the cameras below which it has other coordinates."""
-_SAMPLE = 2000
-"""Points and cameras, at most, that this fraction is estimated from."""
 
 
 def import_cameras(
@@ -131,26 +127,18 @@ def _with_cloud(cameras: CameraFile, ply: Path) -> CameraFile:
         for offset in (np.zeros(3), *([reference.placement.offset] if reference.placement else [])):
             local = positions - offset - reference.translation
             placements.append(local @ reference.rotation / reference.metres_per_unit)
-    shares = [_visible_share(cameras, placement) for placement in placements]
+    lenses = [
+        (camera.world_to_camera, camera.calibration.lens(*(camera.calibration.size or (4000, 3000))))
+        for camera in cameras.cameras
+    ]
+    shares = [visible_fraction(placement, lenses) for placement in placements]
     best = int(np.argmax(shares))
-    if shares[best] < _FEWEST_VISIBLE:
+    if shares[best] < FEWEST_VISIBLE:
         raise InputError(
             f"Only {shares[best]:.0%} of the points of {ply} are in front of the cameras: export them in the "
             "coordinates of the cameras, or leave the file out, so that points are found in the photos."
         )
     return replace(cameras, points=FilePoints(placements[best], colors))
-
-
-def _visible_share(cameras: CameraFile, positions: np.ndarray) -> float:
-    """Return the fraction of the points that a sample of the cameras sees."""
-    random = np.random.default_rng(0)
-    sample = positions[random.permutation(len(positions))[:_SAMPLE]]
-    seen = np.zeros(len(sample), bool)
-    for number in random.permutation(len(cameras.cameras))[:_SAMPLE]:
-        camera = cameras.cameras[number]
-        lens = camera.calibration.lens(*(camera.calibration.size or (4000, 3000)))
-        seen[points_inside(sample, camera.world_to_camera, lens)[0]] = True
-    return float(seen.mean())
 
 
 def _near_origin(cameras: CameraFile, warnings: list[str]) -> CameraFile:

@@ -19,6 +19,7 @@ from .camera_file import (
     FileCamera,
     brown_lens,
     photos_are,
+    reading,
     rigid,
     sized_calibration,
 )
@@ -88,11 +89,9 @@ def _groups(chunk: ElementTree.Element, name: str, warnings: list[str]) -> list[
         elif camera.get("sensor_id") not in calibrations:
             left_out["from a sensor without a calibration"] += 1
         else:
-            pose = _numbers(transform, 16).reshape(4, 4)
-            try:
+            with reading(f"camera {label}"):
+                pose = _numbers(transform, 16).reshape(4, 4)
                 to_chunk = rigid(pose[:3, :3], pose[:3, 3])
-            except ValueError as error:
-                raise ValueError(f"{error}, of the camera {label}") from None
             path = f"{folder}/{label}" if folder else label
             found.setdefault(camera.get("component_id") if components else None, []).append(
                 FileCamera(path.replace("\\", "/"), calibrations[camera.get("sensor_id")], np.linalg.inv(to_chunk))

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..scene.colmap_library import pycolmap
 from ..scene.lenses import Lens
+from ..scene.ply_points import points_inside
 from .camera_file import CameraFile, FilePoints
 from .place_photos import PlacedPhoto
 
@@ -93,25 +94,6 @@ def add_cloud(model: pycolmap.Reconstruction, points: FilePoints, photos: Sequen
         seen.append([(float(x), float(y)) for x, y in pixels])
     common = [(point, track) for point, track in sorted(tracks.items()) if len(track) >= 2]
     _add(model, points, seen, common)
-
-
-def points_inside(positions: np.ndarray, pose: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Find the points that project into a photo.
-
-    Args:
-        positions: Points (P, 3).
-        pose: Transform (3, 4) or (4, 4) from the world to the camera.
-        lens: Lens of the photo.
-
-    Returns:
-        Indices (N,) of the points, and their pixels (N, 2).
-    """
-    local = positions @ pose[:3, :3].T + pose[:3, 3]
-    in_front = np.flatnonzero(local[:, 2] > 1e-9)
-    pixels = np.asarray(lens.camera.img_from_cam(np.ascontiguousarray(local[in_front]))).reshape(-1, 2)
-    with np.errstate(invalid="ignore"):
-        inside = (pixels >= 0).all(1) & (pixels[:, 0] < lens.width) & (pixels[:, 1] < lens.height)
-    return in_front[inside], pixels[inside]
 
 
 def _visible_points(positions: np.ndarray, pose: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..scene.lenses import Lens
-from .camera_file import OPENGL_AXES, Calibration, CameraFile, FileCamera, brown_lens, rigid, sized_calibration
+from .camera_file import OPENGL_AXES, Calibration, CameraFile, FileCamera, brown_lens, reading, rigid, sized_calibration
 from .source import Source
 
 PROGRAM = "nerfstudio or instant-ngp"
@@ -38,7 +38,7 @@ def read(source: Source) -> CameraFile:
         name = str(frame.get("file_path") or "").replace("\\", "/")
         if not name:
             raise ValueError(f"frame {number} has no file_path")
-        try:
+        with reading(f"frame {number} ({name})"):
             calibration = _calibration(document | frame, shared)
             matrix = np.array(frame["transform_matrix"], np.float64)
             if matrix.shape not in ((3, 4), (4, 4)):
@@ -46,9 +46,6 @@ def read(source: Source) -> CameraFile:
             axes = matrix[:3, :3]
             axes = axes / np.cbrt(abs(np.linalg.det(axes)) or 1.0)  # Blender's cameras may be scaled objects
             to_world = rigid(axes @ OPENGL_AXES, matrix[:3, 3])
-        except (KeyError, TypeError, ValueError) as error:
-            what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-            raise ValueError(f"frame {number} ({name}): {what}") from error
         cameras.append(FileCamera(name, calibration, np.linalg.inv(to_world)))
     cloud = document.get("ply_file_path")
     points_file = source.path.parent / cloud if isinstance(cloud, str) and cloud else None
@@ -93,8 +90,8 @@ def _calibration(values: dict[str, Any], shared: dict[tuple[Any, ...], Calibrati
         fy = given.get("fl_y")
         if fy is None and "camera_angle_y" in given:
             fy = height / 2 / math.tan(given["camera_angle_y"] / 2)
-        fx, fy = fx or fy, fy or fx
-        if not fx or not fy:
+        fx, fy = fy if fx is None else fx, fx if fy is None else fy
+        if fx is None or fy is None:
             raise ValueError("there is neither fl_x nor camera_angle_x")
         point = given.get("cx", width / 2), given.get("cy", height / 2)
         radial = [given.get(name, 0.0) for name in ("k1", "k2", "k3", "k4")]

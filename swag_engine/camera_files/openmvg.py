@@ -17,6 +17,7 @@ from .camera_file import (
     brown_lens,
     photos_are,
     pose_from_centre,
+    reading,
     sized_calibration,
 )
 from .source import Source
@@ -49,7 +50,8 @@ def read(source: Source) -> CameraFile:
             continue
         name = "/".join(part for part in (data.get("local_path", ""), data["filename"]) if part).replace("\\", "/")
         index[entry["key"]] = len(cameras)
-        cameras.append(FileCamera(name, lens, pose_from_centre(pose["rotation"], pose["center"])))
+        with reading(name):
+            cameras.append(FileCamera(name, lens, pose_from_centre(pose["rotation"], pose["center"])))
     warnings = []
     if len(cameras) < len(document["views"]):
         count = len(document["views"]) - len(cameras)

@@ -18,6 +18,7 @@ from .camera_file import (
     FileCamera,
     FilePoints,
     brown_lens,
+    reading,
     rigid,
     sized_calibration,
 )
@@ -58,8 +59,9 @@ def read(source: Source) -> CameraFile:
         key = shot["camera"]
         if key not in lenses:
             lenses[key] = sized_calibration(_lens(key, best["cameras"][key]))
-        rotation = cv2.Rodrigues(np.array(shot["rotation"], np.float64))[0]
-        cameras.append(FileCamera(name.replace("\\", "/"), lenses[key], rigid(rotation, shot["translation"])))
+        with reading(name):
+            rotation = cv2.Rodrigues(np.array(shot["rotation"], np.float64))[0]
+            cameras.append(FileCamera(name.replace("\\", "/"), lenses[key], rigid(rotation, shot["translation"])))
     points = list(best.get("points", {}).values())
     return CameraFile(
         PROGRAM,
@@ -85,8 +87,6 @@ def _lens(name: str, camera: dict[str, Any]) -> Lens:
 
     fx = value("focal_x", value("focal")) * side
     fy = value("focal_y", value("focal")) * side
-    if not (fx > 0 and fy > 0):
-        raise ValueError(f"the camera {name} has no focal length")
     point = width / 2 + value("c_x") * side, height / 2 + value("c_y") * side
     radial = [value(key) for key in ("k1", "k2", "k3", "k4")]
     if model in ("perspective", "simple_radial", "radial", "brown"):

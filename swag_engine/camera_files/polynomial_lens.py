@@ -41,6 +41,12 @@ class _Projection:
     def is_perspective_pinhole(self) -> bool:
         return False
 
+    def focal_length_idxs(self) -> tuple[int, int]:
+        return 0, 1
+
+    def principal_point_idxs(self) -> tuple[int, int]:
+        return 2, 3
+
     def is_spherical(self) -> bool:
         return False
 

@@ -5,13 +5,14 @@ from the middle, in lengths of the longer side), k1 to k4 (radial), t1, t2 (tang
 "RealityCapture XMP Camera Math"; the rotation is that of nerfstudio's importer.
 """
 
-import csv
+import re
 
 import numpy as np
 
+from ..base.tables import parse_table
 from ..scene.georeference import Georeference, Placement
 from ..scene.lenses import Lens
-from .camera_file import OPENGL_AXES, Calibration, CameraFile, FileCamera, brown_lens, rigid
+from .camera_file import OPENGL_AXES, Calibration, CameraFile, FileCamera, brown_lens, reading, rigid
 from .source import Source
 
 PROGRAM = "RealityScan"
@@ -25,45 +26,30 @@ _LENS = ("f", "px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
 
 def recognise(source: Source) -> bool:
     """Return whether one of the first lines names the columns."""
-    columns = _columns(source.text[:1000].splitlines())[1]
-    return set(_POSE) <= set(columns) and "f" in columns
-
-
-def _columns(lines: list[str]) -> tuple[int, list[str]]:
-    """Return the number of the line that names the columns, from 0, and the names; a line like #cameras may precede."""
-    for number, line in enumerate(lines[:5]):
-        names = [name.strip().lstrip("#").lower() for name in line.replace(";", ",").split(",")]
-        if names[0] == "name":
-            return number, names
-    return 0, []
+    for line in source.text[:1000].splitlines()[:5]:
+        names = {name.strip(' "').lower() for name in re.split("[,;\t]", line.strip().lstrip("#"))}
+        if {"name", "f", *_POSE} <= names:
+            return True
+    return False
 
 
 def read(source: Source) -> CameraFile:
     """Read the rows.
 
     Raises:
+        InputError: For a table that cannot be read, or a cell that is not a number.
         ValueError: For a row that is no camera.
     """
-    lines = source.text.splitlines()
-    first, columns = _columns(lines)
-    rows = list(csv.reader(lines[first:], delimiter=";" if ";" in lines[first] else ","))
     shared: dict[tuple[float, ...], Calibration] = {}
     cameras = []
-    for number, row in enumerate(rows[1:], first + 2):
-        if not any(cell.strip() for cell in row):
-            continue
-        entry = dict(zip(columns, row, strict=False))
-        try:
-            x, y, z, heading, pitch, roll = (float(entry[name]) for name in _POSE)
-            values = tuple(float(entry.get(name) or 0.0) for name in _LENS)
-            if not values[0] > 0:
-                raise ValueError("the focal length f is not above 0")
+    for row in parse_table(source.path, source.text, ("name", *_POSE, "f")):
+        name = row.text("name").replace("\\", "/")
+        x, y, z, heading, pitch, roll = (row.number(column) for column in _POSE)
+        values = tuple(row.number(column) if row.text(column) else 0.0 for column in _LENS)
+        with reading(f"line {row.line} ({name})"):
             to_world = rigid(rotation_from_angles(heading, pitch, roll) @ OPENGL_AXES, [x, y, z])
-        except (KeyError, ValueError) as error:
-            what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-            raise ValueError(f"line {number}: {what}") from error
         calibration = shared.setdefault(values, film_calibration(values[0], values[1:3], values[3:7], values[7:9]))
-        cameras.append(FileCamera(entry["name"].strip().replace("\\", "/"), calibration, np.linalg.inv(to_world)))
+        cameras.append(FileCamera(name, calibration, np.linalg.inv(to_world)))
     return CameraFile(PROGRAM, tuple(cameras), georeference=_georeference(cameras))
 
 

@@ -7,7 +7,7 @@ row; `Position` is the projection centre.
 import xml.etree.ElementTree as ElementTree
 
 from ..scene.lenses import Lens
-from .camera_file import Calibration, CameraFile, FileCamera, pose_from_centre
+from .camera_file import Calibration, CameraFile, FileCamera, pose_from_centre, reading
 from .realityscan_csv import FILM_WIDTH, PROGRAM, film_calibration
 from .source import Source
 
@@ -35,7 +35,7 @@ def read(source: Source) -> CameraFile:
         if description is None:
             continue
         name = path.relative_to(folder).with_suffix("").as_posix()
-        try:
+        with reading(path.name):
             if not _value(description, "Rotation") or not _value(description, "Position"):
                 without_pose += 1
                 continue
@@ -46,8 +46,6 @@ def read(source: Source) -> CameraFile:
             pose = pose_from_centre([rotation[:3], rotation[3:6], rotation[6:]], centre)
             key = _key(description)
             cameras.append(FileCamera(name, shared.setdefault(key, _calibration(*key)), pose))
-        except ValueError as error:
-            raise ValueError(f"{path.name}: {error}") from error
     warnings = []
     if without_pose:
         warnings.append(f"{without_pose} XMP files in {folder} have no pose and are left out.")
@@ -67,8 +65,6 @@ def _key(description: ElementTree.Element) -> tuple[str, tuple[float, ...], tupl
     model = _value(description, "DistortionModel").lower()
     names = ("FocalLength35mm", "PrincipalPointU", "PrincipalPointV", "AspectRatio", "Skew")
     numbers = tuple(float(_value(description, name) or (1.0 if name == "AspectRatio" else 0.0)) for name in names)
-    if not numbers[0] > 0:
-        raise ValueError("FocalLength35mm is not above 0")
     distortion = tuple(float(word) for word in _value(description, "DistortionCoeficients").split())
     return model, numbers, (*distortion, *(0.0,) * 6)[:6]
 

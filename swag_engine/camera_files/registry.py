@@ -8,15 +8,23 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.foreign_files import refuse_foreign
-from . import bundler, metashape, nerf_transforms, openmvg, opensfm, realityscan_csv, realityscan_xmp
-from .camera_file import CameraFile, FileCamera
+from . import bundler, colmap_model, metashape, nerf_transforms, openmvg, opensfm, realityscan_csv, realityscan_xmp
+from .camera_file import CameraFile, FileCamera, reading
 from .source import Source
 
-_IN_FOLDERS = ("transforms.json", "opensfm/reconstruction.json", "reconstruction.json", "sfm_data.json", "bundle.out")
+_IN_FOLDERS = (
+    "transforms.json",
+    "opensfm/reconstruction.json",
+    "reconstruction.json",
+    "sfm_data.json",
+    "bundle.out",
+    "images.bin",
+    "images.txt",
+)
 """Files that are looked for where a folder is given, such as the project of OpenDroneMap."""
 _ANY_SIZE = 4000, 3000
 """Size in pixels at which lenses of files without a size are checked."""
-_NAMES = "Metashape (XML), RealityScan (CSV, XMP), nerfstudio (transforms.json), Bundler, OpenMVG and OpenSfM"
+_NAMES = "COLMAP, Metashape (XML), RealityScan (CSV, XMP), nerfstudio (transforms.json), Bundler, OpenMVG and OpenSfM"
 
 
 @dataclass(frozen=True)
@@ -34,7 +42,16 @@ class Format:
 
 FORMATS = {
     module.PROGRAM + (" XMP" if module is realityscan_xmp else ""): Format(module.recognise, module.read)
-    for module in (metashape, nerf_transforms, realityscan_csv, realityscan_xmp, bundler, openmvg, opensfm)
+    for module in (
+        colmap_model,
+        metashape,
+        nerf_transforms,
+        realityscan_csv,
+        realityscan_xmp,
+        bundler,
+        openmvg,
+        opensfm,
+    )
 }
 """Formats by name."""
 
@@ -81,6 +98,10 @@ def read_camera_file(path: Path) -> CameraFile:
 
 def _check_lens(camera: FileCamera) -> None:
     """Raise ValueError where a lens has numbers that no lens has."""
-    lens = camera.calibration.lens(*(camera.calibration.size or _ANY_SIZE))
-    if not np.isfinite(lens.params).all() or lens.params[0] <= 0 or min(lens.width, lens.height) < 1:
-        raise ValueError(f"the lens of {camera.name} has impossible numbers")
+    with reading(camera.name):
+        size = camera.calibration.size
+        if size and min(size) < 1:
+            raise ValueError(f"its image size is {size[0]} x {size[1]} pixels")
+        lens = camera.calibration.lens(*(size or _ANY_SIZE))
+        if lens.fault:
+            raise ValueError(lens.fault)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import InputError
+from ..base.text import text_encoding
 
 
 class Source:
@@ -34,10 +35,8 @@ class Source:
     @cached_property
     def text(self) -> str:
         """The text of the file."""
-        if self.data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            return self.data.decode("utf-16", errors="replace")
         try:
-            return self.data.decode("utf-8-sig")
+            return self.data.decode(text_encoding(self.data))
         except UnicodeDecodeError:
             return self.data.decode("latin-1")
 

@@ -10,10 +10,10 @@ import numpy as np
 from PIL import ExifTags, Image
 
 from ..base.errors import InputError
+from ..base.tables import Row, read_table
 from ..base.text import first_names
 from ..scene.colmap import Scene, View
 from ..scene.colmap_library import pycolmap
-from .tables import Row, read_table
 from .targets import Target
 from .triangulation import Observation, triangulate
 

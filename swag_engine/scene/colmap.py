@@ -1,10 +1,11 @@
 """Reading of a COLMAP scene: images, poses, lenses and sparse points."""
 
+import itertools
 import os
-import re
 import tempfile
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
@@ -19,10 +20,12 @@ from ..base.text import first_names
 from .cameras import Camera
 from .colmap_binary import PARTS, Features, check_file, copy_without_points, point_records
 from .colmap_library import pycolmap
+from .colmap_text import copy_as_binary
 from .georeference import Georeference, read_georeference
 from .lenses import Lens
-from .model_folders import folders_of_models, model_suffix, scene_of
+from .model_folders import folders_of_models, model_suffix, points_beside, scene_of
 from .model_quality import FEW_REGISTERED
+from .ply_points import FEWEST_VISIBLE, read_points, visible_fraction
 from .split import Split, split_views
 
 T = TypeVar("T")
@@ -146,20 +149,19 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
         raise InputError(f"{folder} is not a folder.")
     warnings: list[str] = []
     model_folder, tables = _largest_model(folder, warnings)
-    points, index_of = _usable_points(tables, model_folder, warnings)
 
-    origin = local_origin(points.positions)
-    points = replace(points, positions=points.positions - origin)
     model = tables.cameras
     images = [model.image(image_id) for image_id in model.reg_image_ids()]
     names = _image_names(model_folder, images)
     scene_folder = scene_of(folder)
     image_folder, paths, image_count = _find_images(scene_folder, list(names.values()), warnings)
+    if not len(tables.ids):
+        tables = _with_ply(tables, model_folder, image_folder, scene_folder, warnings)
+    points, index_of = _usable_points(tables, model_folder, warnings)
+    origin = local_origin(points.positions)
+    points = replace(points, positions=points.positions - origin)
 
-    lenses = {
-        camera_id: Lens(camera.model.name, camera.width, camera.height, tuple(float(value) for value in camera.params))
-        for camera_id, camera in model.cameras.items()
-    }
+    lenses = {camera_id: _lens(camera) for camera_id, camera in model.cameras.items()}
     views = [
         _view(
             image,
@@ -212,13 +214,34 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
     )
 
 
+def read_posed_images(model_folder: Path) -> tuple[list[tuple[str, Lens, np.ndarray]], Points]:
+    """Read a model without looking for its images.
+
+    Args:
+        model_folder: Folder of the model, whose points may be missing.
+
+    Returns:
+        Name, lens and pose (3, 4) float64 from the world to the camera of each registered image; and the points.
+
+    Raises:
+        InputError: When it cannot be read.
+    """
+    tables = _readable(model_folder, _read_binary)
+    images = [tables.cameras.image(image_id) for image_id in tables.cameras.reg_image_ids()]
+    names = _image_names(model_folder, images)
+    return [
+        (names[image.image_id], _lens(tables.cameras.camera(image.camera_id)), image.cam_from_world().matrix())
+        for image in images
+    ], tables.points
+
+
 def read_model(scene: Scene) -> pycolmap.Reconstruction:
     """Read the COLMAP model of a scene, with the image names of the scene.
 
     Raises:
         InputError: When it has changed since and cannot be read.
     """
-    model = _read_with_points(scene.model_folder)
+    model = _readable(scene.model_folder, _read_with_points)
     names = _image_names(scene.model_folder, [model.image(image_id) for image_id in model.reg_image_ids()])
     for image_id, name in names.items():
         model.image(image_id).name = name
@@ -297,14 +320,15 @@ def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, _Model]:
                 absent = [part for part in parts if not (candidate / part).is_file()]
                 if len(absent) < 3:
                     raise InputError(
-                        f"The COLMAP model in {candidate} is incomplete: {' and '.join(absent)} is missing."
+                        f"The COLMAP model in {candidate} is incomplete, as {' and '.join(absent)} is missing: copy it"
+                        + (f", or {_find_points(candidate)}." if absent == [f"points3D{suffix}"] else ".")
                     )
         refuse_foreign(folder)
         raise InputError(
             f"No COLMAP model was found in {folder}, its sparse or its colmap/sparse: make one from the photos with "
             f"{remedy(f'`{program()} sfm PHOTOS --out SCENE`', 'Find Cameras')}."
         )
-    read = [_read_model(model) for model in models]
+    read = [_readable(model, _read_binary) for model in models]
     counts = [model.cameras.num_reg_images() for model in read]
     best = int(np.argmax(counts))
     if len(models) > 1:
@@ -315,27 +339,6 @@ def _largest_model(folder: Path, warnings: list[str]) -> tuple[Path, _Model]:
     return models[best], read[best]
 
 
-def _read_model(folder: Path) -> _Model:
-    if model_suffix(folder) == ".bin":
-        return _readable(folder, _read_binary)
-    model = _read_with_points(folder)
-    items = sorted(model.points3D.items())
-    return _Model(
-        cameras=model,
-        ids=np.array([point_id for point_id, _ in items], np.uint64),
-        points=Points(
-            positions=np.array([point.xyz for _, point in items]).reshape(-1, 3),
-            colors=np.array([point.color for _, point in items], np.uint8).reshape(-1, 3),
-            errors=np.array([point.error for _, point in items], np.float32),
-            track_lengths=np.array([point.track.length() for _, point in items], np.int32),
-        ),
-        observed={
-            image_id: np.array([point.point3D_id for point in image.get_observation_points2D()], np.uint64)
-            for image_id, image in model.images.items()
-        },
-    )
-
-
 def _read_binary(folder: Path) -> _Model:
     """Read a binary model. pycolmap reads cameras and poses: a survey's points would take it minutes and gigabytes."""
     model = pycolmap.Reconstruction()
@@ -344,10 +347,11 @@ def _read_binary(folder: Path) -> _Model:
         model.read_binary(temporary)
     for image_id in model.reg_image_ids():  # raises where frames name images that are not there
         model.image(image_id).cam_from_world()
+    _normalise_rotations(model)
     features = Features.of(observed)
     del observed
     chunks = []
-    for heads, tracks in point_records(folder / "points3D.bin"):
+    for heads, tracks in _point_records(folder):
         features.check(heads, tracks)
         chunks.append(heads)
     ids = np.concatenate([np.zeros(0, np.uint64), *(chunk["id"] for chunk in chunks)])
@@ -370,79 +374,129 @@ def _read_binary(folder: Path) -> _Model:
 
 
 def _read_with_points(folder: Path) -> pycolmap.Reconstruction:
-    """Read a model as pycolmap has it."""
+    """Read a binary model as pycolmap has it."""
+    model = pycolmap.Reconstruction()
+    for part in PARTS:
+        if (folder / f"{part}.bin").is_file():
+            check_file(folder / f"{part}.bin")
+    if any(len(heads) for heads, _ in _point_records(folder)):
+        model.read_binary(str(folder))
+    else:  # images may still observe points that are not there
+        with tempfile.TemporaryDirectory() as temporary:
+            for _ in copy_without_points(folder, Path(temporary)):
+                pass
+            model.read_binary(temporary)
+    _normalise_rotations(model)
+    return model
 
-    def read(folder: Path) -> pycolmap.Reconstruction:
-        model = pycolmap.Reconstruction()
-        if model_suffix(folder) == ".bin":
-            for part in PARTS:
-                if (folder / f"{part}.bin").is_file():
-                    check_file(folder / f"{part}.bin")
-            model.read_binary(str(folder))
-            return model
-        model.read_text(str(folder))
-        counts = {"cameras": model.num_cameras(), "images": model.num_images(), "points3D": model.num_points3D()}
-        for part, count in counts.items():
-            _check_text(folder / f"{part}.txt", count)
-        return model
 
-    return _readable(folder, read)
+def _point_records(folder: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Read the points of a binary model, none where it has no file of them."""
+    path = folder / "points3D.bin"
+    return point_records(path) if path.is_file() else iter(())
+
+
+def _normalise_rotations(model: pycolmap.Reconstruction) -> None:
+    """Normalise the quaternions of poses, which pycolmap reads as they are and other writers round.
+
+    Raises:
+        InputError: Where one is zero.
+    """
+
+    def normalised(pose: pycolmap.Rigid3d) -> pycolmap.Rigid3d | None:
+        length = np.linalg.norm(pose.rotation.quat)
+        return (
+            None
+            if length < 1e-6
+            else pycolmap.Rigid3d(pycolmap.Rotation3d(pose.rotation.quat / length), pose.translation)
+        )
+
+    for frame in model.frames.values():
+        if frame.has_pose():
+            if (pose := normalised(frame.rig_from_world)) is None:
+                name = ", ".join(model.image(data.id).name for data in frame.image_ids)
+                raise InputError(
+                    f"The rotation of {name} in the COLMAP model is zero: correct it or reconstruct again."
+                )
+            frame.rig_from_world = pose
+    for rig in model.rigs.values():
+        for sensor, of_sensor in rig.non_ref_sensors.items():
+            if of_sensor is not None:
+                if (pose := normalised(of_sensor)) is None:
+                    raise InputError(f"The rotation of camera {sensor.id} in its rig is zero: reconstruct again.")
+                rig.set_sensor_from_rig(sensor, pose)
 
 
 def _readable(folder: Path, read: Callable[[Path], T]) -> T:
-    """Return what `read` returns; raise InputError where the files of the model cannot be read or disagree."""
+    """Return what `read` returns of the model as a binary one.
+
+    Raises:
+        InputError: Where the files of the model cannot be read or disagree.
+    """
     try:
-        return read(folder)
+        if model_suffix(folder) == ".bin" or not (folder / "images.txt").is_file():
+            return read(folder)
+        with tempfile.TemporaryDirectory() as temporary:
+            copy_as_binary(folder, Path(temporary))
+            return read(Path(temporary))
     except OSError as error:
         raise InputError(f"Cannot read {error.filename or folder}: {error.strerror or error}.") from error
     except (ValueError, IndexError, RuntimeError, MemoryError) as error:
-        at_fault = re.search(r">> (?:camera\.)?(camera|image|point|rig|frame)(3D)?_id", str(error))
-        if at_fault:
-            raise InputError(
-                f"{folder / f'{at_fault[1]}s{at_fault[2] or str()}.txt'} is damaged: export it from COLMAP again."
-            ) from error
         raise InputError(
             f"The COLMAP model in {folder} is damaged, as its files do not fit together: export it from COLMAP again."
         ) from error
 
 
-def _check_text(path: Path, count: int) -> None:
-    """Raise InputError when COLMAP's own header announces more entries than were read."""
-    with open(path, "rb") as lines:
-        header = b"".join(line for line, _ in zip(lines, range(5), strict=False) if line.startswith(b"#"))
-    announced = re.search(rb"# Number of \w+: (\d+)", header)
-    if announced and count < int(announced[1]):
-        raise InputError(
-            f"{path} was cut short: it has {count} of {int(announced[1])} entries; export it from COLMAP again."
-        )
-
-
 def _image_names(model_folder: Path, images: list[pycolmap.Image]) -> dict[int, str]:
-    """Return COLMAP's image names by image id, with forward slashes.
-
-    pycolmap cuts the names of text models at the first space, so these are read from the file.
-    """
+    """Return COLMAP's image names by image id, with forward slashes."""
     try:
-        if model_suffix(model_folder) == ".bin":
-            names = {image.image_id: image.name for image in images}
-        else:
-            lines = iter((model_folder / "images.txt").read_text(encoding="utf-8").splitlines())
-            names = {}
-            for line in lines:
-                if line.strip() and not line.startswith("#"):
-                    fields = line.split(maxsplit=9)
-                    names[int(fields[0])] = fields[9].strip()
-                    next(lines, None)  # the image's points
-            names = {image.image_id: names[image.image_id] for image in images}
+        cleaned = {image.image_id: inside(image.name) for image in images}
     except UnicodeDecodeError as error:
         raise InputError(
             f"The COLMAP model {model_folder} has image names that are not UTF-8: rename the photos with plain "
             "letters and reconstruct the scene again."
         ) from error
-    cleaned = {image_id: inside(name) for image_id, name in names.items()}
     if len(set(cleaned.values())) < len(cleaned):
         raise InputError(f"The COLMAP model {model_folder} gives two photos the same name: reconstruct it again.")
     return cleaned
+
+
+def _find_points(model: Path, images: str = "PHOTOS", out: str = "SCENE") -> str:
+    """Return how to find points for a model that has none."""
+    command = f'`{program()} import-cameras "{model}" --photos {images} --out {out}`'
+    return f"find points in the photos with {remedy(command, 'Import Cameras')}"
+
+
+def _with_ply(model: _Model, model_folder: Path, images: Path, scene: Path, warnings: list[str]) -> _Model:
+    """Return a model without points with those of the PLY file beside it, which no photo is known to observe."""
+    find_them = _find_points(model_folder, f'"{images}"', f'"{scene}_points"')
+    ply = points_beside(model_folder)
+    if ply is None:
+        raise InputError(f"The COLMAP model in {model_folder} has no points: {find_them}.")
+    positions, colors = read_points(ply)
+    cameras = [
+        (image.cam_from_world().matrix(), _lens(model.cameras.camera(image.camera_id)))
+        for image in map(model.cameras.image, model.cameras.reg_image_ids())
+    ]
+    visible = visible_fraction(positions, cameras)
+    if visible < FEWEST_VISIBLE:
+        raise InputError(
+            f"Only {visible:.0%} of the points of {ply} are in front of the cameras of the COLMAP model, which has no "
+            f"points itself: remove the file, and {find_them}."
+        )
+    warnings.append(f"The COLMAP model in {model_folder} has no points: those of {ply} are used.")
+    points = Points(
+        positions,
+        colors if len(colors) else np.full((len(positions), 3), 128, np.uint8),
+        np.full(len(positions), -1, np.float32),
+        np.zeros(len(positions), np.int32),
+    )
+    nothing = dict.fromkeys(model.observed, np.zeros(0, np.uint64))
+    return replace(model, ids=np.arange(len(positions), dtype=np.uint64), points=points, observed=nothing)
+
+
+def _lens(camera: pycolmap.Camera) -> Lens:
+    return Lens(camera.model.name, camera.width, camera.height, tuple(float(value) for value in camera.params))
 
 
 def _usable_points(
@@ -450,8 +504,6 @@ def _usable_points(
 ) -> tuple[Points, Callable[[np.ndarray], np.ndarray]]:
     """Return the points with finite positions, and a function from COLMAP's ids to their rows, each once, ascending."""
     ids, points = model.ids, model.points
-    if not len(ids):
-        raise InputError(f"The COLMAP model in {model_folder} has no points: reconstruct the scene again.")
     with np.errstate(over="ignore"):  # Gaussians and Blender take float32
         finite = np.isfinite(points.positions.astype(np.float32)).all(1)
     if not finite.all():
@@ -478,6 +530,11 @@ def _view(
     world_to_camera[:3] = image.cam_from_world().matrix()
     if not np.isfinite(world_to_camera).all():
         raise InputError(f"The COLMAP model's pose of {name} is not finite: reconstruct the scene again.")
+    if lens.fault:
+        raise InputError(
+            f"Camera {image.camera_id} ({lens.model}) of the COLMAP model, that of {name}, is impossible, as "
+            f"{lens.fault}: correct it or reconstruct the scene again."
+        )
     world_to_camera[:3, 3] += world_to_camera[:3, :3] @ origin
     pinhole = lens.pinhole
     return View(
@@ -519,27 +576,43 @@ def image_files_below(folder: Path, suffixes: frozenset[str] = IMAGE_SUFFIXES) -
     return sorted(path for path in found if not path.name.startswith("."))
 
 
-def _key(name: str) -> str:
+def _key(name: str, extension: bool = True) -> str:
     """Return a key that is equal for names that differ in case or in how accents are encoded (macOS splits them)."""
-    return unicodedata.normalize("NFC", name).casefold()
+    return unicodedata.normalize("NFC", name if extension else os.path.splitext(name)[0]).casefold()
+
+
+def _converted(
+    names: list[str], found: dict[str, Path], files: list[Path], folder: Path, by_basename: bool
+) -> dict[str, Path]:
+    """Return the file of each name that is not found, where both alone have that name without extension."""
+    of_key: dict[str, list[Path]] = defaultdict(list)
+    for path in files:
+        of_key[_key(path.relative_to(folder).as_posix(), False)].append(path)
+    keys = {name: _key(name.rsplit("/", 1)[-1] if by_basename else name, False) for name in names}
+    count = Counter(keys.values())
+    return {
+        name: of_key[key][0]
+        for name, key in keys.items()
+        if name not in found and count[key] == 1 and len(of_key.get(key, ())) == 1
+    }
 
 
 def _find_images(scene: Path, names: list[str], warnings: list[str]) -> tuple[Path, dict[str, Path], int]:
     """Find the folder of the images, the file of each name, and the number of image files in the folder.
 
     All come from one folder: the one with the most of the names, images/ and input/ before others. Case does not
-    matter. If no folder holds any of the names, they are compared without their folders. Last, images/ and input/
-    beside the scene are tried, as the folder of a model may have been given as the scene.
+    matter. If no folder holds any of the names, they are compared without their folders, then without extensions. Last,
+    images/ and input/ beside the scene are tried, as the folder of a model may have been given as the scene.
     """
     for root in (scene, scene.parent / "images", scene.parent / "input"):
         files = image_files_below(root) if root.is_dir() else []
-        for by_basename in (False, True):
-            wanted = {_key(name.rsplit("/", 1)[-1] if by_basename else name): name for name in names}
+        for extension, by_basename in itertools.product((True, False), (False, True)):
+            wanted = {_key(name.rsplit("/", 1)[-1] if by_basename else name, extension): name for name in names}
             hits: dict[tuple[str, ...], dict[str, Path]] = {}
             for path in files:
                 parts = path.relative_to(root).parts
                 for depth in [len(parts) - 1] if by_basename else range(len(parts)):
-                    name = wanted.get(_key("/".join(parts[depth:])))
+                    name = wanted.get(_key("/".join(parts[depth:]), extension))
                     if name is not None:
                         found = hits.setdefault(parts[:depth], {})
                         if name not in found or path.name == name.rsplit("/", 1)[-1]:  # prefer the same case
@@ -556,11 +629,21 @@ def _find_images(scene: Path, names: list[str], warnings: list[str]) -> tuple[Pa
                     parts,
                 ),
             )
-            if by_basename:
-                warnings.append(f"The photos in {root.joinpath(*best)} were matched by file name, without folders.")
             folder = root.joinpath(*best)
-            count = sum(path.is_relative_to(folder) for path in files)
-            return folder, hits[best], count
+            inside = [path for path in files if path.is_relative_to(folder)]
+            found = hits[best] if extension else {}
+            converted = _converted(names, found, inside, folder, by_basename)
+            if not extension and not converted:
+                continue
+            if by_basename:
+                warnings.append(f"The photos in {folder} were matched by file name, without folders.")
+            if converted:
+                pairs = [f"{path.name} for {name}" for name, path in sorted(converted.items())]
+                warnings.append(
+                    f"{len(pairs)} photos have other extensions than in the COLMAP model and were taken by their names "
+                    f"without extension: {first_names(pairs)}."
+                )
+            return folder, found | converted, len(inside)
     example = sorted(names)[0] if names else "any"
     raise InputError(
         f"None of the {len(names)} photos of the COLMAP model ({example} ...) was found in {scene}: put them into "

@@ -59,6 +59,22 @@ class Lens:
         return pycolmap.Camera(model=self.model, width=self.width, height=self.height, params=list(self.params))
 
     @property
+    def fault(self) -> str | None:
+        """What makes the numbers of the lens impossible, None where nothing does."""
+        width, height = self.width, self.height
+        if min(width, height) < 1:
+            return f"its image size is {width} x {height} pixels"
+        if not np.isfinite(self.params).all():
+            return "a parameter is not a finite number"
+        focal = [self.params[index] for index in self.camera.focal_length_idxs()]
+        if focal and min(focal) <= 0:
+            return f"its focal length is {min(focal):g} pixels"
+        point = [self.params[index] for index in self.camera.principal_point_idxs()]
+        if any(not -size <= value <= 2 * size for value, size in zip(point, (width, height), strict=False)):
+            return f"its principal point ({point[0]:g}, {point[1]:g}) is far outside its {width} x {height} pixels"
+        return None
+
+    @property
     def is_pinhole(self) -> bool:
         """Whether the lens has no distortion, so that its images are pinhole images."""
         return self.camera.is_undistorted() and self.camera.is_perspective_pinhole()  # a fisheye has no "distortion"

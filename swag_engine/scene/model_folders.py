@@ -13,10 +13,23 @@ def folders_of_models(scene: Path) -> list[Path]:
 
 
 def model_suffix(folder: Path) -> str | None:
-    """Return .bin or .txt when the folder holds a complete model, binary first as in COLMAP, else None."""
-    for suffix in (".bin", ".txt"):
-        if all((folder / f"{part}{suffix}").is_file() for part in ("cameras", "images", "points3D")):
-            return suffix
+    """Return .bin or .txt when the folder holds a complete model, binary first as in COLMAP, else None.
+
+    The points may be those of a PLY file instead.
+    """
+    for parts in (("cameras", "images", "points3D"), ("cameras", "images")):
+        for suffix in (".bin", ".txt"):
+            if all((folder / f"{part}{suffix}").is_file() for part in parts):
+                return suffix if len(parts) == 3 or points_beside(folder) else None
+    return None
+
+
+def points_beside(folder: Path) -> Path | None:
+    """Return the PLY file of points in the folder of a model or in its parent, as VGGT and trainers write it."""
+    for parent in (folder, folder.parent):
+        for name in ("points3D.ply", "sparse.ply", "points.ply"):
+            if (parent / name).is_file():
+                return parent / name
     return None
 
 

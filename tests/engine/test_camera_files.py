@@ -16,12 +16,12 @@ from swag_engine.camera_files.camera_file import CameraFile
 from swag_engine.camera_files.find_photos import find_photos
 from swag_engine.camera_files.import_cameras import import_cameras
 from swag_engine.camera_files.pairs import pairs_from_poses
-from swag_engine.camera_files.ply_points import read_points
 from swag_engine.camera_files.polynomial_lens import PolynomialLens
 from swag_engine.camera_files.registry import read_camera_file
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.georeference import read_georeference
 from swag_engine.scene.lenses import source_map
+from swag_engine.scene.ply_points import read_points
 from tests.scenes.panels import SIZE, render, write_photos
 
 WIDTH, HEIGHT = 1600, 1200

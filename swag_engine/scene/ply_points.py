@@ -1,11 +1,13 @@
 """Sparse points of a PLY file of any program: positions, and colors where it has them."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..base.errors import InputError
+from .lenses import Lens
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -14,6 +16,10 @@ _TYPES = {
 }  # fmt: skip
 _MOST_POINTS = 200_000
 """Points that are kept, at random: a dense cloud has more than training starts from."""
+FEWEST_VISIBLE = 0.1
+"""Fraction of the points of a PLY file in front of the cameras below which it has other coordinates."""
+_SAMPLE = 2000
+"""Maximum number of points and of cameras that this fraction is estimated from."""
 
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -94,3 +100,32 @@ def _layout(path: Path, header: str) -> tuple[str, int, list[tuple[str, str]]]:
     if form not in ("ascii", "binary_little_endian", "binary_big_endian") or not {"x", "y", "z"} <= dict(fields).keys():
         raise InputError(f"{path} is no PLY file of points: it has no x, y and z.")
     return form, count, fields
+
+
+def visible_fraction(positions: np.ndarray, cameras: Sequence[tuple[np.ndarray, Lens]]) -> float:
+    """Return the fraction of points (P, 3) that a sample of the cameras, poses (3, 4) and lenses, sees."""
+    random = np.random.default_rng(0)
+    sample = positions[random.permutation(len(positions))[:_SAMPLE]]
+    seen = np.zeros(len(sample), bool)
+    for number in random.permutation(len(cameras))[:_SAMPLE]:
+        seen[points_inside(sample, *cameras[number])[0]] = True
+    return float(seen.mean())
+
+
+def points_inside(positions: np.ndarray, pose: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Find the points that project into a photo.
+
+    Args:
+        positions: Points (P, 3).
+        pose: Transform (3, 4) or (4, 4) from the world to the camera.
+        lens: Lens of the photo.
+
+    Returns:
+        Indices (N,) of the points, and their pixels (N, 2).
+    """
+    local = positions @ pose[:3, :3].T + pose[:3, 3]
+    in_front = np.flatnonzero(local[:, 2] > 1e-9)
+    pixels = np.asarray(lens.camera.img_from_cam(np.ascontiguousarray(local[in_front]))).reshape(-1, 2)
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= 0).all(1) & (pixels[:, 0] < lens.width) & (pixels[:, 1] < lens.height)
+    return in_front[inside], pixels[inside]

@@ -2,11 +2,13 @@
 
 import csv
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..base.errors import InputError
+from .errors import InputError
+from .text import text_encoding
 
 MOST_BYTES = 64 << 20
 """Bytes of a table; a million rows take about as many."""
@@ -49,17 +51,7 @@ class Row:
 
 
 def read_table(path: Path, columns: Sequence[str]) -> list[Row]:
-    """Read a table with a heading of names.
-
-    Columns are separated by commas, semicolons or tabs; with the latter two, numbers may have a decimal comma. Lines
-    that are empty or begin with # are skipped.
-
-    Args:
-        path: The file.
-        columns: Lower-case names of columns that it must have; a row that ends early has "" in the rest.
-
-    Returns:
-        Its rows, at least one.
+    """Read a table with a heading of names, as `parse_table` does.
 
     Raises:
         InputError: If the file cannot be read, or a column or all rows are missing.
@@ -67,21 +59,46 @@ def read_table(path: Path, columns: Sequence[str]) -> list[Row]:
     try:
         if path.stat().st_size > MOST_BYTES:
             raise InputError(f"{path} is larger than {MOST_BYTES >> 20} MiB, and no table of measurements.")
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        data = path.read_bytes()
+        text = data.decode(text_encoding(data))
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not a text in UTF-8: save it as CSV (UTF-8).") from error
-    numbered = [(n, line) for n, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    return parse_table(path, text, columns)
+
+
+def parse_table(path: Path, text: str, columns: Sequence[str]) -> list[Row]:
+    """Read the text of a table with a heading of names.
+
+    Columns are separated by commas, semicolons or tabs; with the latter two, numbers may have a decimal comma. Lines
+    that are empty or begin with # are skipped, except for a heading that begins with # and the first of `columns`.
+
+    Args:
+        path: The file, for messages.
+        text: Its text.
+        columns: Lower-case names of columns that it must have; a row that ends early has "" in the rest.
+
+    Returns:
+        Its rows, at least one.
+
+    Raises:
+        InputError: If a column or all rows are missing, or a row has more cells than the heading.
+    """
+    heading = re.compile(rf"\s*#\s*{columns[0]}\s*[,;\t]", re.IGNORECASE)
+    numbered = [
+        (n, line)
+        for n, line in enumerate(text.splitlines(), 1)
+        if line.strip() and (not line.lstrip().startswith("#") or heading.match(line))
+    ]
     if not numbered:
         raise InputError(f"{path} is empty: it needs a first line with the columns {', '.join(columns)}.")
-    heading = numbered[0][1]
-    separator = max(",;\t", key=heading.count)
+    separator = max(",;\t", key=numbered[0][1].count)
     try:
         cells = list(csv.reader((line for _, line in numbered), delimiter=separator, skipinitialspace=True))
     except csv.Error as error:
         raise InputError(f"{path} is not a table: {error}.") from error
-    names = [name.strip().lower() for name in cells[0]]
+    names = [name.strip().lstrip("#").strip().lower() for name in cells[0]]
     missing = [column for column in columns if column not in names]
     if missing:
         raise InputError(
@@ -90,6 +107,12 @@ def read_table(path: Path, columns: Sequence[str]) -> list[Row]:
         )
     if len(cells) != len(numbered):
         raise InputError(f"{path} has a text that goes over several lines: remove quotation marks that do not close.")
+    for (number, _), row in zip(numbered, cells, strict=True):
+        if any(cell.strip() for cell in row[len(names) :]):
+            raise InputError(
+                f"{path}, line {number}: there are {len(row)} cells for {len(names)} columns: separate columns by "
+                "semicolons where numbers have decimal commas."
+            )
     rows = [
         Row(path, number, {n: cell.strip() for n, cell in zip(names, row, strict=False)}, separator != ",")
         for (number, _), row in zip(numbered[1:], cells[1:], strict=True)
