@@ -91,15 +91,7 @@ def require_parent(path: Path) -> Path:
 
 
 def output_names(images: Iterable[str], suffix: str) -> dict[str, str]:
-    """Name a file for each image: with `suffix` in place of its own, or after it where images would share a file.
-
-    Args:
-        images: Names of all images, so that a file has one name whichever of them are written.
-        suffix: Suffix of the files, with the dot.
-
-    Returns:
-        Names of files by names of images.
-    """
+    """Name a file for each of all images: NAME with `suffix` in place of its own, or after it where two would share."""
     names = {image: str(PurePosixPath(image).with_suffix(suffix)) for image in images}
     # Names are compared as Windows and macOS do.
     counts = Counter(name.lower() for name in names.values())

@@ -19,9 +19,10 @@ def refuse_foreign(path: Path) -> None:
     if path.is_dir():
         path = next((file for file in sorted(path.iterdir()) if file.suffix.lower() in METASHAPE_PROJECTS), path)
     if path.suffix.lower() in SPLAT_FILES:
+        converter = remedy(f"run `splat-transform {path.name} {path.stem}.ply`", "convert it with splat-transform")
         raise InputError(
             f"{path} is a {path.suffix.lower()} file, which must be a PLY: open it in the editor of SuperSplat "
-            f"(superspl.at/editor) and export a PLY, or run `splat-transform {path.name} {path.stem}.ply`."
+            f"(superspl.at/editor) and export a PLY, or {converter}."
         )
     if path.suffix.lower() in METASHAPE_PROJECTS:
         raise InputError(

@@ -47,8 +47,7 @@ COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
 PLAIN_COLORS = (("red", "green", "blue"), ("r", "g", "b"))
 """Properties of plain colors, which are read where f_dc is missing: 0..1, 0..255 or 0..65535."""
 FILTER = "filter_3D"
-"""Standard deviation of the 3D smoothing filter of Mip-Splatting (Yu et al. 2024, arXiv 2311.16493, equation 9), which
-widens Gaussians and lowers their opacities; world units."""
+"""Standard deviation of the 3D smoothing filter of Mip-Splatting (Yu et al. 2024, equation 9), world units."""
 FLATNESS = 1e-3
 """Thickness of a 2D Gaussian, which has two scales, over the smaller of them."""
 BLOCK = 8192
@@ -159,11 +158,10 @@ def _layout(path: Path, splats: Splats, count: int) -> tuple[bytes, np.dtype, di
 def read_ply(path: Path) -> Splats:
     """Read a 3DGS PLY: ASCII or binary of either byte order, any order and type of properties, degree 0 to 3.
 
-    The compressed PLY of SuperSplat is read too. Plain colors stand in for a missing f_dc, a Gaussian with two scales
-    is flat, one with a single scale is a sphere, and the 3D filter of Mip-Splatting is applied. Normals are dropped,
-    other properties become extras of their own dtype, degrees above 3 are dropped with a warning. Quaternions are
-    normalised; splats with a NaN or an infinity are dropped with a warning (an infinite logit is an opacity of 0 or 1
-    and is kept).
+    The compressed PLY of SuperSplat is read too. Plain colors stand in for f_dc, two scales are a flat Gaussian, one is
+    a sphere, and the filter of Mip-Splatting is applied. Normals are dropped, other properties become extras of their
+    own dtype, degrees above 3 are dropped with a warning. Quaternions are normalised; splats with a NaN or an infinity
+    are dropped with a warning (an infinite logit is an opacity of 0 or 1 and is kept).
 
     Args:
         path: The file.
@@ -235,8 +233,10 @@ def _read(path: Path, file: BinaryIO) -> Splats:
             values[part] = rows[name]
     sh[:, 0] = base[:, 3:6]
     if sources["f_dc_0"] != "f_dc_0":
+        largest = sh[:, 0][np.isfinite(sh[:, 0])].max(initial=0)
         is_float = dict(vertex.properties)[sources["f_dc_0"]].startswith("f")
-        sh[:, 0] = (sh[:, 0] / _white(sh[:, 0], is_float) - 0.5) / C0
+        white = 1 if is_float and largest <= 2 else 255 if largest <= 255 else 65535
+        sh[:, 0] = (sh[:, 0] / white - 0.5) / C0
     opacities = 1 / (1 + np.exp(-base[:, 6].astype(np.float64)))
     scales = np.exp(base[:, 7:].astype(np.float64))
     axes = 2 if sources["scale_2"] == "scale_1" else 3
@@ -256,12 +256,6 @@ def _read(path: Path, file: BinaryIO) -> Splats:
     positions = positions.astype(np.float32)
     splats = Splats(positions, rotations, scales.astype(np.float32), opacities.astype(np.float32), sh, extras)
     return clean_splats(replace(splats, placement=placement, development=_development(comments), origin=origin), path)
-
-
-def _white(colors: np.ndarray, is_float: bool) -> float:
-    """Return which number is white in plain colors of a file: 1, 255 or 65535."""
-    largest = colors[np.isfinite(colors)].max(initial=0)
-    return 1 if is_float and largest <= 2 else 255 if largest <= 255 else 65535
 
 
 def _place_comments(splats: Splats) -> list[str]:
@@ -358,11 +352,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, list[_Element], dict[
 
 
 def _splat_element(path: Path, elements: list[_Element]) -> tuple[_Element, dict[str, str]]:
-    """Return the element that holds the splats, and which of its properties each of BASE and ROTATION is read from.
-
-    Raises:
-        InputError: Where there is no such element, or a property is missing.
-    """
+    """Return the element that holds the splats, and the property that each of BASE and ROTATION is read from."""
     vertex = next((element for element in elements if element.name == "vertex"), None)
     names = [name for name, _ in vertex.properties] if vertex else []
     if vertex is None or not (vertex.is_packed or {"f_dc_0", "scale_0", "rot_0"} & set(names)):

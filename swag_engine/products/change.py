@@ -172,11 +172,7 @@ def describe(document: dict[str, Any]) -> str:
 
 
 def _check_one_place(earlier: Path, first: MapScene, later: Path, second: MapScene) -> None:
-    """Refuse surveys whose coordinates are farther apart than their sizes and errors of GPS.
-
-    Raises:
-        InputError: With the coordinates of both.
-    """
+    """Refuse surveys whose coordinates are farther apart than their sizes and errors of GPS."""
     from rasterio.warp import transform
 
     if not (first.placement and first.placement.crs and second.placement and second.placement.crs):
@@ -191,10 +187,9 @@ def _check_one_place(earlier: Path, first: MapScene, later: Path, second: MapSce
         places.append((x, y))
     apart = float(np.linalg.norm(np.subtract(places[0], places[1])))
     if not apart <= reach:
-        distance = f", {apart / 1000:.1f} km apart" if np.isfinite(apart) else ""
         raise InputError(
-            f"The coordinates contradict each other: {' and '.join(texts)}{distance}. Compare surveys of one place, or "
-            "measure the scale of the wrong one again with its coordinate reference system."
+            f"The coordinates contradict each other: {' and '.join(texts)}, {apart / 1000:.1f} km apart. Compare "
+            "surveys of one place, or measure the scale of the wrong one again with its coordinate reference system."
         )
 
 

@@ -113,7 +113,8 @@ def test_refusals_are_one_sentence(blender, tmp_path):
     (tmp_path / "text.ply").write_text("hello")
     (tmp_path / "occupied").write_text("a file, not a folder")
     messages = blender.run("export.refusals", tmp_path)
-    named = {"not there": "nowhere.ply", "damaged": "text.ply", "unwritable": "x.ply", "full": "x.glb"}
+    named = {"foreign": "convert it with splat-transform", "project": "Export Cameras there, as Agisoft XML"}
+    named |= {"not there": "nowhere.ply", "damaged": "text.ply", "unwritable": "x.ply", "full": "x.glb"}
     for case, message in messages.items():
         assert message.endswith(".") and "\n" not in message and named.get(case, "") in message, (case, message)
     assert (

@@ -76,6 +76,8 @@ def refusals(folder):
         "not there": refusal(load, filepath=str(folder / "nowhere.ply")),
         "no name": refusal(load),
         "format": refusal(load, filepath=str(folder / "occupied")),
+        "foreign": refusal(load, filepath=str(folder / "a.ksplat")),
+        "project": refusal(load, filepath=str(folder / "a.psx")),
         "damaged": refusal(load, filepath=str(folder / "text.ply")),
         "no scene": refusal(load, filepath=str(folder / "a.ply"), frame="SCENE"),
     }
