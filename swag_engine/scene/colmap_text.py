@@ -96,6 +96,8 @@ def _features(words: list[str]) -> np.ndarray | None:
         raise ValueError("observations need x, y and the id of a point each")
     features = np.zeros(len(values) // 3, OBSERVATION)
     features["xy"], ids = values.reshape(-1, 3)[:, :2], values[2::3]
+    if (ids != np.round(ids)).any():  # the line of a photo without its name
+        raise ValueError("the id of a point is not a whole number")
     features["point"] = np.where((ids >= 0) & (ids < 2**63), ids, 0).astype(np.uint64)
     features["point"][(ids < 0) | (ids >= 2**63)] = NO_POINT
     return features

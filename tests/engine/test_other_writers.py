@@ -65,6 +65,7 @@ def test_text_models_of_other_writers(tmp_path: Path, writing: str, classic: boo
         ("images", 1, "1 1 0 0 0 0 0 3 a.png", "a photo needs"),
         ("images", 1, "10 20 5", "belong to no photo"),
         ("images", 3, "1 1 0 0 0 0 0 3 1 again.png", "line above"),
+        ("images", 3, "2 0.9 0.1 0 0 0.5 0.1 3 1", "not a whole number"),
         ("images", 2, "10 20 5 10 20", "x, y and the id"),
         ("images", 1, "one 1 0 0 0 0 0 3 1 a.png", "one"),
         ("cameras", 1, "1 PINHOLE 200 150 150 100 75", "4 parameters, not 3"),
