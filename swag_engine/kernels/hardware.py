@@ -12,6 +12,7 @@ from ..base.errors import InputError
 from ..settings.settings import TrainSettings
 from .backends import CPU, KERNELS
 from .webgpu import WebGpuKernels
+from .webgpu_device import ALLOW_SOFTWARE
 
 CARD_FILES = ("dri", "nvidia*", "dxg", "mali*", "kgsl*")
 """Files in /dev by which programs reach a card on Linux: any card, with NVIDIA's driver, in WSL, Mali, Adreno."""
@@ -83,7 +84,8 @@ def hardware_for(backend: str, with_wgpu: bool = True) -> Hardware:
         properties = torch.cuda.get_device_properties(device)
         return Hardware(backend, True, properties.name, properties.total_memory)
     if wgpu:
-        return Hardware(backend, wgpu.gpu.is_card, wgpu.gpu.adapter_name, wgpu.gpu.memory)
+        card = not wgpu.gpu.software or os.environ.get(ALLOW_SOFTWARE) == "1"
+        return Hardware(backend, card, wgpu.gpu.adapter_name, wgpu.gpu.memory)
     name = f"CPU, {os.cpu_count()} cores" if device.type == "cpu" else str(device)
     return Hardware(backend, device.type != "cpu", name, total_memory())
 
@@ -95,7 +97,7 @@ def hardware_of(settings: TrainSettings) -> Hardware:
 
 
 def with_backend_of_run(settings: TrainSettings, resume: bool) -> tuple[TrainSettings, str]:
-    """Choose what computes a run, before anything else is chosen for it.
+    """Replace a backend that a run does not have; errors as of `hardware_for`.
 
     Args:
         settings: What the user chose.
@@ -103,9 +105,6 @@ def with_backend_of_run(settings: TrainSettings, resume: bool) -> tuple[TrainSet
 
     Returns:
         The settings, and a sentence for the user where a run on "wgpu" is computed on the processor.
-
-    Raises:
-        InputError: The backend is "cuda" or "wgpu" and cannot run here.
     """
     if settings.backend == "wgpu" and settings.recipe not in WGPU_RECIPES:
         note = (

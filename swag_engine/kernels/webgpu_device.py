@@ -145,7 +145,7 @@ class WebGpu:
         device: The device of the `wgpu` package.
         float_atomics: Whether kernels add floats with the adapter's own atomic operation.
         largest_binding: Largest binding of a buffer, bytes.
-        memory: Memory that the adapter has, bytes, None where that is not known.
+        memory: Memory of the adapter, bytes, None where that is not known.
         counters: What was asked of the device.
     """
 
@@ -160,11 +160,6 @@ class WebGpu:
     _pending: list[Any] = field(default_factory=list)
     _calls: bytearray = field(default_factory=bytearray)
     _call_buffer: Any = None
-
-    @property
-    def is_card(self) -> bool:
-        """Whether it counts as a graphics card: not in software, unless `ALLOW_SOFTWARE` says so."""
-        return not self.software or os.environ.get(ALLOW_SOFTWARE) == "1"
 
     @contextmanager
     def _errors_named(self) -> Iterator[None]:
@@ -531,34 +526,31 @@ def _describe(adapter: Any) -> dict[str, Any]:
 
 
 def _memory(adapter: Any) -> int | None:
-    """Return the memory of an adapter, bytes: of a card of its own, or of a chip what it may take of the computer's."""
     info, total = adapter.info, total_memory()
     if info["adapter_type"] in ("IntegratedGPU", "CPU"):
         return total and int(SHARED_FRACTION * total)
-    # A card has room for its largest buffer at least.
-    return _vulkan_memory(info["vendor_id"], info["device_id"]) or adapter.limits["max-buffer-size"]
+    return _vulkan_memory(info["vendor_id"], info["device_id"]) or adapter.limits["max-buffer-size"]  # a lower bound
 
 
 def _vulkan_memory(vendor: int, device: int) -> int | None:
-    """Return the size of a card's largest memory that is its own, bytes, which WebGPU does not tell but Vulkan."""
+    """Ask Vulkan, since WebGPU does not tell, for the size of a card's largest own memory, bytes."""
     try:
         vulkan = ctypes.CDLL("vulkan-1.dll" if sys.platform == "win32" else "libvulkan.so.1")
     except OSError:
         return None
     instance, count = ctypes.c_void_p(), ctypes.c_uint32()
-    if vulkan.vkCreateInstance((ctypes.c_uint64 * 8)(1), None, ctypes.byref(instance)):  # VkInstanceCreateInfo, all 0
+    if vulkan.vkCreateInstance((ctypes.c_uint64 * 8)(1), None, ctypes.byref(instance)):  # an empty VkInstanceCreateInfo
         return None
-    sizes = [0]
-    vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), None)
-    found = (ctypes.c_void_p * count.value)()
+    sizes, found = [0], (ctypes.c_void_p * 16)()
+    count.value = len(found)
     vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), found)
-    for handle in map(ctypes.c_void_p, found):
+    for handle in map(ctypes.c_void_p, found[: count.value]):
         properties, memory = (ctypes.c_uint32 * 256)(), (ctypes.c_uint64 * 65)()
         vulkan.vkGetPhysicalDeviceProperties(handle, properties)
         vulkan.vkGetPhysicalDeviceMemoryProperties(handle, memory)
         if properties[2:4] == [vendor, device]:
-            heaps = zip(memory[33::2], memory[34::2], strict=True)  # sizes and flags, after 32 types of memory
-            sizes += [size for size, flags in heaps if flags & DEVICE_LOCAL]
+            # Sizes and flags of 16 heaps follow 32 types of memory.
+            sizes += [memory[i] for i in range(33, 65, 2) if memory[i + 1] & DEVICE_LOCAL]
     vulkan.vkDestroyInstance(instance, None)
     return max(sizes) or None
 

@@ -52,10 +52,7 @@ def words_of(target: Target) -> Tensor:
 
 
 def timed_step(gpu: WebGpu, cloud: GaussianCloud, target: Target, sh_degree: int) -> Callable[[], float]:
-    """Return a step with water that changes nothing and returns how many milliseconds it took.
-
-    It raises WebGpuFailure and MemoryError as `ResidentGaussians.outcomes` does.
-    """
+    """Return a step with water that changes nothing and returns its milliseconds; errors as of `outcomes`."""
     values = {name: getattr(cloud, name).detach() for name in RESIDENT}
     sizes = {name: value[0].numel() for name, value in values.items()}
     resident = ResidentGaussians(gpu, len(cloud), sizes, EXPOSURES)

