@@ -6,35 +6,19 @@ from typing import Any
 import numpy as np
 import pycolmap
 import pytest
-import torch
 
 from swag_engine.formats import water
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply, write_ply
 from swag_engine.formats.run_folder import RunFolder
-from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.settings.settings import TrainSettings
-from swag_engine.splats.splats import Splats
+from tests.scenes.clouds import draw_splats, random_splats
 
 
 def heap(count=1500, degree=3):
     """Splats around the origin with colors that change much with the view."""
-    random = np.random.default_rng(3)
-    rotations = random.normal(size=(count, 4))
-    sh = random.normal(size=(count, (degree + 1) ** 2, 3)) * 0.2
-    sh[:, 0] = random.uniform(-1.2, 1.5, (count, 3))
-    columns = (
-        random.uniform(-1, 1, (count, 3)),
-        rotations / np.linalg.norm(rotations, axis=1, keepdims=True),
-        np.exp(random.uniform(np.log(0.01), np.log(0.15), (count, 3))),
-        random.uniform(0.1, 1, count),
-        sh,
-    )
-    label = {"label": random.integers(0, 4, count).astype(np.int32)}
-    positions, rotations, scales, opacities, sh = (column.astype(np.float32) for column in columns)
-    return Splats(positions, rotations, scales, opacities, sh, label)
+    return random_splats(count, [1, 1, 1], (np.log(0.01), np.log(0.15)), degree)
 
 
 def camera_at(pose, name="view", cx=80.0, cy=60.0):
@@ -53,14 +37,7 @@ def looking_from(x, y, z):
 
 
 def render_splats(splats, camera):
-    positions, rotations, scales, opacities, sh = (
-        torch.from_numpy(array)
-        for array in (splats.positions, splats.rotations, splats.scales, splats.opacities, splats.sh)
-    )
-    cloud = GaussianCloud(
-        positions, rotations, scales.log(), torch.logit(opacities, 1e-6), sh[:, :1], sh[:, 1:], torch.full((3,), -30.0)
-    )
-    return render(cloud, camera).color.numpy()
+    return draw_splats(splats, camera).color.numpy()
 
 
 def psnr(a, b):

@@ -97,3 +97,15 @@ class DoubleTarget(Target):
     @property
     def color(self):
         return super().color.double()
+
+
+def exact_gradients(trainer, monkeypatch, target, config):
+    """Return what `gradients` does of a step in float64 with the backend torch, which the trainer has from then on."""
+    for owner in (trainer.state.cloud, *trainer.state.effects.models.values()):
+        for name, value in owner.parameters().items():
+            setattr(owner, name, value.detach().double().requires_grad_())
+    reference = replace(trainer.inputs, settings=replace(trainer.inputs.settings, backend="torch"))
+    monkeypatch.setattr(trainer, "inputs", reference)
+    monkeypatch.setattr(trainer.selection, "inputs", reference)
+    exact = DoubleTarget(target.camera, target.pixels, target.valid, surface=target.surface)
+    return gradients(autograd(trainer), trainer.state, exact, config)

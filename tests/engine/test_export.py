@@ -23,8 +23,6 @@ from swag_engine.formats.ply import ply_size, read_ply, write_ply
 from swag_engine.formats.registry import FORMATS, find_format
 from swag_engine.formats.run_folder import RunFolder, write_json
 from swag_engine.formats.select import SplatSelection, box_between, label_ids
-from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.georeference import Georeference, Placement, write_georeference
@@ -35,26 +33,14 @@ from swag_engine.splats.splats import Splats, concatenate
 from swag_engine.splats.transform import rotation_matrices, sh_basis, transformed
 from swag_engine.water.medium import Medium, through_water
 from swag_engine.water.network import WaterNetwork
+from tests.scenes.clouds import draw_splats, random_splats
 
 UP = [0.1, -0.9, 0.3]
 
 
 def some_splats(count=400, degree=3, seed=0):
     """A wall of splats around the origin, where the tiny scene's cameras look."""
-    random = np.random.default_rng(seed)
-    rotations = random.normal(size=(count, 4))
-    sh = random.normal(size=(count, (degree + 1) ** 2, 3)) * 0.1
-    sh[:, 0] = random.uniform(-1.5, 1.5, (count, 3))
-    columns = (
-        np.c_[random.uniform(-2, 2, (count, 2)), random.uniform(-0.5, 0.5, count)],
-        rotations / np.linalg.norm(rotations, axis=1, keepdims=True),
-        np.exp(random.uniform(-4, -1, (count, 3))),
-        random.uniform(0.05, 1, count),
-        sh,
-    )
-    label = {"label": random.integers(0, 4, count).astype(np.int32)}
-    positions, rotations, scales, opacities, sh = (column.astype(np.float32) for column in columns)
-    return Splats(positions, rotations, scales, opacities, sh, label)
+    return random_splats(count, [2, 2, 0.5], (-4, -1), degree, seed)
 
 
 def some_medium(light="linear"):
@@ -75,17 +61,6 @@ def run(tiny_scene, tmp_path_factory):
     names = [{"id": 0, "name": "sand"}, {"id": 2, "name": "Coral"}, {"id": 3, "name": "wreck"}]
     write_json(folder.path / "labels.json", {"labels": names})
     return folder.path
-
-
-def drawn(splats, camera, **more):
-    positions, rotations, scales, opacities, sh = (
-        torch.from_numpy(array)
-        for array in (splats.positions, splats.rotations, splats.scales, splats.opacities, splats.sh)
-    )
-    cloud = GaussianCloud(
-        positions, rotations, scales.log(), torch.logit(opacities, 1e-6), sh[:, :1], sh[:, 1:], torch.full((3,), -30.0)
-    )
-    return render(cloud, camera, **more)
 
 
 def psnr(a, b):
@@ -477,7 +452,7 @@ def test_turned_splats_seen_by_the_turned_cameras_are_the_same_picture(run, tmp_
         fx, fy, cx, cy = lens.params
         camera = Camera(view.name, lens.width, lens.height, fx, fy, cx, cy, pose)
         # Sharp splats are widened by a third of a pixel: the same in both pictures.
-        same = psnr(drawn(splats, camera).color, drawn(some_splats(), view.camera).color)
+        same = psnr(draw_splats(splats, camera).color, draw_splats(some_splats(), view.camera).color)
         assert same > 50, (kind, up, same)
     axis = {"y-down": (0, -1, 0), "z-up": (0, 0, 1)}.get(up, (0, 1, 0))
     if (kind, up) != ("ply", "scene"):

@@ -17,9 +17,9 @@ from tests.engine.step_scenes import (
     NO_BACKSCATTER,
     NONE,
     WATER,
-    DoubleTarget,
     assert_close,
     autograd,
+    exact_gradients,
     gradients,
     inputs_of_step,
     native,
@@ -79,14 +79,7 @@ def test_gradients_are_those_of_the_float64_reference(make_on_each, monkeypatch)
     trainer = make_on_each()
     target, config = inputs_of_step(trainer)
     got = gradients(native(trainer), trainer.state, target, config)
-    for owner in (trainer.state.cloud, *trainer.state.effects.models.values()):
-        for name, value in owner.parameters().items():
-            setattr(owner, name, value.detach().double().requires_grad_())
-    reference = replace(trainer.inputs, settings=replace(trainer.inputs.settings, backend="torch"))
-    monkeypatch.setattr(trainer, "inputs", reference)
-    monkeypatch.setattr(trainer.selection, "inputs", reference)
-    exact = DoubleTarget(target.camera, target.pixels, target.valid, surface=target.surface)
-    expected = gradients(autograd(trainer), trainer.state, exact, config)
+    expected = exact_gradients(trainer, monkeypatch, target, config)
     assert got[0].loss == pytest.approx(expected[0].loss, rel=1e-5)
     assert_close(got[1], expected[1], 5e-4)
 

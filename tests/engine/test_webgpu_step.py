@@ -31,10 +31,8 @@ from tests.engine.step_scenes import (
     ALL,
     NO_BACKSCATTER,
     WATER,
-    DoubleTarget,
     Refusing,
-    autograd,
-    gradients,
+    exact_gradients,
     inputs_of_step,
     trainers,
 )
@@ -136,14 +134,7 @@ def test_gradients_are_those_of_the_float64_reference(make, kernels, monkeypatch
     step = steps_of(trainer, kernels)[0]
     loss = step(state, target, config).loss
     state.synchronize()
-    for owner in (trainer.state.cloud, *trainer.state.effects.models.values()):
-        for name, value in owner.parameters().items():
-            setattr(owner, name, value.detach().double().requires_grad_())
-    reference = replace(trainer.inputs, settings=replace(trainer.inputs.settings, backend="torch"))
-    monkeypatch.setattr(trainer, "inputs", reference)
-    monkeypatch.setattr(trainer.selection, "inputs", reference)
-    exact = DoubleTarget(target.camera, target.pixels, target.valid, surface=target.surface)
-    result, expected = gradients(autograd(trainer), trainer.state, exact, config)
+    result, expected = exact_gradients(trainer, monkeypatch, target, config)
     assert loss == pytest.approx(result.loss, rel=1e-5)
     compared = [name for name in state.optimizer.moments if name in expected]
     assert len(compared) >= {"3dgs": 7, "all effects": 12}.get(case, 8), compared

@@ -1,37 +1,24 @@
 """Web viewers render an exported GLB through its glTF camera as the engine does; the browser has no graphics card."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-import torch
 
 from swag_engine.formats.cameras import transform_camera
 from swag_engine.formats.gltf import write_glb
-from swag_engine.gaussians.cloud import GaussianCloud
-from swag_engine.rendering.render import render
 from swag_engine.scene.cameras import Camera
-from swag_engine.splats.splats import Splats
 from swag_engine.splats.transform import transformed
+from tests.scenes.clouds import draw_splats, random_splats
 
 WIDTH, HEIGHT = 320, 200
 
 
 def heap():
     """2000 splats of every shape and color in front of the origin; without any symmetry."""
-    random = np.random.default_rng(3)
-    count = 2000
-    rotations = random.normal(size=(count, 4))
-    sh = random.normal(size=(count, 16, 3)) * 0.15
-    sh[:, 0] = random.uniform(-1.2, 1.5, (count, 3))
-    columns = (
-        np.c_[random.uniform(-3, 3, (count, 2)), random.uniform(3, 9, count)],
-        rotations / np.linalg.norm(rotations, axis=1, keepdims=True),
-        np.exp(random.uniform(np.log(0.02), np.log(0.3), (count, 3))),
-        random.uniform(0.1, 1, count),
-        sh,
-    )
-    positions, rotations, scales, opacities, sh = (column.astype(np.float32) for column in columns)
-    return Splats(positions, rotations, scales, opacities, sh)
+    splats = random_splats(2000, [3, 3, 3], (np.log(0.02), np.log(0.3)))
+    return replace(splats, positions=splats.positions + np.array([0, 0, 6], np.float32))
 
 
 def side_camera():
@@ -42,14 +29,7 @@ def side_camera():
 
 
 def render_by_engine(splats, camera):
-    positions, rotations, scales, opacities, sh = (
-        torch.from_numpy(array)
-        for array in (splats.positions, splats.rotations, splats.scales, splats.opacities, splats.sh)
-    )
-    cloud = GaussianCloud(
-        positions, rotations, scales.log(), torch.logit(opacities, 1e-6), sh[:, :1], sh[:, 1:], torch.full((3,), -30.0)
-    )
-    return render(cloud, camera).color.numpy().clip(0, 1)
+    return draw_splats(splats, camera).color.numpy().clip(0, 1)
 
 
 @pytest.mark.parametrize("page", ["babylon.html", "playcanvas.html"])
