@@ -18,12 +18,15 @@ class Requirements(MetadataHookInterface):
 
 
 class KernelBuildHook(BuildHookInterface):
-    """The wheel depends on the platform, not on the Python version: the kernels are loaded by ctypes."""
+    """The wheel depends on the platform, not on the Python version: the kernels are loaded by ctypes.
+
+    On Linux they need glibc 2.17 or later, as the targets of kernels/build.py say.
+    """
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         script = Path(self.root) / "swag_engine" / "kernels" / "build.py"
         subprocess.run([sys.executable, str(script)], check=True)
-        platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+        platform = sysconfig.get_platform().replace("-", "_").replace(".", "_").replace("linux_", "manylinux_2_17_")
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{platform}"
         build_data["artifacts"].append("swag_engine/kernels/lib/*")
