@@ -2,7 +2,7 @@
 PYTHON ?= python3.11
 VENV := .venv/bin/python
 
-.PHONY: demo test check search lint contracts docs extension release clean
+.PHONY: demo test check search newest lint contracts docs extension release clean
 
 demo: .venv/ready
 	$(VENV) demo/run.py
@@ -23,6 +23,10 @@ check: lint contracts docs extension
 # Wide random searches, and what other Blender versions repeat.
 search: .venv/ready
 	$(PYTEST) -m search
+
+# The quick tests of the engine with the newest packages that requirements.txt allows, in Python 3.11 and 3.13.
+newest:
+	.ci/newest
 
 lint: .venv/ready
 	$(VENV) -m ruff check .

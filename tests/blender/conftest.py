@@ -4,6 +4,7 @@ import contextlib
 import importlib.util
 import json
 import os
+import re
 import select
 import signal
 import subprocess
@@ -179,7 +180,7 @@ def wheels(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheels")
     constraints = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = dict(line.split("==") for line in constraints if "==" in line)
-    for name in [*(ROOT / "requirements.txt").read_text().split(), "wgpu"]:
+    for name in [*re.findall(r"^[\w-]+", (ROOT / "requirements.txt").read_text(), re.MULTILINE), "wgpu"]:
         version, plain = pinned[name].split(";")[0].strip(), name.replace("-", "_")
         info = f"{plain}-{version}.dist-info"
         with zipfile.ZipFile(folder / f"{plain}-{version}-py3-none-any.whl", "w") as wheel:
