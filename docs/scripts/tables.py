@@ -11,7 +11,7 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from statistics import mean, median
+from statistics import fmean, mean, median
 from textwrap import fill
 from typing import Any
 
@@ -378,7 +378,7 @@ def zoom() -> str:
 
     def psnr(scene: str, variance: float, width: str) -> float:
         known = [run[width] for run in runs if (run["scene"], run["least_variance"]) == (scene, variance)]
-        return sum(known) / len(known)
+        return fmean(known)
 
     rows = []
     for scene, words in SCENES.items():
@@ -415,7 +415,7 @@ def schedules() -> str:
     def psnr(runs: Mapping[str, Any], change: str) -> str:
         if change not in runs:
             return "not measured"
-        mean, standard = (sum(runs[name]["psnr"]) / len(runs[name]["psnr"]) for name in (change, "standard"))
+        mean, standard = (fmean(runs[name]["psnr"]) for name in (change, "standard"))
         return f"{mean:.2f} dB" if change == "standard" else f"{mean - standard:+.2f} dB"
 
     rows = []
@@ -435,9 +435,7 @@ def strategies() -> str:
         groups.setdefault(key, []).append(run)
     rows = []
     for (scene, length, limit, strategy, equal), runs in sorted(groups.items(), key=lambda group: group[0][1::-1]):
-        gaussians, seconds, psnr = (
-            sum(run[name] for run in runs) / len(runs) for name in ("gaussians", "seconds", "psnr")
-        )
+        gaussians, seconds, psnr = (fmean(run[name] for run in runs) for name in ("gaussians", "seconds", "psnr"))
         figures = [f"{gaussians:.0f}", f"{seconds:.0f} s", f"{psnr:.2f} dB", len(runs)]
         rows.append([scene, length, strategy, limit, equal, *figures])
     return markdown(header, rows)
@@ -582,8 +580,8 @@ def camera_time() -> str:
         rows.append(
             [
                 words,
-                *(f"{sum(each) / len(each):.0f} s" if each else "not measured" for each in times),
-                percent(sum(times[0]) / len(now) / (sum(times[1]) / len(earlier))) if now and earlier else "-",
+                *(f"{fmean(each):.0f} s" if each else "not measured" for each in times),
+                percent(fmean(times[0]) / fmean(times[1])) if now and earlier else "-",
                 *(
                     f"{with_pose(runs)}, {worst(runs, 'position_error', '.2%')}" if runs else "-"
                     for runs in (now, earlier)
@@ -1057,7 +1055,7 @@ def presets() -> str:
         groups.setdefault((row["preset"], row["scene"]), []).append(row)
 
     def mean(rows: Sequence[Mapping[str, Any]], version: str, figure: str) -> float:
-        return sum(row[version][figure] for row in rows) / len(rows)
+        return fmean(row[version][figure] for row in rows)
 
     return markdown(
         [
@@ -1173,7 +1171,7 @@ def _color_errors(compressed: bool = True) -> dict[str, dict[str, dict[str, floa
 def _mean_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
     """Return the mean delta E and hue error of each method over some rows."""
     methods = [name for name in rows[0] if name != "seen"]
-    return {m: {key: sum(row[m][key] for row in rows) / len(rows) for key in ("delta_e", "hue")} for m in methods}
+    return {m: {key: fmean(row[m][key] for row in rows) for key in ("delta_e", "hue")} for m in methods}
 
 
 def _colors_of_methods(means: Mapping[str, Mapping[str, float]]) -> list[str]:
