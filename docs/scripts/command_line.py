@@ -122,8 +122,7 @@ def page() -> str:
     named = {}
     for command in COMMANDS:
         if command is Survey:
-            steps = (typing.get_args(each)[0] for each in typing.get_args(Step))
-            named |= {f"survey {command_name(step)}": step for step in steps}
+            named |= {f"survey {command_name(step)}": step for step in typing.get_args(Step)}
         else:
             named[command_name(command)] = command
     commands = [section(name, inspect.cleandoc(each.__doc__ or ""), each) for name, each in named.items()]

@@ -975,7 +975,7 @@ def _suggest(arguments: Sequence[str]) -> None:
     """Raise InputError for a word that is no command, with the command that is spelled most like it."""
     known, words = [command_name(command) for command in COMMANDS], arguments
     if words[0] == "survey":
-        known, words = [command_name(get_args(step)[0]) for step in get_args(Step)], words[1:]
+        known, words = [command_name(step) for step in get_args(Step)], words[1:]
     elif words[0] == "batch":
         known, words = list(get_args(get_args(Batch.__annotations__["command"])[0])), words[1:]
     if words and not words[0].startswith("-") and words[0] not in known:

@@ -240,16 +240,7 @@ class Export:
         return 0
 
 
-Step = (
-    Annotated[Plan, tyro.conf.subcommand("plan")]
-    | Annotated[Run, tyro.conf.subcommand("run")]
-    | Annotated[Block, tyro.conf.subcommand("block")]
-    | Annotated[Label, tyro.conf.subcommand("label")]
-    | Annotated[Merge, tyro.conf.subcommand("merge")]
-    | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[Render, tyro.conf.subcommand("render")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-)
+Step = Plan | Run | Block | Label | Merge | Report | Render | Export
 
 
 @dataclass(frozen=True)
