@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from .files import FolderInUse, atomic_path, locked_folder
+from .files import FolderInUse, atomic_path, locked_folder, read_text
 from .strict_json import from_json
 
 BEAT_SECONDS = 3.0
@@ -97,7 +97,7 @@ def claimed(folder: Path, watched_seconds: float = WATCHED_SECONDS) -> Iterator[
 def read_claim(file: Path) -> dict | None:
     """Return what a claim says (host, pid, token, beat); None without one, or where it is being written."""
     try:
-        found = from_json(file.read_text(encoding="utf-8"))
+        found = from_json(read_text(file))
     except (OSError, ValueError):
         return None
     return found if isinstance(found, dict) else None

@@ -4,6 +4,7 @@ import errno
 import os
 import secrets
 import shutil
+import stat
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -35,9 +36,29 @@ def refuse_link(path: Path) -> None:
         raise InputError(f"{path} is a link to another folder: remove the link, or move that folder here.")
 
 
+def regular(path: str, flags: int) -> int:
+    """Open a regular file, as an `opener` of `open`; raises OSError for others, such as pipes, which never end."""
+    opened = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
+    if stat.S_ISREG(os.fstat(opened).st_mode):
+        return opened
+    os.close(opened)
+    raise OSError(errno.EINVAL, "it is no regular file", path)
+
+
 def no_link(path: str, flags: int) -> int:
-    """Open a regular file that is no link, as an `opener` of `open`; raises OSError for others."""
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+    """Open a regular file that is no link, as `regular` does."""
+    return regular(path, flags | getattr(os, "O_NOFOLLOW", 0))
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the bytes of a regular file; raises OSError for others."""
+    with open(path, "rb", opener=regular) as file:
+        return file.read()
+
+
+def read_text(path: Path, encoding: str = "utf-8", errors: str = "strict") -> str:
+    """Return the text of a regular file; raises OSError for others, and ValueError for another encoding."""
+    return read_bytes(path).decode(encoding, errors)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .errors import InputError
+from .files import read_bytes
 from .text import text_encoding
 
 MOST_BYTES = 64 << 20
@@ -59,7 +60,7 @@ def read_table(path: Path, columns: Sequence[str]) -> list[Row]:
     try:
         if path.stat().st_size > MOST_BYTES:
             raise InputError(f"{path} is larger than {MOST_BYTES >> 20} MiB, and no table of measurements.")
-        data = path.read_bytes()
+        data = read_bytes(path)
         text = data.decode(text_encoding(data))
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error

@@ -11,6 +11,8 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 # The matrices of numpy and scipy are small here: on shared cores, threads wait ten times as long as they work.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# OpenCV refuses larger images by their header: 2^28 pixels, as scene/images.py does for the formats that Pillow knows.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**28))
 # Huge pages: an iteration makes and frees hundreds of megabytes, and Linux takes long to clear them in pages of 4 kB.
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 

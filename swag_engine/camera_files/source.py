@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import InputError
+from ..base.files import read_bytes
 from ..base.text import text_encoding
 
 
@@ -28,7 +29,7 @@ class Source:
             InputError: When it cannot be read.
         """
         try:
-            return self.path.read_bytes()
+            return read_bytes(self.path)
         except OSError as error:
             raise InputError(f"Cannot read {self.path}: {error.strerror or error}.") from error
 

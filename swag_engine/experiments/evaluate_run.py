@@ -37,7 +37,7 @@ from ..rendering.model import SceneModel
 from ..rendering.restoration import RestorationLimit
 from ..scene.cameras import Camera
 from ..scene.colmap import Scene, load_scene
-from ..scene.images import TrainingImage, load_images, read_image
+from ..scene.images import TrainingImage, decode_image, load_images, read_image
 from ..scene.inspect import inspect_scene
 from ..scene.split import split_views
 from ..splats.development import Development
@@ -195,9 +195,7 @@ def true_image(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarr
     pixels = cv2.resize(read_image(clean)[0], (width, height), interpolation=cv2.INTER_AREA)
     valid = image.valid
     if ranges.is_file():
-        range_mm = cv2.imdecode(np.fromfile(ranges, np.uint8), cv2.IMREAD_UNCHANGED)
-        if range_mm is None:
-            raise InputError(f"{ranges} cannot be read as an image, perhaps because it was cut short: copy it again.")
+        range_mm = decode_image(ranges)
         valid = valid & (cv2.resize(range_mm, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
     return pixels / np.float32(255), valid
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..base.errors import InputError, remedy
+from ..base.files import read_text
 from ..base.html_page import NONE, number, paragraph_html, table_html, write_page
 from ..base.strict_json import from_json
 from ..base.text import command_text
@@ -386,7 +387,7 @@ def _optional(path: Path) -> dict[str, Any]:
 def _log(path: Path) -> list[dict[str, Any]]:
     """Return the validations in metrics.jsonl, without lines that cannot be read: the last one may be cut short."""
     entries = []
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else ():
+    for line in read_text(path, errors="replace").splitlines() if path.exists() else ():
         try:
             entries.append(from_json(line))
         except ValueError:

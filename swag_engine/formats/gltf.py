@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import InputError
-from ..base.files import atomic_path
+from ..base.files import atomic_path, read_bytes
 from ..base.strict_json import from_json
 from ..base.transfer import srgb_to_linear
 from ..scene.cameras import Camera
@@ -274,7 +274,7 @@ def _harmonics(degree: int) -> list[str]:
 
 def _chunks(path: Path) -> tuple[dict[str, Any], memoryview]:
     """Return the JSON document and the binary chunk of a GLB."""
-    data = path.read_bytes()
+    data = read_bytes(path)
     if not data:
         raise InputError(f"{path} is empty.")
     if data[:4] != b"glTF":

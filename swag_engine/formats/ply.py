@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..base.errors import InputError
-from ..base.files import atomic_path
+from ..base.files import atomic_path, regular
 from ..base.foreign_files import refuse_foreign
 from ..base.local_origin import local_origin
 from ..scene.georeference import Placement
@@ -173,7 +173,7 @@ def read_ply(path: Path) -> Splats:
         InputError: If the file is missing, not a PLY, without Gaussian splats, damaged or cut off.
     """
     try:
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=regular) as file:
             refuse_foreign(path)
             return _read(path, file)
     except OSError as error:

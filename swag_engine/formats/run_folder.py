@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import InputError, remedy
-from ..base.files import atomic_path, no_link, not_writable
+from ..base.files import atomic_path, no_link, not_writable, read_text
 from ..base.strict_json import from_json, to_json
 from ..settings.settings import TrainSettings
 from ..splats.development import NO_DEVELOPMENT, ColorView, Development
@@ -263,7 +263,7 @@ class RunFolder:
         if not self.metrics_log.exists():
             return
         lines = []
-        for line in self.metrics_log.read_text(encoding="utf-8", errors="replace").splitlines():
+        for line in read_text(self.metrics_log, errors="replace").splitlines():
             try:
                 entry = from_json(line)
                 keep = entry["iteration"] <= iteration and "test_psnr" not in entry
@@ -311,7 +311,7 @@ def read_json(path: Path, missing: str) -> dict[str, Any]:
         InputError: If the file does not exist, cannot be read, or holds no object.
     """
     try:
-        document = from_json(path.read_text(encoding="utf-8"))
+        document = from_json(read_text(path))
     except FileNotFoundError as error:
         raise InputError(missing) from error
     except (OSError, ValueError) as error:

@@ -28,7 +28,7 @@ from types import ModuleType
 import numpy as np
 
 from ..base.errors import InputError, remedy
-from ..base.files import atomic_path
+from ..base.files import atomic_path, read_bytes, read_text
 from ..base.strict_json import from_json, to_json
 from ..scene.georeference import Placement
 from ..splats.splats import Splats, clean_splats
@@ -247,7 +247,7 @@ def read_spz(path: Path, up: Direction = COLMAP_UP) -> Splats:
         InputError: If the file is missing, not an SPZ, of a later version, damaged or cut off, or zstandard is missing.
     """
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
     if not data:
@@ -278,7 +278,7 @@ def _placement_path(path: Path) -> Path:
 def _place(path: Path) -> tuple[Placement | None, tuple[float, float, float]]:
     """Return placement and origin of the splats of an SPZ: none and zeros where no file beside it tells them."""
     try:
-        return place_from_json(from_json(_placement_path(path).read_text(encoding="utf-8")))
+        return place_from_json(from_json(read_text(_placement_path(path))))
     except (OSError, ValueError):
         return place_from_json(None)
 

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import numpy as np
 
 from ..base.errors import InputError
-from ..base.files import atomic_path
+from ..base.files import atomic_path, read_text
 from ..base.strict_json import from_json, replace_nonfinite, to_json
 from ..effects.registry import REGISTRY
 from ..evidence.decision import Decision, State
@@ -117,7 +117,7 @@ def read_plan(path: Path) -> Plan:
         InputError: If it cannot be read.
     """
     try:
-        document = from_json(path.read_text(encoding="utf-8"))
+        document = from_json(read_text(path))
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as a plan: {error}.") from error
     try:

@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates
 from ..base.errors import InputError
 from ..scene.cameras import Camera
 from ..scene.colmap import Scene
-from ..scene.images import TrainingImage
+from ..scene.images import TrainingImage, decode_image
 from ..weights.onnx import Network
 
 MEAN = np.array([0.485, 0.456, 0.406], np.float32)
@@ -111,7 +111,7 @@ class StoredDepth:
                 values = np.load(path, allow_pickle=False)
             else:
                 path = path.with_suffix(".png")
-                values = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+                values = decode_image(path)
             values = np.asarray(values, np.float32)
         except (OSError, ValueError, TypeError, cv2.error) as error:
             raise InputError(f"{path} cannot be read as inverse depth: {error}.") from error

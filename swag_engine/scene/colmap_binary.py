@@ -15,6 +15,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.files import read_bytes, regular
 from .colmap_library import pycolmap
 
 PARTS = ("cameras", "images", "points3D", "rigs", "frames")
@@ -61,7 +62,7 @@ def point_records(path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """
     track_length = struct.Struct("<Q").unpack_from
     head, element = POINT.itemsize, ELEMENT.itemsize
-    with open(path, "rb") as file:
+    with open(path, "rb", opener=regular) as file:
         left, size = _count(file, path), os.fstat(file.fileno()).st_size
         start, wanted = 8, head
         while left:
@@ -101,7 +102,7 @@ def image_records(path: Path) -> Iterator[tuple[bytes, np.ndarray]]:
     Raises:
         InputError: If the file is damaged.
     """
-    with open(path, "rb") as file:
+    with open(path, "rb", opener=regular) as file:
         count, size = _count(file, path), os.fstat(file.fileno()).st_size
         for _ in range(count):
             start = file.tell()
@@ -240,7 +241,7 @@ _RECORDS: dict[str, Callable[[bytes, int], int]] = {
 
 
 def _check_small(path: Path) -> None:
-    data = path.read_bytes()
+    data = read_bytes(path)
     after = _RECORDS[path.stem]
     try:
         (count,) = struct.unpack_from("<Q", data)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.files import regular
 from ..base.text import text_encoding
 from .colmap_binary import NO_POINT, OBSERVATION, PARTS
 from .colmap_library import pycolmap
@@ -33,9 +34,9 @@ def copy_as_binary(model: Path, to: Path) -> None:
         records: dict[bytes, tuple[bytes, np.ndarray | None]] = {}
         last, number, announced = b"", 0, 0
         try:
-            with open(source, "rb") as file:
+            with open(source, "rb", opener=regular) as file:
                 encoding = text_encoding(file.read(4))
-            with open(source, encoding=encoding) as lines:
+            with open(source, encoding=encoding, opener=regular) as lines:
                 for number, text in enumerate(lines, 1):  # noqa: B007 (named where reading fails)
                     line = text.strip()
                     if line.startswith("#"):

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeGuard, get_args
 import numpy as np
 
 from ..base.errors import InputError
-from ..base.files import atomic_path
+from ..base.files import atomic_path, read_text
 from ..base.strict_json import from_json, to_json
 
 Axes = Literal["estimated", "up", "full"]
@@ -186,7 +186,7 @@ def read_georeference(scene: Path, origin: Origin = (0.0, 0.0, 0.0)) -> Georefer
     """
     path = scene / FILE_NAME
     try:
-        return Georeference.from_json(from_json(path.read_text(encoding="utf-8"))).moved_by(origin)
+        return Georeference.from_json(from_json(read_text(path))).moved_by(origin)
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:

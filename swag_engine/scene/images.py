@@ -2,8 +2,10 @@
 
 import functools
 import hashlib
+import io
 import json
 import os
+import re
 import struct
 import threading
 import time
@@ -16,13 +18,20 @@ from pathlib import Path
 import cv2
 import numpy as np
 import platformdirs
+from PIL import Image
 
+from ..base.computer_memory import free_memory
 from ..base.errors import InputError
-from ..base.files import atomic_path
+from ..base.files import atomic_path, read_bytes
 from .cameras import Camera
 from .colmap import Scene, View
 from .lenses import source_map
 
+MOST_PIXELS = 2**28
+"""Pixels of the largest image that is decoded; 200-megapixel phones have 2 * 10^8."""
+Image.MAX_IMAGE_PIXELS = MOST_PIXELS
+DECODING_BYTES = 16
+"""Largest memory of `read_image` for each pixel: four channels of 16 bits, as 8 bits, without alpha, and the mask."""
 _CACHE_FORMAT = 1
 """Version of the cached files."""
 _TIFF_ORIENTATION = 274
@@ -117,18 +126,10 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> tuple[np.ndar
     Raises:
         InputError: When the file cannot be read, or does not fit the camera.
     """
-    try:
-        data = np.fromfile(path, np.uint8)  # cv2.imread cannot open every path on Windows
-    except OSError as error:
-        raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
-    image = cv2.imdecode(_without_tiff_orientation(data), cv2.IMREAD_UNCHANGED) if data.size else None
-    if image is None:
-        raise InputError(
-            f"{path} cannot be read as an image, perhaps because it was cut short: copy it again or remove it."
-        )
+    image = decode_image(path)
     height, width = image.shape[:2]
     if size and not fits((width, height), size) and fits((height, width), size):
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+        image = decode_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
         height, width = image.shape[:2]
     if size and not fits((width, height), size):
         raise InputError(
@@ -136,7 +137,9 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> tuple[np.ndar
             "the photos that the model was made from."
         )
     if image.dtype == np.uint16:
-        image = np.round(image / 257).astype(np.uint8)
+        wide, image = image, np.empty(image.shape, np.uint8)
+        for row in range(height):  # all rows at once would need eight times the memory
+            image[row] = np.round(wide[row] / 257)
     if image.dtype != np.uint8:
         raise InputError(f"{path} holds {image.dtype} pixels: save it with 8 or 16 bits per channel.")
     if image.ndim == 2:
@@ -144,6 +147,53 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> tuple[np.ndar
     if image.shape[2] == 4:
         return cv2.cvtColor(image, cv2.COLOR_BGRA2RGB), image[..., 3] > 0
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB), None
+
+
+def decode_image(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
+    """Decode an image file that is not too large, by its header.
+
+    Args:
+        path: The file.
+        flags: As of cv2.imdecode. With IMREAD_UNCHANGED no orientation is applied.
+
+    Returns:
+        Pixels (H, W) or (H, W, C) in the order of OpenCV, as stored.
+
+    Raises:
+        InputError: When the file cannot be read, or the image is larger than MOST_PIXELS or than the free memory.
+    """
+    try:
+        data = np.frombuffer(read_bytes(path), np.uint8)  # cv2.imread cannot open every path on Windows
+    except OSError as error:
+        raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
+    pixels = _header_pixels(data)
+    needed, free = DECODING_BYTES * pixels, free_memory()
+    if pixels > MOST_PIXELS or (free is not None and needed > free):
+        raise InputError(
+            f"{path} has {pixels / 1e6:.0f} million pixels, which need {needed / 1e9:.1f} GB of memory; "
+            f"{MOST_PIXELS / 1e6:.0f} million pixels can be read where memory is free: reduce the image or remove it."
+        )
+    try:
+        data = _without_tiff_orientation(data) if flags == cv2.IMREAD_UNCHANGED else data
+        image = cv2.imdecode(data, flags) if data.size else None
+    except cv2.error:
+        image = None
+    if image is None:
+        raise InputError(
+            f"{path} cannot be read as an image, perhaps because it was cut short: copy it again or remove it."
+        )
+    return image
+
+
+def _header_pixels(data: np.ndarray) -> int:
+    """Return the number of pixels that the header of an image file announces; 0 for formats that Pillow lacks."""
+    try:
+        with Image.open(io.BytesIO(memoryview(data))) as image:
+            return image.width * image.height
+    except Image.DecompressionBombError as error:
+        return int(re.findall(r"\d+", str(error))[0])
+    except (OSError, ValueError, SyntaxError, OverflowError, struct.error):  # damaged data; decoding will say so
+        return 0
 
 
 def _without_tiff_orientation(data: np.ndarray) -> np.ndarray:

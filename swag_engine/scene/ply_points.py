@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.files import regular
 from .lenses import Lens
 
 _TYPES = {
@@ -36,7 +37,8 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
         InputError: When it cannot be read.
     """
     try:
-        data = np.memmap(path, np.uint8, "r")
+        with open(path, "rb", opener=regular) as file:
+            data = np.memmap(file, np.uint8, "r")
         header = bytes(data[:20_000])
     except (OSError, ValueError) as error:
         reason = "it is empty" if isinstance(error, ValueError) else error.strerror or str(error)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.errors import InputError
-from ..base.files import atomic_path, inside
+from ..base.files import atomic_path, inside, regular
 from ..base.text import first_names
 from .cameras import Camera
 from .colmap import Points, Scene, View
@@ -114,7 +114,8 @@ def read_part(path: Path, scene_folder: Path) -> Scene:
         InputError: If the file or one of its images is missing, or the file is damaged.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:  # a zip file: its checksums tell when it is corrupt
+        # A zip file: its checksums tell when it is corrupt.
+        with open(path, "rb", opener=regular) as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         about = json.loads(arrays["about"].tobytes())
         if any(name != inside(name) for name in about["names"]):

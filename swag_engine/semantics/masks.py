@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 
 from ..base.errors import InputError
+from ..base.files import read_text
 from ..scene.colmap import Scene, View
-from ..scene.images import TrainingImage
+from ..scene.images import TrainingImage, decode_image
 from ..scene.lenses import source_map
 from .regions import Region, resized_labels
 
@@ -110,13 +111,7 @@ class MaskFolder:
 
 def _grey_values(path: Path) -> np.ndarray:
     """Return the values (H, W) of a file as stored, uint8 or uint16; read_image would scale 16 bits to 8."""
-    try:
-        data = np.fromfile(path, np.uint8)
-    except OSError as error:
-        raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
-    values = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if values is None:
-        raise InputError(f"{path} cannot be read as an image: it may be cut off; copy it again or remove it.")
+    values = decode_image(path)
     if values.ndim == 3:
         if (values[..., :3] != values[..., :1]).any():
             raise InputError(f"{path} is a mask in color: save it in shades of grey, 0 for no label.")
@@ -129,7 +124,7 @@ def _grey_values(path: Path) -> np.ndarray:
 def _lines(path: Path) -> list[str]:
     """Return the lines of labels.txt."""
     try:
-        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+        lines = [line.strip() for line in read_text(path).splitlines()]
     except (OSError, ValueError) as error:
         raise InputError(f"{path} cannot be read as text: {error}.") from error
     labels = [line for line in lines if line]

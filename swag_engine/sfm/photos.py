@@ -9,7 +9,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..scene.colmap import image_files_below
-from ..scene.images import read_image
+from ..scene.images import decode_image, read_image
 from .progress import Progress
 
 RAW_SUFFIXES = frozenset(
@@ -118,7 +118,7 @@ def copy_photos(source: Path, images: Path, pictures: Path, report: Progress) ->
         if copy.suffix == path.suffix:
             shutil.copy2(path, copy)
         else:
-            pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+            pixels = decode_image(path)
             copy.write_bytes(cv2.imencode(copy.suffix, pixels)[1].tobytes())
     stems = {path.stem for path in paths}
     raw = [path for path in image_files_below(source, RAW_SUFFIXES) if path.stem not in stems]

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..base.claim import claimed
 from ..base.errors import InputError
-from ..base.files import FolderInUse, locked_folder
+from ..base.files import FolderInUse, locked_folder, regular
 from ..base.html_page import number
 from ..base.text import time_text
 from ..formats.ply import read_ply
@@ -244,7 +244,7 @@ def hash_of(path: Path) -> str:
         InputError: If it cannot be read.
     """
     try:
-        with open(path, "rb") as file:
+        with open(path, "rb", opener=regular) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error

@@ -46,7 +46,9 @@ def save_checkpoint(run: Path, iteration: int, tensors: dict[str, torch.Tensor],
 
 def checkpoints(run: Path) -> list[Path]:
     """Return the checkpoints of a run, oldest first."""
-    return sorted(path for path in run.glob("checkpoint-*.safetensors") if path.stem[11:].isdecimal())
+    return sorted(
+        path for path in run.glob("checkpoint-*.safetensors") if path.stem[11:].isdecimal() and path.is_file()
+    )
 
 
 def load_checkpoint(run: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]] | None:

@@ -3,11 +3,16 @@
 import json
 import os
 import shutil
+import struct
 import subprocess
 import sys
+import zlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from swag_engine.app.batch import batch
@@ -15,9 +20,17 @@ from swag_engine.app.interrupts import Interrupts
 from swag_engine.base.errors import InputError
 from swag_engine.base.files import atomic_path, inside, locked_folder
 from swag_engine.base.isolation import ROOT, child_environment
+from swag_engine.base.tables import read_table
 from swag_engine.base.text import command_text
+from swag_engine.camera_files.registry import read_camera_file
+from swag_engine.formats.gltf import read_glb
+from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
+from swag_engine.formats.spz import read_spz
+from swag_engine.formats.survey_folder import SurveyFolder
+from swag_engine.scene import images
 from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.images import decode_image, read_image
 from swag_engine.scene.new_scene import new_scene
 from swag_engine.scene.scene_part import part_of, read_part, write_part
 from swag_engine.scene.split import Split
@@ -177,3 +190,69 @@ def test_names_do_not_end_a_command_on_windows(word):
     assert command_text(["swag", word], windows=True) == f'swag "{word}"'
     for acting in ("%PATH%", "$(calc)", "`b", "a\u201d;calc", 'a";calc'):
         assert command_text(["swag", word + acting], windows=True) == "swag NAME"
+
+
+def png(width: int, height: int) -> bytes:
+    """Return a PNG of RGBA without pixels."""
+    chunks = (b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0), b"IDAT")
+    packed = (struct.pack(">I", len(c) - 4) + c + struct.pack(">I", zlib.crc32(c)) for c in chunks)
+    return b"\x89PNG\r\n\x1a\n" + b"".join(packed)
+
+
+@pytest.mark.parametrize("size", [(60_000, 60_000), (20_000, 20_000), (1_000_000, 270)])
+def test_an_image_too_large_is_refused_by_its_header(tmp_path, size):
+    (tmp_path / "a.png").write_bytes(png(*size))
+    for read in (read_image, decode_image):
+        with pytest.raises(InputError, match=f"a.png has {size[0] * size[1] / 1e6:.0f} million pixels"):
+            read(tmp_path / "a.png")
+
+
+def test_an_image_is_refused_where_its_memory_is_not_free(tmp_path, monkeypatch):
+    (tmp_path / "a.png").write_bytes(png(1000, 1000))
+    monkeypatch.setattr(images, "free_memory", lambda: 15_000_000)
+    with pytest.raises(InputError, match="a.png has 1 million pixels, which need 0.0 GB"):
+        read_image(tmp_path / "a.png")
+
+
+def test_the_memory_of_an_image_is_that_of_its_estimate(tmp_path):
+    """16 bits with alpha, which need most; a process of its own counts from zero."""
+    pixels = np.full((3000, 4000, 4), 60_000, np.uint16)
+    cv2.imwrite(str(tmp_path / "a.png"), pixels)
+    code = f"""
+from pathlib import Path
+from swag_engine.scene import images
+images.decode_image(Path({str(tmp_path / "small.png")!r}))
+peak = lambda: int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
+before = peak()
+assert (images.read_image(Path({str(tmp_path / "a.png")!r}))[0] == round(60_000 / 257)).all()
+print(1024 * (peak() - before) / 12e6 / images.DECODING_BYTES)
+"""
+    cv2.imwrite(str(tmp_path / "small.png"), pixels[:9, :9])
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=True)
+    assert 0.5 < float(done.stdout) < 1.1
+
+
+def test_a_pipe_is_no_file(tiny_scene, tmp_path):
+    """Reading one would wait for ever."""
+    scene = shutil.copytree(tiny_scene, tmp_path / "scene")
+    pipes: dict[Path, Callable[[], object]] = {
+        scene / "images" / "view_00.png": lambda: read_image(scene / "images" / "view_00.png"),
+        tmp_path / "config.json": RunFolder(tmp_path).read_config,
+        tmp_path / "survey.json": SurveyFolder(tmp_path).read,
+        tmp_path / "a.ply": lambda: read_ply(tmp_path / "a.ply"),
+        tmp_path / "a.spz": lambda: read_spz(tmp_path / "a.spz"),
+        tmp_path / "a.glb": lambda: read_glb(tmp_path / "a.glb"),
+        scene / "sparse" / "0" / "points3D.txt": lambda: load_scene(scene),
+        tmp_path / "views.npz": lambda: read_part(tmp_path / "views.npz", scene),
+        tmp_path / "a.xml": lambda: read_camera_file(tmp_path / "a.xml"),
+        tmp_path / "a.csv": lambda: read_table(tmp_path / "a.csv", ["name"]),
+    }
+    for path, read in pipes.items():
+        path.unlink(missing_ok=True)
+        os.mkfifo(path)
+        with pytest.raises(InputError, match="no regular file|points3D.txt is missing") as caught:
+            read()
+        assert path.name in str(caught.value)
+        path.unlink()
+        if path.is_relative_to(scene):
+            shutil.copy(tiny_scene / path.relative_to(scene), path)
