@@ -6,6 +6,7 @@ from typing import Any
 
 from ..base.errors import missing_package_sentence
 from ..base.strict_json import to_json
+from ..base.text import printable
 
 UNUSABLE = 2
 """Exit code of bad input or usage."""
@@ -19,7 +20,7 @@ def show(document: dict[str, Any], as_json: bool, text: str) -> None:
         as_json: Whether to print the document.
         text: The answer for people.
     """
-    print(to_json(document, indent=2) if as_json else text)
+    print(to_json(document, indent=2) if as_json else printable(text))
 
 
 def refuse(sentence: str, arguments: Sequence[str], code: int = UNUSABLE, **more: Any) -> int:
@@ -36,7 +37,7 @@ def refuse(sentence: str, arguments: Sequence[str], code: int = UNUSABLE, **more
     """
     if "--json" in arguments:
         print(to_json({"error": sentence} | more))
-    print(sentence, file=sys.stderr)
+    print(printable(sentence), file=sys.stderr)
     return code
 
 

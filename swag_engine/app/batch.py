@@ -11,6 +11,7 @@ from typing import Any
 
 from ..base.errors import InputError
 from ..base.isolation import child_environment
+from ..base.text import printable
 from ..formats.registry import FORMATS
 from .interrupts import Interrupts
 
@@ -55,9 +56,10 @@ def batch(
     for number, entry in enumerate(entries, 1):
         if interrupts.should_stop():
             break
-        print(f"{number} of {len(entries)}: {entry.name}", file=sys.stderr, flush=True)
+        line = printable(f"{number} of {len(entries)}: {entry.name}")
+        print(line, file=sys.stderr, flush=True)
         rows.append(_row(command, entry, out, options, interrupts))
-        print(f"{number} of {len(entries)}: {entry.name} {rows[-1]['state']}", file=sys.stderr, flush=True)
+        print(line, rows[-1]["state"], file=sys.stderr, flush=True)
     codes = {row["exit_code"] for row in rows}
     interrupted = interrupts.exit_code or max(codes & {130, 143}, default=0)
     worst = interrupted or (0 if codes == {0} else 2 if codes <= {0, 2} else 1)

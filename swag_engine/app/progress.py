@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 from rich.text import Text
 
-from ..base.text import BLOCKS, sparkline, time_text
+from ..base.text import BLOCKS, printable, sparkline, time_text
 
 LOG_SECONDS = 10.0
 """Least seconds between two lines of one stage where stderr is no terminal."""
@@ -38,17 +38,17 @@ def progress_display() -> Iterator[Show]:
             now = time.monotonic()
             if stage != last_stage or now - written >= LOG_SECONDS:
                 last_stage, written = stage, now
-                print(f"{100 * fraction:3.0f} %  {text}", file=sys.stderr, flush=True)
+                print(f"{100 * fraction:3.0f} %  {printable(text)}", file=sys.stderr, flush=True)
 
         yield write
         return
-    columns = TextColumn("{task.description}"), BarColumn(bar_width=24), TaskProgressColumn()
+    columns = TextColumn("{task.description}", markup=False), BarColumn(bar_width=24), TaskProgressColumn()
     bar = Progress(*columns, console=Console(stderr=True))
     task = bar.add_task("", total=1.0)
 
     def draw(stage: str, text: str, fraction: float) -> None:
         bar.start()
-        bar.update(task, description=text, completed=fraction)
+        bar.update(task, description=printable(text), completed=fraction)
 
     try:
         yield draw
@@ -85,7 +85,7 @@ def survey_progress() -> Iterator[Callable[[dict[str, Any]], None]]:
             yield lambda event: show("survey", "; ".join(survey_lines(event)), survey_fraction(event))
         return
     with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as live:
-        yield lambda event: live.update(Text("\n".join(survey_lines(event))), refresh=True)
+        yield lambda event: live.update(Text(printable("\n".join(survey_lines(event)))), refresh=True)
 
 
 def survey_fraction(event: dict[str, Any]) -> float:

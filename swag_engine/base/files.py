@@ -1,16 +1,18 @@
 """Files that are written completely or not at all, and folders that one process at a time writes to."""
 
+import csv
 import errno
+import math
 import os
 import secrets
 import shutil
 import stat
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from .errors import InputError
 
@@ -138,6 +140,23 @@ def _flush_names(folder: Path) -> None:
             os.fsync(opened)
         finally:
             os.close(opened)
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a CSV table. Text that a spreadsheet would take for a formula gets an apostrophe in front.
+
+    Raises:
+        InputError: When the file cannot be written.
+    """
+    with atomic_path(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([_no_formula(cell) for cell in row] for row in (columns, *rows))
+
+
+def _no_formula(cell: Any) -> Any:
+    acts = isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r"))
+    with suppress(ValueError):
+        acts = acts and not math.isfinite(float(cell))
+    return f"'{cell}" if acts else cell
 
 
 class FolderInUse(InputError):

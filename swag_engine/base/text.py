@@ -37,6 +37,12 @@ def command_text(words: Sequence[str], windows: bool = os.name == "nt") -> str:
     return " ".join(word if re.fullmatch(r"[\w.:/\\-]+", word) else f'"{word}"' for word in quoted)
 
 
+def printable(text: str) -> str:
+    """Replace characters that a terminal would obey, and those that it cannot show, by their escapes."""
+    acting = "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+    return re.sub(acting, lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
 def sparkline(values: Sequence[float], bars: str = BLOCKS) -> str:
     """Draw values as a row of bars between the lowest and the highest of them.
 

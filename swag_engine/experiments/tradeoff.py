@@ -1,6 +1,5 @@
 """Tradeoff of quality against time: runs of many sizes on one scene, scored at one width, and their Pareto front."""
 
-import csv
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..base.errors import InputError
-from ..base.files import atomic_path
+from ..base.files import atomic_path, write_csv
 from ..base.html_page import number, paragraph_html, table_html, write_page
 from ..evaluation.lpips import BACKBONES, Lpips, load_lpips
 from ..evaluation.metrics import ViewScore, mask_invalid, mean, mean_score, median_image_psnr, render_image, score_image
@@ -197,16 +196,14 @@ def write_tradeoff(out: Path, document: dict[str, Any]) -> None:
     rows = document["rows"]
     shown = [name for name in QUALITIES if any(_known(row[name]) for row in rows)]
     write_json(out / "tradeoff.json", document)
-    with atomic_path(out / "tradeoff.csv") as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        sizes = ("preset", "effects", "iterations", "width", "max_gaussians")
-        writer = csv.writer(file)
-        writer.writerow(
-            ["name", *sizes, "seconds", "gaussians", *QUALITIES, "gain", *(f"{n}_dominated" for n in shown)]
-        )
-        for row in rows:
-            own = [row["settings"][size] for size in sizes]
-            figures = [row[name] for name in ("seconds", "gaussians", *QUALITIES, "gain")]
-            writer.writerow([row["name"], *own, *figures, *(row["dominated"][name] or "" for name in shown)])
+    sizes, figures = ("preset", "effects", "iterations", "width", "max_gaussians"), (*QUALITIES, "gain")
+    columns = ["name", *sizes, "seconds", "gaussians", *figures]
+    table = [
+        [row["name"], *(row["settings"][size] for size in sizes), *(row[name] for name in columns[len(sizes) + 1 :])]
+        + [row["dominated"][name] or "" for name in shown]
+        for row in rows
+    ]
+    write_csv(out / "tradeoff.csv", [*columns, *(f"{name}_dominated" for name in shown)], table)
     figure, plots = new_plots("seconds of training", *(QUALITIES[name].title for name in shown))
     for axes, name in zip(plots, shown, strict=True):
         draw_front(axes, rows, name)

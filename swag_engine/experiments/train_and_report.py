@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from ..base.text import printable
 from ..settings.settings import TrainSettings
 from ..training.trainer import Event, train
 from .forecast import expected_outcome, record_outcome
@@ -53,5 +54,5 @@ def train_and_report(
     record_outcome(out, expected, time.monotonic() - started)
     report, problem = try_write_report(out)
     if problem:
-        print(problem, file=sys.stderr)
+        print(printable(problem), file=sys.stderr)
     return result | {"report": report and str(report)}

@@ -1,7 +1,5 @@
 """Areas by label: a label map, a table with errors, and polygons."""
 
-import csv
-import io
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import InputError, remedy
-from ..base.files import atomic_path
+from ..base.files import write_csv
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..formats.select import LABEL
@@ -261,13 +259,8 @@ def _error_notes(confusion: np.ndarray, rows: list[dict[str, Any]], scene: MapSc
 
 
 def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else ["label"], lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
-    with atomic_path(path) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
+    cells = ([f"{value:.6g}" if isinstance(value, float) else value for value in row.values()] for row in rows)
+    write_csv(path, list(rows[0]) if rows else ["label"], cells)
 
 
 def _update_counts(path: Path, labels: np.ndarray) -> None:

@@ -1,8 +1,6 @@
 """Change between two surveys of one place: aligned, mapped, listed, and shown on a page."""
 
 import base64
-import csv
-import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,7 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from ..base.errors import InputError, remedy
-from ..base.files import atomic_path, not_writable
+from ..base.files import not_writable, write_csv
 from ..base.html_page import paragraph_html, table_html, write_page
 from ..formats.run_folder import write_json
 from ..formats.select import LABEL
@@ -343,24 +341,12 @@ def _write_objects(path: Path, objects: list[dict[str, Any]], scene: MapScene) -
         for key in ("label_before", "label_after"):
             row[key] = "" if item[key] is None else label_name(scene, item[key])
         rows.append(row)
-    _write_csv(path, columns, rows)
+    write_csv(path, columns, ([row[name] for name in columns] for row in rows))
 
 
 def _write_transitions(path: Path, transitions: dict[tuple[int, int], float], scene: MapScene) -> None:
-    rows = [
-        {"before": label_name(scene, a), "after": label_name(scene, b), "area": f"{area:.6g}"}
-        for (a, b), area in transitions.items()
-    ]
-    _write_csv(path, ["before", "after", "area"], rows)
-
-
-def _write_csv(path: Path, columns: list[str], rows: list[dict[str, Any]]) -> None:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
+    rows = [(label_name(scene, a), label_name(scene, b), f"{area:.6g}") for (a, b), area in transitions.items()]
+    write_csv(path, ["before", "after", "area"], rows)
 
 
 def _notes(alignment: Alignment, comparison: Comparison) -> list[str]:

@@ -1,7 +1,5 @@
 """Heights along a line."""
 
-import csv
-import io
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -9,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..base.errors import InputError, remedy
-from ..base.files import atomic_path
+from ..base.files import atomic_path, write_csv
 from ..base.isolation import import_matplotlib
 from .dem import read_heights, write_heights
 from .geotiff import map_crs
@@ -145,14 +143,11 @@ def describe(document: dict[str, Any]) -> str:
 
 
 def _write_table(out: Path, distances: np.ndarray, places: np.ndarray, first: np.ndarray, median: np.ndarray) -> None:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["distance", "x", "y", "first_surface", "median_height"])
+    rows = []
     for distance, (x, y), top, middle in zip(distances, places, first, median, strict=True):
         heights = ["" if np.isnan(value) else f"{value:.6g}" for value in (top, middle)]
-        writer.writerow([f"{distance:.6g}", f"{x:.10g}", f"{y:.10g}", *heights])
-    with atomic_path(out) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
+        rows.append([f"{distance:.6g}", f"{x:.10g}", f"{y:.10g}", *heights])
+    write_csv(out, ["distance", "x", "y", "first_surface", "median_height"], rows)
 
 
 def _plot(distances: np.ndarray, first: np.ndarray, median: np.ndarray, unit: str) -> "Figure":

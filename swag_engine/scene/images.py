@@ -188,7 +188,7 @@ def decode_image(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
 def _header_pixels(data: np.ndarray) -> int:
     """Return the number of pixels that the header of an image file announces; 0 for formats that Pillow lacks."""
     try:
-        with Image.open(io.BytesIO(memoryview(data))) as image:
+        with Image.open(io.BytesIO(data.data)) as image:
             return image.width * image.height
     except Image.DecompressionBombError as error:
         return int(re.findall(r"\d+", str(error))[0])

@@ -15,7 +15,7 @@ from ..base.claim import claimed
 from ..base.errors import InputError
 from ..base.files import FolderInUse, locked_folder, regular
 from ..base.html_page import number
-from ..base.text import time_text
+from ..base.text import printable, time_text
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..formats.survey_folder import COARSE, VERSION, Survey, SurveyFolder, inside
@@ -234,7 +234,7 @@ def _note_failure(folder: SurveyFolder, name: str, problem: str) -> None:
             folder.failed(name), {"version": VERSION, "block": name, "problem": problem, "attempts": attempts + 1}
         )
     except InputError:
-        print(f"{folder.failed(name)} could not be written.", file=sys.stderr)
+        print(printable(f"{folder.failed(name)} could not be written."), file=sys.stderr)
 
 
 def hash_of(path: Path) -> str:

@@ -1,5 +1,6 @@
 """A folder or a file of a stranger can do no harm: nothing is deleted, written or run that is not the program's own."""
 
+import csv
 import json
 import os
 import shutil
@@ -15,10 +16,12 @@ import cv2
 import numpy as np
 import pytest
 
+from swag_engine.app import cli
 from swag_engine.app.batch import batch
 from swag_engine.app.interrupts import Interrupts
+from swag_engine.app.progress import stage_progress
 from swag_engine.base.errors import InputError
-from swag_engine.base.files import atomic_path, inside, locked_folder
+from swag_engine.base.files import atomic_path, inside, locked_folder, write_csv
 from swag_engine.base.isolation import ROOT, child_environment
 from swag_engine.base.tables import read_table
 from swag_engine.base.text import command_text
@@ -256,3 +259,22 @@ def test_a_pipe_is_no_file(tiny_scene, tmp_path):
         path.unlink()
         if path.is_relative_to(scene):
             shutil.copy(tiny_scene / path.relative_to(scene), path)
+
+
+def test_a_table_holds_no_formulas(tmp_path):
+    cells = ['=HYPERLINK("http://a","b")', "+1+cmd", "@a", "\t=1", "-2+3", "-2.5", "1e-3", "-inf", "coral", None, -1.5]
+    write_csv(tmp_path / "a.csv", ["=name"], [[cell] for cell in cells])
+    with open(tmp_path / "a.csv", newline="") as file:
+        read = [row[0] if row else "" for row in csv.reader(file)]
+    assert read[1:6] == [f"'{cell}" for cell in cells[:5]] and read[0] == "'=name"
+    assert read[6:8] == ["-2.5", "1e-3"] and read[9:] == ["coral", "", "-1.5"]
+
+
+def test_names_do_nothing_to_a_terminal(capsys):
+    name = "a\x1b]0;owned\x07\x9b2J\u202eb\udc80[red]"
+    assert cli.main(["report", name]) == 2 and cli.main(["report", name, "--json"]) == 2
+    with stage_progress() as progress:
+        progress(name, 0.5)
+    printed = "".join(capsys.readouterr())
+    assert r"a\x1b]0;owned\x07\x9b2J\u202eb\udc80[red]" in printed
+    assert not set(printed) & set("\x1b\x07\x9b\u202e\udc80")

@@ -58,8 +58,8 @@ class RayExecutor:
             import ray
         except ImportError as error:
             raise InputError(
-                f"{sys.executable} lacks the package ray: install it with {sys.executable} -m pip install "
-                '"swag-splatting[ray]", or use --executor local.'
+                f"{sys.executable} lacks the package ray: install it with {sys.executable} -m pip install ray, or use "
+                "--executor local."
             ) from error
         self._ray, self._backend = ray, backend
         on_sigterm = signal.getsignal(signal.SIGTERM)
