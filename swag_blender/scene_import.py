@@ -57,6 +57,8 @@ def describe(result: dict[str, Any]) -> str:
         found += ", " + text.format(angle=angle, length=length)
         if len(lenses) > 1:
             found += ", " + translate("the most frequent of {count} lenses").format(count=len(lenses))
+    if masks := result["summary"].get("masks"):
+        found += ", " + translate("masks for {count} photos").format(count=masks)
     if drift := result["summary"]["drift"]:
         found += ", " + translate("drift {fraction} of the path").format(fraction=f"{drift['fraction']:.1%}")
     return "\n".join((found, *result["warnings"]))

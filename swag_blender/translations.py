@@ -97,6 +97,7 @@ GERMAN = {
     ),
     "field of view {angle}° (focal length {length})": "Blickfeld {angle}° (Brennweite {length})",
     "the most frequent of {count} lenses": "das häufigste von {count} Objektiven",
+    "masks for {count} photos": "Masken für {count} Fotos",
     "drift {fraction} of the path": "Drift {fraction} des Weges",
     "Face Camera": "Zur Kamera",
     "Takes about {cost} ms of an iteration on this machine.": (

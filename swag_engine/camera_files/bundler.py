@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..scene.colmap import IMAGE_SUFFIXES
+from ..scene.image_files import IMAGE_SUFFIXES
 from ..scene.lenses import Lens
 from .camera_file import OPENGL_AXES, Calibration, CameraFile, FileCamera, FilePoints, photos_are, reading, rigid
 from .source import Source

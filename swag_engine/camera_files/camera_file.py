@@ -42,11 +42,15 @@ class FileCamera:
         name: What the file calls the photo: a path with forward slashes, a file name, or a label.
         calibration: Its lens.
         world_to_camera: Rigid transform (4, 4) float64.
+        mask: Mask that the file names, None without one.
+        depth: Depth image that the file names, None without one.
     """
 
     name: str
     calibration: Calibration
     world_to_camera: np.ndarray
+    mask: Path | None = None
+    depth: Path | None = None
 
     @property
     def centre(self) -> np.ndarray:

@@ -3,12 +3,12 @@
 import unicodedata
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from ..base.errors import InputError
 from ..base.text import first_names
-from ..scene.colmap import image_files_below
+from ..scene.image_files import FoundMasks, find_masks, image_files_below
 from .camera_file import photos_are
 
 
@@ -18,15 +18,17 @@ class FoundPhotos:
 
     Attributes:
         paths: Photo of each camera, by index.
+        masks: Masks of all photos in the folder.
         warnings: Sentences about cameras without a photo.
     """
 
     paths: dict[int, Path] = field(default_factory=dict)
+    masks: FoundMasks = FoundMasks({}, ())
     warnings: list[str] = field(default_factory=list)
 
 
 def find_photos(folder: Path, names: Sequence[str]) -> FoundPhotos:
-    """Find the photo of each name in a folder and below.
+    """Find the photo of each name in a folder and below, and the masks.
 
     File names are compared first, then the name with the file name without extension (labels), then both without
     extensions (photos that were converted); case does not matter. Of several files with the name, the one whose
@@ -77,6 +79,8 @@ def find_photos(folder: Path, names: Sequence[str]) -> FoundPhotos:
     for number, path in chosen.items():
         cameras_of[path].append(number)
     found = FoundPhotos({numbers[0]: path for path, numbers in cameras_of.items() if len(numbers) == 1})
+    masks = find_masks(files, folder)
+    found.masks = replace(masks, unused=tuple(mask for mask in masks.unused if not _in_scene(mask, folder)))
     ambiguous += [names[number] for numbers in cameras_of.values() if len(numbers) > 1 for number in numbers]
     if missing:
         found.warnings.append(f"{photos_are(len(missing))} left out, not found in {folder}: {first_names(missing)}.")
@@ -97,7 +101,7 @@ def _in_scene(path: Path, folder: Path) -> bool:
     """Return whether a photo is a copy in a scene below the folder, which a former import may have made there."""
     parents = path.parents[: len(path.relative_to(folder).parts) - 1]
     return any(
-        parent.name == "images" and parent.parent != folder and (parent.parent / "sparse").is_dir()
+        parent.name in ("images", "masks") and parent.parent != folder and (parent.parent / "sparse").is_dir()
         for parent in parents
     )
 

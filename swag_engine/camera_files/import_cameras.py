@@ -17,7 +17,7 @@ from ..scene.georeference import write_georeference
 from ..scene.images import read_image
 from ..scene.new_scene import new_scene
 from ..scene.ply_points import FEWEST_VISIBLE, read_points, visible_fraction
-from ..sfm.photos import copy_name, equalise, write_jpeg
+from ..sfm.photos import copy_name, equalise, write_feature_masks, write_jpeg
 from ..sfm.progress import Progress
 from .camera_file import CameraFile, FilePoints
 from .find_photos import find_photos
@@ -38,9 +38,9 @@ def import_cameras(
 ) -> dict[str, Any]:
     """Make a COLMAP scene of the cameras of another program.
 
-    The scene gets images/ (copies of the photos that have a pose), sparse/0, the page about its cameras and, where the
-    file has metres, scale.json; it appears when all is done. Sparse points are those of `points`, else those of the
-    file, else they are triangulated from the known poses.
+    The scene gets images/ (copies of the photos that have a pose), their masks/ and depths/, sparse/0, the page about
+    its cameras and, where the file has metres, scale.json; it appears when all is done. Sparse points are those
+    of `points`, else those of the file, else they are triangulated from the known poses.
 
     Args:
         file: File of the cameras, or a folder with one.
@@ -74,9 +74,12 @@ def import_cameras(
         cameras = _with_cloud(cameras, ply)
     cameras = _near_origin(cameras, warnings)
     found = find_photos(folder, [camera.name for camera in cameras.cameras])
-    warnings += found.warnings
+    named = {index: camera.mask for index, camera in enumerate(cameras.cameras) if camera.mask}
+    masks = {index: found.masks.of[path] for index, path in found.paths.items() if path in found.masks.of} | named
+    unused = tuple(mask for mask in found.masks.unused if mask not in named.values())
+    warnings += [*found.warnings, *replace(found.masks, unused=unused).warnings()]
     with new_scene(out) as (scene, scratch):
-        placed = place_photos(cameras.cameras, found.paths, folder, scene / "images", warnings, report)
+        placed = place_photos(cameras.cameras, found.paths, masks, folder, scene / "images", warnings, report)
         model = build_model(cameras, placed)
         if cameras.points is None:
             names = [photo.name for photo in placed]
@@ -113,6 +116,7 @@ def _write_pictures(images: Path, names: list[str], folder: Path, report: Progre
         report("Preparing photos", number / len(names))
         grey = cv2.cvtColor(read_image(images / name)[0], cv2.COLOR_RGB2GRAY)
         write_jpeg(folder / copy_name(number), equalise(grey))
+    write_feature_masks(images, names, folder)
 
 
 def _with_cloud(cameras: CameraFile, ply: Path) -> CameraFile:

@@ -5,10 +5,12 @@ camera (x right, y up, looking along -z) to the world; parameters are in pixels 
 """
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..base.text import first_names
 from ..scene.lenses import Lens
 from .camera_file import OPENGL_AXES, Calibration, CameraFile, FileCamera, brown_lens, reading, rigid, sized_calibration
 from .source import Source
@@ -34,6 +36,7 @@ def read(source: Source) -> CameraFile:
     document = source.json
     shared: dict[tuple[Any, ...], Calibration] = {}
     cameras = []
+    absent: list[str] = []
     for number, frame in enumerate(document["frames"], 1):
         name = str(frame.get("file_path") or "").replace("\\", "/")
         if not name:
@@ -46,12 +49,22 @@ def read(source: Source) -> CameraFile:
             axes = matrix[:3, :3]
             axes = axes / np.cbrt(abs(np.linalg.det(axes)) or 1.0)  # Blender's cameras may be scaled objects
             to_world = rigid(axes @ OPENGL_AXES, matrix[:3, 3])
-        cameras.append(FileCamera(name, calibration, np.linalg.inv(to_world)))
-    cloud = document.get("ply_file_path")
-    points_file = source.path.parent / cloud if isinstance(cloud, str) and cloud else None
-    if points_file is not None and not points_file.is_file():
-        points_file = None
-    return CameraFile(PROGRAM, tuple(cameras), points_file=points_file)
+        files = [_beside(source, frame.get(key), absent) for key in ("mask_path", "depth_file_path")]
+        cameras.append(FileCamera(name, calibration, np.linalg.inv(to_world), *files))
+    points_file = _beside(source, document.get("ply_file_path"), [])
+    warnings = [f"{len(absent)} masks and depth images do not exist: {first_names(absent)}."] if absent else []
+    return CameraFile(PROGRAM, tuple(cameras), points_file=points_file, warnings=warnings)
+
+
+def _beside(source: Source, name: object, absent: list[str]) -> Path | None:
+    """Return a file that the file names; add its name to `absent` where it does not exist."""
+    if not isinstance(name, str) or not name:
+        return None
+    path = source.path.parent / name.replace("\\", "/")
+    if path.is_file():
+        return path
+    absent.append(name)
+    return None
 
 
 def _calibration(values: dict[str, Any], shared: dict[tuple[Any, ...], Calibration]) -> Calibration:

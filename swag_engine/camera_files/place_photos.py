@@ -11,8 +11,9 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.text import first_names
-from ..scene.images import fits, read_image
-from ..scene.lenses import Lens, source_map
+from ..scene.images import decode_image, exif_turn, fits, read_image, read_mask, undistort, write_mask
+from ..scene.lenses import Lens
+from ..sfm.photos import mask_of_copy
 from ..sfm.progress import Progress
 from .camera_file import FileCamera, photos_are
 from .polynomial_lens import PolynomialLens
@@ -41,6 +42,7 @@ class PlacedPhoto:
 def place_photos(
     cameras: tuple[FileCamera, ...],
     paths: Mapping[int, Path],
+    masks: Mapping[int, Path],
     folder: Path,
     images: Path,
     warnings: list[str],
@@ -51,6 +53,7 @@ def place_photos(
     Args:
         cameras: The cameras.
         paths: Photo of a camera by its index.
+        masks: Mask of a camera by its index.
         folder: Folder of the photos, whose structure is kept.
         images: Folder that is written to.
         warnings: Gets sentences.
@@ -60,10 +63,10 @@ def place_photos(
         The photos, sorted by name.
 
     Raises:
-        InputError: When fewer than two photos can be used.
+        InputError: When fewer than two photos can be used, or a mask cannot.
     """
     placed: list[PlacedPhoto] = []
-    resampled, turned, other_size = 0, 0, Counter[str]()
+    resampled, turned, depths, other_size = 0, 0, 0, Counter[str]()
     unreadable: list[str] = []
     wrong: list[tuple[str, str]] = []
     order = sorted(paths.items(), key=lambda item: item[1])
@@ -72,13 +75,13 @@ def place_photos(
         name = path.relative_to(folder).as_posix()
         calibration = cameras[index].calibration
         try:
-            size = _image_size(path)
+            height, width = decode_image(path).shape[:2]
         except InputError:
             unreadable.append(name)
             continue
-        is_turned = False
+        size, is_turned = (width, height), False
         if calibration.size and not fits(size, calibration.size):
-            if not _can_be_turned(path, size, calibration.size):
+            if not (fits(size[::-1], calibration.size) and exif_turn(path)):
                 wrong.append(
                     (name, f"{size[0]} x {size[1]} pixels instead of {calibration.size[0]} x {calibration.size[1]}")
                 )
@@ -94,13 +97,23 @@ def place_photos(
         if scale != 1.0:
             other_size[f"{size[0]} x {size[1]}"] += 1
         turned += is_turned
+        mask = read_mask(masks[index], path, size) if index in masks else None
         if isinstance(lens, PolynomialLens):
+            if mask is not None:
+                mask = undistort(lens, mask.view(np.uint8), mask)[1]
             lens = _resample(path, lens, target)
             resampled, scale = resampled + 1, 0.0
         elif is_turned or target.suffix != path.suffix:
             _write(target, *read_image(path, calibration.size))
         else:
             shutil.copy2(path, target)
+            if depth := cameras[index].depth:
+                copy = (images.parent / "depths" / name).with_suffix(depth.suffix)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(depth, copy)
+                depths += 1
+        if mask is not None:
+            write_mask(mask_of_copy(images, name), mask)
         placed.append(PlacedPhoto(index, name, lens, scale))
     if unreadable:
         warnings.append(f"{photos_are(len(unreadable))} left out, not readable as images: {first_names(unreadable)}.")
@@ -117,6 +130,8 @@ def place_photos(
         )
     if turned:
         warnings.append(f"{photos_are(turned)} turned as the EXIF orientation says, to fit the calibration.")
+    if given := sum(cameras[photo.camera].depth is not None for photo in placed):
+        warnings.append(f"Depth images of {depths} of {given} photos are in depths, for other programs.")
     if resampled:
         warnings.append(
             f"{photos_are(resampled)} undistorted in the scene, because COLMAP has no camera model for the lens."
@@ -124,34 +139,11 @@ def place_photos(
     return placed
 
 
-def _image_size(path: Path) -> tuple[int, int]:
-    """Return width and height of the image as it is stored, without its EXIF orientation."""
-    pixels = read_image(path)[0]
-    return pixels.shape[1], pixels.shape[0]
-
-
-def _can_be_turned(path: Path, size: tuple[int, int], wanted: tuple[int, int]) -> bool:
-    """Return whether a photo of this width and height has the wanted shape after its EXIF orientation."""
-    if not fits(size[::-1], wanted):
-        return False
-    try:
-        read_image(path, wanted)
-    except InputError:  # no EXIF orientation turns it
-        return False
-    return True
-
-
 def _resample(path: Path, lens: Lens, target: Path) -> Lens:
     """Write the pinhole image of a photo; return its lens."""
     pixels, valid = read_image(path, (lens.width, lens.height))
-    source, seen = source_map(lens)
-    # cv2 puts the centre of the first pixel at 0, COLMAP at 0.5.
-    x, y = source[..., 0] - np.float32(0.5), source[..., 1] - np.float32(0.5)
-    pixels = cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    if valid is not None:
-        whole = cv2.remap(valid.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        valid = seen & (whole > 0.999)
-    _write(target, pixels, valid)
+    pixels, seen = undistort(lens, pixels, valid)
+    _write(target, pixels, None if valid is None else seen)
     pinhole = lens.pinhole
     return Lens("PINHOLE", pinhole.width, pinhole.height, (pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy))
 

@@ -13,7 +13,7 @@ from ..scene.colmap_library import pycolmap
 from ..sfm.child_process import do_job, run_child, say
 from ..sfm.features import extraction_options, match_pairs
 from ..sfm.mapping import FEATURES_STAGE
-from ..sfm.photos import copy_name
+from ..sfm.photos import copy_name, reader_options
 from ..sfm.progress import Progress
 from .pairs import pairs_from_poses
 
@@ -64,9 +64,7 @@ def _child(task: dict[str, Any]) -> dict[str, Any]:
             str(pictures),
             image_names=group,
             camera_mode=pycolmap.CameraMode.SINGLE,
-            reader_options=pycolmap.ImageReaderOptions(
-                camera_model=camera.model.name, camera_params=camera.params_to_string()
-            ),
+            reader_options=reader_options(pictures, camera.model.name, camera.params_to_string()),
             extraction_options=extraction_options(camera.width, camera.height),
         )
     pairs = pairs_from_poses(poses)

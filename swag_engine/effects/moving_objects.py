@@ -17,7 +17,6 @@ from ..gaussians.cloud import GaussianCloud
 from ..gaussians.contributions import contribution_sums
 from ..rasterize.api import rasterize
 from ..scene.cameras import Camera
-from ..scene.images import mask_path
 from .effect import Effect
 
 LEAST_RESIDUAL = 0.08
@@ -145,7 +144,7 @@ def fraction_with_objects(masks: list[np.ndarray]) -> float:
 def decide(evidence: SceneEvidence, earlier: Mapping[str, Decision]) -> Decision:
     """Decide from masks that the user gave; without them only training can show moving objects."""
     views = {view.name: view for view in evidence.scene.views}
-    masked = sum(mask_path(evidence.scene, views[name]) is not None for name in evidence.names)
+    masked = sum(views[name].path in evidence.scene.masks.of for name in evidence.names)
     figures = {"masked_images": masked}
     if masked:
         return Decision("on", figures, f"Masks were given for {masked} photos; what they cover is ignored.")

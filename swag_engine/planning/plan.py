@@ -16,7 +16,7 @@ from ..evidence.decision import Decision, State
 from ..evidence.observations import FIT_WIDTH
 from ..evidence.scene_evidence import DepthNetwork, FrameNetwork, SceneEvidence
 from ..scene.colmap import Scene, load_scene
-from ..scene.images import TrainingImage, load_images, mask_path
+from ..scene.images import TrainingImage, describe_empty, load_images
 from ..settings.effect_names import EFFECTS, parse_effects
 from .costs import measured_costs
 
@@ -136,7 +136,7 @@ def made_from(scene: Scene) -> str:
     """Compute the key of a scene: it changes with images, masks, cameras, points, and the version of the planner."""
     hashed = hashlib.sha256(f"plan {PLAN_VERSION};".encode())
     for view in scene.views:
-        for path in (view.path, mask_path(scene, view)):
+        for path in (view.path, scene.masks.of.get(view.path)):
             hashed.update(f"{view.name} {path and path.stat().st_size} {path and path.stat().st_mtime_ns};".encode())
         hashed.update(view.camera.world_to_camera.tobytes())
     hashed.update(scene.points.positions.tobytes())
@@ -173,7 +173,10 @@ def plan_scene(
     scene = load_scene(scene_folder)
     split = scene.split
     seen = [view for view in scene.views if view.name not in set(split.test)]
-    images = load_images(scene, seen, FIT_WIDTH)
+    loaded = load_images(scene, seen, FIT_WIDTH)
+    images = [image for image in loaded if image.valid.any()]
+    if not images:
+        raise InputError(f"No photo is left to plan from. {describe_empty(loaded)} In masks, black is what is ignored.")
     plan = make_plan(scene, images, labels=labels, depth=depth, interpolator=interpolator, width=width, backend=backend)
     if out is not None:
         write_plan(out / "plan.json", plan)

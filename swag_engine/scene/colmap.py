@@ -3,10 +3,10 @@
 import itertools
 import os
 import tempfile
-import unicodedata
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
 
@@ -22,6 +22,7 @@ from .colmap_binary import PARTS, Features, check_file, copy_without_points, poi
 from .colmap_library import pycolmap
 from .colmap_text import copy_as_binary
 from .georeference import Georeference, read_georeference
+from .image_files import PHOTO_FOLDERS, FoundMasks, file_key, find_masks, image_files_below
 from .lenses import Lens
 from .model_folders import folders_of_models, model_suffix, points_beside, scene_of
 from .model_quality import FEW_REGISTERED
@@ -29,8 +30,6 @@ from .ply_points import FEWEST_VISIBLE, read_points, visible_fraction
 from .split import Split, split_views
 
 T = TypeVar("T")
-
-IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +108,13 @@ class Scene:
     def split(self) -> Split:
         """Which views are trained on, and which are held out."""
         return self.split_of_whole or split_views(view.name for view in self.views)
+
+    @cached_property
+    def masks(self) -> FoundMasks:
+        """Masks of the image files."""
+        return find_masks(
+            image_files_below(self.image_folder), self.image_folder, (self.folder, self.image_folder.parent)
+        )
 
     def training_cameras(self, width: int) -> list[Camera]:
         """Return the cameras of the training images, which are at most `width` pixels wide."""
@@ -550,35 +556,8 @@ def _view(
 # Images ---------------------------------------------------------------------------------------------------------------
 
 
-def image_files_below(folder: Path, suffixes: frozenset[str] = IMAGE_SUFFIXES) -> list[Path]:
-    """List the image files in a folder and below, sorted, without hidden folders and masks/.
-
-    Folders that are symbolic links are entered, as image collections often lie on another disk; each folder counts
-    once, so that links in a circle end, and under its own path where it has one here.
-
-    Args:
-        folder: The folder.
-        suffixes: Suffixes of the files, in lower case.
-
-    Returns:
-        Paths that begin with `folder`.
-    """
-    found: list[Path] = []
-    entered: set[str] = set()
-    for parent, folders, files in os.walk(folder, followlinks=True):
-        if (real := os.path.realpath(parent)) in entered:
-            folders.clear()
-            continue
-        entered.add(real)
-        wanted = [name for name in folders if not name.startswith(".") and name.lower() != "masks"]
-        folders[:] = sorted(wanted, key=lambda name: (os.path.islink(os.path.join(parent, name)), name))
-        found += [Path(parent, name) for name in files if Path(name).suffix.lower() in suffixes]
-    return sorted(path for path in found if not path.name.startswith("."))
-
-
 def _key(name: str, extension: bool = True) -> str:
-    """Return a key that is equal for names that differ in case or in how accents are encoded (macOS splits them)."""
-    return unicodedata.normalize("NFC", name if extension else os.path.splitext(name)[0]).casefold()
+    return file_key(name if extension else os.path.splitext(name)[0])
 
 
 def _converted(
@@ -619,12 +598,11 @@ def _find_images(scene: Path, names: list[str], warnings: list[str]) -> tuple[Pa
                             found[name] = path
             if not hits:
                 continue
-            preferred = ["images", "input"]
             best = min(
                 hits,
                 key=lambda parts: (
                     -len(hits[parts]),
-                    preferred.index(parts[-1].lower()) if parts and parts[-1].lower() in preferred else len(preferred),
+                    PHOTO_FOLDERS.index(parts[-1].lower()) if parts and parts[-1].lower() in PHOTO_FOLDERS else 2,
                     len(parts),
                     parts,
                 ),

@@ -23,19 +23,27 @@ from PIL import Image
 from ..base.computer_memory import free_memory
 from ..base.errors import InputError
 from ..base.files import atomic_path, read_bytes
+from ..base.text import first_names
 from .cameras import Camera
 from .colmap import Scene, View
-from .lenses import source_map
+from .lenses import Lens, source_map
 
 MOST_PIXELS = 2**28
 """Pixels of the largest image that is decoded; 200-megapixel phones have 2 * 10^8."""
 Image.MAX_IMAGE_PIXELS = MOST_PIXELS
 DECODING_BYTES = 16
 """Largest memory of `read_image` for each pixel: four channels of 16 bits, as 8 bits, without alpha, and the mask."""
-_CACHE_FORMAT = 1
+_CACHE_FORMAT = 2
 """Version of the cached files."""
 _TIFF_ORIENTATION = 274
 """Tag of the orientation in a TIFF file."""
+_TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
+    5: lambda image: image.swapaxes(0, 1),
+    6: lambda image: np.rot90(image, -1),
+    7: lambda image: np.rot90(image, -1)[::-1],
+    8: np.rot90,
+}
+"""How an image is turned to be shown upright, by EXIF orientations that swap width and height."""
 _ALL_VALID = 0.999
 """Share of valid pixels in a mean from which it counts as all."""
 _CACHE_DAYS = 30
@@ -73,8 +81,8 @@ def load_images(
 ) -> list[TrainingImage]:
     """Undistort images and reduce them to a width, never enlarging.
 
-    Results are kept in the user's cache folder (or SWAG_CACHE_DIR), so that only the first call takes long. A mask
-    (masks/NAME.png, black is masked) and an alpha of 0 make pixels invalid.
+    Results are kept in the user's cache folder (or SWAG_CACHE_DIR), so that only the first call takes long. A mask and
+    an alpha of 0 make pixels invalid.
 
     Args:
         scene: The scene.
@@ -88,10 +96,10 @@ def load_images(
     Raises:
         InputError: When an image cannot be used; the message names it.
     """
-    cache = cache_folder(scene, "images")
+    cache, masks = cache_folder(scene, "images"), scene.masks.of
     images: list[TrainingImage] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        jobs = [pool.submit(_load_image, scene, view, width, cache) for view in views]
+        jobs = [pool.submit(_load_image, view, masks.get(view.path), width, cache) for view in views]
         try:
             for job in jobs:
                 images.append(job.result())
@@ -104,9 +112,17 @@ def load_images(
     return images
 
 
+def describe_empty(images: Sequence[TrainingImage]) -> str:
+    """Return a sentence that names the images without a valid pixel, empty without such images."""
+    names = [image.camera.name for image in images if not image.valid.any()]
+    if not names:
+        return ""
+    return f"{len(names)} of {len(images)} photos are left out, without a valid pixel: {first_names(names)}."
+
+
 def load_image(scene: Scene, view: View, width: int | None = None) -> TrainingImage:
     """Undistort one image as `load_images` does, without keeping the result in the cache."""
-    pixels, valid = _undistorted(view, mask_path(scene, view), width)
+    pixels, valid = _undistorted(view, scene.masks.of.get(view.path), width)
     return TrainingImage(view.camera.resized(pixels.shape[1]), pixels, valid)
 
 
@@ -128,8 +144,8 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> tuple[np.ndar
     """
     image = decode_image(path)
     height, width = image.shape[:2]
-    if size and not fits((width, height), size) and fits((height, width), size):
-        image = decode_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if size and not fits((width, height), size) and fits((height, width), size) and (turn := exif_turn(path)):
+        image = np.ascontiguousarray(_TURNS[turn](image))
         height, width = image.shape[:2]
     if size and not fits((width, height), size):
         raise InputError(
@@ -149,15 +165,14 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> tuple[np.ndar
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB), None
 
 
-def decode_image(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
+def decode_image(path: Path) -> np.ndarray:
     """Decode an image file that is not too large, by its header.
 
     Args:
         path: The file.
-        flags: As of cv2.imdecode. With IMREAD_UNCHANGED no orientation is applied.
 
     Returns:
-        Pixels (H, W) or (H, W, C) in the order of OpenCV, as stored.
+        Pixels (H, W) or (H, W, C) in the order of OpenCV, as stored, without the EXIF orientation.
 
     Raises:
         InputError: When the file cannot be read, or the image is larger than MOST_PIXELS or than the free memory.
@@ -174,8 +189,7 @@ def decode_image(path: Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
             f"{MOST_PIXELS / 1e6:.0f} million pixels can be read where memory is free: reduce the image or remove it."
         )
     try:
-        data = _without_tiff_orientation(data) if flags == cv2.IMREAD_UNCHANGED else data
-        image = cv2.imdecode(data, flags) if data.size else None
+        image = cv2.imdecode(_without_tiff_orientation(data), cv2.IMREAD_UNCHANGED) if data.size else None
     except cv2.error:
         image = None
     if image is None:
@@ -194,6 +208,74 @@ def _header_pixels(data: np.ndarray) -> int:
         return int(re.findall(r"\d+", str(error))[0])
     except (OSError, ValueError, SyntaxError, OverflowError, struct.error):  # damaged data; decoding will say so
         return 0
+
+
+def exif_turn(path: Path) -> int:
+    """Return the EXIF orientation of an image file where it swaps width and height (5 to 8), else 0."""
+    try:
+        with Image.open(path) as image:
+            orientation = image.getexif().get(_TIFF_ORIENTATION, 1)
+    except (OSError, ValueError, SyntaxError):  # PIL raises SyntaxError for damaged data
+        return 0
+    return orientation if orientation in _TURNS else 0
+
+
+def turned_as_photo(mask: np.ndarray, path: Path, photo: Path, size: tuple[int, int]) -> np.ndarray:
+    """Turn a mask (H, W) with swapped sides as its photo is turned.
+
+    Args:
+        mask: The mask, of any resolution.
+        path: Its file.
+        photo: File of the photo.
+        size: Width and height of the photo as it is used (stored or turned), pixels.
+
+    Raises:
+        InputError: When it does not have the aspect ratio of the photo.
+    """
+    height, width = mask.shape
+    if fits((width, height), size):
+        return mask
+    if fits((height, width), size) and (turn := exif_turn(photo)):
+        rows, columns = decode_image(photo).shape[:2]
+        if fits((columns, rows), size):  # the photo is used as stored, the mask is of the turned one
+            turn = {6: 8, 8: 6}.get(turn, turn)
+        return np.ascontiguousarray(_TURNS[turn](mask))
+    raise InputError(
+        f"{path} is {width} x {height} pixels, which is not the aspect ratio of its image, {size[0]} x {size[1]}: make "
+        "it from the image."
+    )
+
+
+def mask_values(image: np.ndarray) -> np.ndarray:
+    """Return the values (H, W) of a mask as stored: the largest channel, or alpha where the color is constant."""
+    if image.ndim == 2:
+        return image
+    color = image[..., :3].max(-1)
+    if image.shape[2] == 4 and (image[..., :3] == image[0, 0, :3]).all():
+        alpha = image[..., 3]
+        return np.minimum(color, alpha) if alpha.min() == alpha.max() else alpha
+    return color
+
+
+def is_white(values: np.ndarray) -> np.ndarray:
+    """Return which values (H, W) of a mask are not black.
+
+    These are above a quarter of the type's largest (JPEG adds noise); in a mask without such values, all above 0.
+    """
+    limit = np.iinfo(values.dtype).max / 4 if values.dtype.kind in "iu" else 0.25
+    return values > (limit if values.max() > limit else 0)
+
+
+def read_mask(path: Path, photo: Path, size: tuple[int, int]) -> np.ndarray:
+    """Read the valid pixels (H, W) bool of a photo from its mask; arguments and errors as of `turned_as_photo`."""
+    valid = turned_as_photo(is_white(mask_values(decode_image(path))), path, photo, size)
+    return cv2.resize(valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+
+
+def write_mask(path: Path, valid: np.ndarray) -> None:
+    """Write a mask (H, W) bool as a PNG file, white where it is valid."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(".png", valid.astype(np.uint8) * 255)[1].tobytes())
 
 
 def _without_tiff_orientation(data: np.ndarray) -> np.ndarray:
@@ -223,25 +305,7 @@ def fits(image: tuple[int, int], camera: tuple[int, int]) -> bool:
     return abs(image[0] * camera[1] - image[1] * camera[0]) <= max(*image, *camera)
 
 
-def mask_path(scene: Scene, view: View) -> Path | None:
-    """Find the mask of an image: NAME.EXT.png or NAME.png in masks/ of the scene, or in or beside its image folder.
-
-    Args:
-        scene: The scene.
-        view: The view.
-
-    Returns:
-        The file, None without one.
-    """
-    for folder in (scene.folder / "masks", scene.image_folder / "masks", scene.image_folder.parent / "masks"):
-        for mask in (folder / f"{view.name}.png", (folder / view.name).with_suffix(".png")):
-            if mask.is_file():
-                return mask
-    return None
-
-
-def _load_image(scene: Scene, view: View, width: int | None, cache: Path) -> TrainingImage:
-    mask_file = mask_path(scene, view)
+def _load_image(view: View, mask_file: Path | None, width: int | None, cache: Path) -> TrainingImage:
     try:
         files = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in (view.path, mask_file) if path]
     except OSError as error:
@@ -266,19 +330,10 @@ def _undistorted(view: View, mask_file: Path | None, width: int | None) -> tuple
     pixels, valid = read_image(view.path, (lens.width, lens.height))
     height_on_disk, width_on_disk = pixels.shape[:2]
     if mask_file:
-        mask = read_image(mask_file)[0].max(-1)
-        mask = cv2.resize(mask, (width_on_disk, height_on_disk), interpolation=cv2.INTER_NEAREST) > 0
+        mask = read_mask(mask_file, view.path, (width_on_disk, height_on_disk))
         valid = mask if valid is None else valid & mask
     if not lens.is_pinhole:
-        source, seen = source_map(lens)
-        # cv2 puts the first pixel's centre at 0, COLMAP at 0.5; the file may have another resolution than the camera.
-        x = source[..., 0] * np.float32(width_on_disk / lens.width) - np.float32(0.5)
-        y = source[..., 1] * np.float32(height_on_disk / lens.height) - np.float32(0.5)
-        pixels = cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        if valid is not None:
-            whole = cv2.remap(valid.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            seen = seen & (whole > _ALL_VALID)
-        valid = seen
+        pixels, valid = undistort(lens, pixels, valid)
     elif valid is None:
         valid = np.ones(pixels.shape[:2], bool)
 
@@ -287,6 +342,25 @@ def _undistorted(view: View, mask_file: Path | None, width: int | None) -> tuple
     small = camera.resized(min(width or full, full))
     size = (small.width, small.height)
     return _resized(pixels, valid, size)
+
+
+def file_map(lens: Lens, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x, y (H, W) float32, as cv2 takes them, of a pinhole image's pixels in a file, and what it shows, bool."""
+    source, seen = source_map(lens)
+    # cv2 puts the first pixel's centre at 0, COLMAP at 0.5; the file may have another resolution than the camera.
+    x = source[..., 0] * np.float32(shape[1] / lens.width) - np.float32(0.5)
+    y = source[..., 1] * np.float32(shape[0] / lens.height) - np.float32(0.5)
+    return x, y, seen
+
+
+def undistort(lens: Lens, pixels: np.ndarray, valid: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pinhole image of pixels (H, W, C) and its valid pixels (H, W) bool."""
+    x, y, seen = file_map(lens, pixels.shape)
+    pixels = cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    if valid is not None:
+        whole = cv2.remap(valid.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        seen = seen & (whole > _ALL_VALID)
+    return pixels, seen
 
 
 def _resized(pixels: np.ndarray, valid: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

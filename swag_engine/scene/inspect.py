@@ -31,8 +31,9 @@ def inspect_scene(scene: Scene) -> dict[str, Any]:
         pinhole images. `triangulation_angle` is the median over the points, in degrees. `focal_error` is the relative
         standard error of the focal length, the largest of several lenses. `drift` compares the first and the last
         visit of a place (see `Drift`). These are None where they cannot be determined. `unregistered` are images
-        without a pose, each with the probable reason. `warnings` are the scene's, and sentences about what is doubtful
-        in the poses. `scale` is the document of scale.json, None without.
+        without a pose, each with the probable reason. `masks` counts the views with a mask. `warnings` are the
+        scene's, and sentences about masks and what is doubtful in the poses. `scale` is the document of scale.json,
+        None without.
     """
     points = scene.points
     ranges = np.concatenate(
@@ -86,6 +87,7 @@ def inspect_scene(scene: Scene) -> dict[str, Any]:
         "up": [float(value) for value in scene.up],
         "scale": scene.georeference.to_json() if scene.georeference else None,
         "split": {"train": len(split.train), "validation": len(split.validation), "test": len(split.test)},
+        "masks": sum(view.path in scene.masks.of for view in scene.views),
         "warnings": what_is_doubtful(scene, quality, unregistered),
     }
 
@@ -118,7 +120,7 @@ def assess_scene(scene: Scene) -> ModelQuality:
 def what_is_doubtful(scene: Scene, quality: ModelQuality, unregistered: Sequence[Unregistered]) -> list[str]:
     """Return the sentences about a scene that a user should read."""
     doubts = [doubt.sentence for doubt in quality.doubts if doubt.kind != "registered"]  # the scene says it
-    return [*scene.warnings, *doubts, *unregistered_sentences(unregistered)]
+    return [*scene.warnings, *scene.masks.warnings(), *doubts, *unregistered_sentences(unregistered)]
 
 
 def _field_of_view(camera: Camera) -> float:
@@ -178,5 +180,7 @@ def describe(summary: dict[str, Any]) -> str:
     if drift is not None:
         rows.append(("Drift", f"{drift['fraction']:.2%} of the path, from {drift['first']} to {drift['last']}"))
     rows.append(("Views", f"{split['train']} to train, {split['validation']} to validate, {split['test']} to test"))
+    if summary["masks"]:
+        rows.append(("Masks", f"for {summary['masks']} of {summary['views']} photos"))
     rows += [("Warning", warning) for warning in summary["warnings"]]
     return "\n".join(f"{label + ':':<13}{text}" for label, text in rows)

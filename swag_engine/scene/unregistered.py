@@ -10,7 +10,8 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.text import first_names
-from .colmap import Scene, image_files_below
+from .colmap import Scene
+from .image_files import image_files_below
 from .images import read_image
 
 _MOST_EXAMINED = 200

@@ -1,6 +1,6 @@
 """Regions from the user's own masks."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -9,8 +9,8 @@ import numpy as np
 from ..base.errors import InputError
 from ..base.files import read_text
 from ..scene.colmap import Scene, View
-from ..scene.images import TrainingImage, decode_image
-from ..scene.lenses import source_map
+from ..scene.image_files import files_below, match_masks
+from ..scene.images import TrainingImage, decode_image, file_map, is_white, mask_values, turned_as_photo
 from .regions import Region, resized_labels
 
 LABELS_FILE = "labels.txt"
@@ -20,7 +20,7 @@ LABELS_FILE = "labels.txt"
 class MaskFolder:
     """Provider of regions from a folder of masks, made for the images as they were taken, in one of two forms.
 
-    FOLDER/LABEL/NAME.png: black and white, one folder a label (NAME with or without the image's own suffix); where two
+    FOLDER/LABEL/NAME.png: black and white, one folder a label (names as `match_masks` takes them); where two
     masks have a pixel, the label that comes first in the alphabet gets it. Or FOLDER/NAME.png with labels.txt: one mask
     an image, whose grey values count the lines of labels.txt from 1, 0 for none.
 
@@ -46,6 +46,13 @@ class MaskFolder:
                 f"{folder} holds no masks: put them in one folder a label, as coral/NAME.png, or write the labels of "
                 f"their grey values to {LABELS_FILE}."
             )
+        self._masks = {
+            label: match_masks(
+                list(self.views),
+                [(path, path.relative_to(folder / label).as_posix()) for path, _ in files_below(folder / label)],
+            )[0]
+            for label in (self.folders if self.labels is None else [""])
+        }
         files = [path for view in scene.views for _, path in self._files(view)]
         if not files:
             raise InputError(
@@ -71,17 +78,11 @@ class MaskFolder:
         view = self.views[image.camera.name]
         found = []
         for label, path in self._files(view):
-            mask = _grey_values(path)
-            full = view.lens
-            if abs(mask.shape[1] * full.height - mask.shape[0] * full.width) > max(*mask.shape, full.width):
-                raise InputError(
-                    f"{path} is {mask.shape[1]} x {mask.shape[0]} pixels, which is not the aspect ratio of its image, "
-                    f"{full.width} x {full.height}: make it from the image."
-                )
-            values = self._undistorted(view, mask, image)
+            values = turned_as_photo(_grey_values(path), path, view.path, (view.lens.width, view.lens.height))
             if self.labels is None:
-                found.append(Region(values > mask.max() / 2, label))  # white is 255, 65535, or 1
+                found.append(Region(self._undistorted(view, is_white(values).astype(np.uint8), image) > 0, label))
                 continue
+            values = self._undistorted(view, values, image)
             if values.max() > len(self.labels):
                 raise InputError(
                     f"{path} has the value {values.max()}, and {LABELS_FILE} has only {len(self.labels)} labels."
@@ -89,33 +90,25 @@ class MaskFolder:
             found += [Region(values == value, self.labels[value - 1]) for value in np.unique(values[values > 0])]
         return [region for region in found if not words or region.label in words]
 
-    def _files(self, view: View) -> Iterator[tuple[str, Path]]:
-        """Yield label and file of each mask of a view."""
-        for label in self.folders if self.labels is None else [""]:
-            folder = self.folder / label
-            for path in ((folder / view.name).with_suffix(".png"), folder / f"{view.name}.png"):
-                if path.is_file():
-                    yield label, path
-                    break
+    def _files(self, view: View) -> list[tuple[str, Path]]:
+        """Return label and file of each mask of a view."""
+        return [(label, of[view.name]) for label, of in self._masks.items() if view.name in of]
 
     @staticmethod
     def _undistorted(view: View, mask: np.ndarray, image: TrainingImage) -> np.ndarray:
         """Return the mask without lens distortion, at the size of the training image."""
         if not view.lens.is_pinhole:
-            source, _ = source_map(view.lens)
-            x = source[..., 0] * np.float32(mask.shape[1] / view.lens.width) - np.float32(0.5)
-            y = source[..., 1] * np.float32(mask.shape[0] / view.lens.height) - np.float32(0.5)
+            x, y, _ = file_map(view.lens, mask.shape)
             mask = cv2.remap(mask, x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
         return resized_labels(mask, image.camera.width, image.camera.height)
 
 
 def _grey_values(path: Path) -> np.ndarray:
     """Return the values (H, W) of a file as stored, uint8 or uint16; read_image would scale 16 bits to 8."""
-    values = decode_image(path)
-    if values.ndim == 3:
-        if (values[..., :3] != values[..., :1]).any():
-            raise InputError(f"{path} is a mask in color: save it in shades of grey, 0 for no label.")
-        values = values[..., 0]
+    image = decode_image(path)
+    if image.ndim == 3 and (image[..., :3] != image[..., :1]).any():
+        raise InputError(f"{path} is a mask in color: save it in shades of grey, 0 for no label.")
+    values = mask_values(image)
     if values.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path} holds {values.dtype} pixels: save the mask with 8 or 16 bits.")
     return values

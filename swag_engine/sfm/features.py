@@ -11,7 +11,7 @@ import numpy as np
 from ..scene.colmap_library import pycolmap
 from ..scene.images import read_image
 from .pairs import COARSE_FEATURES, choose_pairs
-from .photos import copy_name
+from .photos import copy_name, reader_options
 
 FEATURE_PIXELS = 2000
 """Longest side in pixels at which features are detected: water blurs finer detail."""
@@ -114,7 +114,7 @@ def extract_features(database: Path, pictures: Path, images: list[ImageData]) ->
         params = f"{known},{first.width / 2},{first.height / 2},0" if known else ""
         names = [copy_name(number) for number in group]
         mode = pycolmap.CameraMode.SINGLE
-        reader = pycolmap.ImageReaderOptions(camera_model="SIMPLE_RADIAL", camera_params=params)
+        reader = reader_options(pictures, "SIMPLE_RADIAL", params)
         pycolmap.import_images(str(database), str(pictures), mode, names, reader)
         pycolmap.extract_features(
             str(database), str(pictures), names, mode, reader, extraction_options(first.width, first.height)
@@ -158,9 +158,9 @@ def match_pairs(database: Path, pairs: Iterable[tuple[int, int]]) -> None:
 
 def _coarse_descriptors(database: pycolmap.Database, image_id: int) -> np.ndarray:
     """Return the descriptors (M, 128) of the largest features of an image."""
-    keypoints = database.read_keypoints(image_id)  # x, y and an affine shape (a11, a12, a21, a22)
+    keypoints = database.read_keypoints(image_id).reshape(-1, 6)  # x, y and an affine shape (a11, a12, a21, a22)
     largest = np.argsort(-np.hypot(keypoints[:, 2], keypoints[:, 4]), kind="stable")[:COARSE_FEATURES]
-    return np.asarray(database.read_descriptors(image_id).data)[largest]
+    return np.asarray(database.read_descriptors(image_id).data).reshape(-1, 128)[largest]
 
 
 def _metres(positions: np.ndarray) -> np.ndarray:

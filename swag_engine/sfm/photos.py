@@ -1,6 +1,7 @@
 """Photos prepared for structure from motion: which can be used, and their copies."""
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,8 +9,9 @@ import cv2
 import numpy as np
 
 from ..base.errors import InputError
-from ..scene.colmap import image_files_below
-from ..scene.images import decode_image, read_image
+from ..scene.colmap_library import pycolmap
+from ..scene.image_files import PHOTO_FOLDERS, find_masks, image_files_below
+from ..scene.images import decode_image, read_image, read_mask, write_mask
 from .progress import Progress
 
 RAW_SUFFIXES = frozenset(
@@ -75,7 +77,8 @@ class ChosenImages:
 def copy_photos(source: Path, images: Path, pictures: Path, report: Progress) -> ChosenImages:
     """Copy the photos of a folder that can be used, and write their equalised grey copies.
 
-    Photos that cannot be read, without structure, or that show the same picture as a larger file are left out.
+    Photos that cannot be read, without structure, wholly masked, or that show the same picture as a larger file are
+    left out. Masks are written to masks/ beside images/, as NAME.EXT.png.
 
     Args:
         source: The folder (its images/ or input/ where it has one of these).
@@ -84,17 +87,18 @@ def copy_photos(source: Path, images: Path, pictures: Path, report: Progress) ->
         report: Called before each photo.
 
     Raises:
-        InputError: When fewer than two photos can be used.
+        InputError: When fewer than two photos can be used, or a mask cannot.
     """
-    source = next((source / name for name in ("images", "input") if (source / name).is_dir()), source)
+    source = next((source / name for name in PHOTO_FOLDERS if (source / name).is_dir()), source)
     paths = image_files_below(source)
+    masks = find_masks(paths, source)
     if not paths:
         raise InputError(_no_photos(source))
     if len(paths) == 1:
         raise InputError(f"There is only one photo in {source}, and poses need several that overlap.")
     thumbnails = np.empty((len(paths), _THUMBNAIL[0] * _THUMBNAIL[1]), np.float32)
     used: dict[Path, Path] = {}
-    unreadable, empty, copies = [], [], []
+    unreadable, empty, copies, covered = [], [], [], []
     # Large files first, so that a photo is kept and its thumbnail or smaller export left out.
     for number, path in enumerate(sorted(paths, key=lambda path: -path.stat().st_size if path.exists() else 0)):
         report("Preparing photos", number / len(paths))
@@ -102,6 +106,10 @@ def copy_photos(source: Path, images: Path, pictures: Path, report: Progress) ->
             grey = cv2.cvtColor(read_image(path)[0], cv2.COLOR_RGB2GRAY)
         except InputError:
             unreadable.append(path)
+            continue
+        mask = read_mask(masks.of[path], path, (grey.shape[1], grey.shape[0])) if path in masks.of else None
+        if mask is not None and not mask.any():
+            covered.append(path)
             continue
         if not has_structure(grey):
             empty.append(path)
@@ -114,12 +122,13 @@ def copy_photos(source: Path, images: Path, pictures: Path, report: Progress) ->
         used[path] = pictures / f"part_{number}.jpg"
         write_jpeg(used[path], equalised)
         copy = images / _name(path, source)
+        if mask is not None:
+            write_mask(mask_of_copy(images, _name(path, source)), mask)
         copy.parent.mkdir(parents=True, exist_ok=True)
         if copy.suffix == path.suffix:
             shutil.copy2(path, copy)
         else:
-            pixels = decode_image(path)
-            copy.write_bytes(cv2.imencode(copy.suffix, pixels)[1].tobytes())
+            copy.write_bytes(cv2.imencode(copy.suffix, decode_image(path))[1].tobytes())
     stems = {path.stem for path in paths}
     raw = [path for path in image_files_below(source, RAW_SUFFIXES) if path.stem not in stems]
     left_out = [
@@ -128,6 +137,7 @@ def copy_photos(source: Path, images: Path, pictures: Path, report: Progress) ->
             (unreadable, "that cannot be read; copy or save again with 8 or 16 bits per channel"),
             (empty, "without structure, as of open water or in darkness"),
             (copies, "of the same picture as another one"),
+            (covered, "whose mask leaves no valid pixel"),
             (raw, "of a type that cannot be read; save as JPEG or TIFF"),
         )
         if found
@@ -141,7 +151,30 @@ def copy_photos(source: Path, images: Path, pictures: Path, report: Progress) ->
     for number, path in enumerate(kept):
         used[path].rename(pictures / copy_name(number))
     names = [_name(path, source) for path in kept]
-    return ChosenImages(names, [], [f"Left out: {photos}." for photos in left_out])
+    write_feature_masks(images, names, pictures)
+    return ChosenImages(names, [], [*masks.warnings(), *(f"Left out: {photos}." for photos in left_out)])
+
+
+def mask_of_copy(images: Path, name: str) -> Path:
+    """Return the file of the mask of a copied photo in images/ of a new scene."""
+    return images.parent / "masks" / f"{name}.png"
+
+
+def write_feature_masks(images: Path, names: Sequence[str], pictures: Path) -> None:
+    """Write masks of the grey copies where a photo of images/ has one: COLMAP then wants one for each."""
+    for number, name in enumerate(names if (images.parent / "masks").is_dir() else ()):
+        mask, copy = mask_of_copy(images, name), copy_name(number)
+        valid = decode_image(mask) > 0 if mask.is_file() else decode_image(pictures / copy) >= 0
+        write_mask(pictures.with_name("masks") / f"{copy}.png", valid)
+
+
+def reader_options(pictures: Path, model: str, params: str) -> pycolmap.ImageReaderOptions:
+    """Return how COLMAP reads grey copies: a camera model, its parameters, and masks (see `write_feature_masks`)."""
+    masks = pictures.with_name("masks")
+    options = pycolmap.ImageReaderOptions(camera_model=model, camera_params=params)
+    if masks.is_dir():
+        options.mask_path = str(masks)
+    return options
 
 
 def equalise(grey: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base.errors import InputError
 from ..base.foreign_files import refuse_foreign
-from ..scene.colmap import IMAGE_SUFFIXES
+from ..scene.image_files import IMAGE_SUFFIXES
 from .image_motion import ImageMotion
 from .photos import ChosenImages, copy_name, equalise, has_structure, write_jpeg
 from .progress import Progress

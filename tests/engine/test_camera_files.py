@@ -20,9 +20,11 @@ from swag_engine.camera_files.polynomial_lens import PolynomialLens
 from swag_engine.camera_files.registry import read_camera_file
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.georeference import read_georeference
+from swag_engine.scene.images import load_image
 from swag_engine.scene.lenses import source_map
 from swag_engine.scene.ply_points import read_points
 from tests.scenes.panels import SIZE, render, write_photos
+from tests.scenes.rotation_flag import with_rotation_flag
 
 WIDTH, HEIGHT = 1600, 1200
 POINTS = np.random.default_rng(1).uniform([-2, -1.5, -1], [2, 1.5, 1], (60, 3))
@@ -901,6 +903,24 @@ def test_ply_points_elsewhere_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_masks_and_depth_images_that_the_file_names_are_copied(tmp_path: Path) -> None:
+    write_photos(tmp_path / "images", PLACES)
+    write_ply(tmp_path / "wall.ply", panel_points())
+    path = panel_transforms(tmp_path / "transforms.json", ply_file_path="wall.ply")
+    document = json.loads(path.read_text())
+    document["frames"][0] |= {"mask_path": "x.png", "depth_file_path": "x.png"}
+    document["frames"][1]["mask_path"] = "absent.png"
+    path.write_text(json.dumps(document))
+    half = np.repeat([[0], [255]], SIZE[1] // 2, 0).repeat(SIZE[0], 1).astype(np.uint8)
+    (tmp_path / "x.png").write_bytes(cv2.imencode(".png", half)[1].tobytes())
+    made = import_cameras(path, tmp_path / "out", tmp_path / "images")
+    scene = load_scene(tmp_path / "out")
+    assert list(scene.masks.of) == [scene.views[0].path] and (tmp_path / "out" / "depths" / "0.png").is_file()
+    valid = load_image(scene, scene.views[0]).valid
+    assert valid[SIZE[1] // 2 :].all() and not valid[: SIZE[1] // 2].any()
+    assert "absent.png" in made["warnings"][0] and "1 of 1 photos are in depths" in made["warnings"][1]
+
+
 def small_photos(folder: Path, size: tuple[int, int] = (160, 120)) -> Path:
     """Write photos of the names in NAMES, of another size than the calibration."""
     for number, name in enumerate(NAMES):
@@ -965,10 +985,10 @@ def test_photos_that_only_fit_when_turned_are_turned(tmp_path: Path) -> None:
     folder = small_photos(tmp_path / "photos")
     upright = np.zeros((120, 160, 3), np.uint8)
     upright[:, :80] = 250
-    stored = cv2.imencode(".jpg", np.rot90(upright))[1].tobytes()  # to be turned by 90 degrees clockwise
-    orientation = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
-    segment = b"\xff\xe1" + (len(orientation) + 2).to_bytes(2, "big") + orientation
-    (folder / NAMES[0]).write_bytes(stored[:2] + segment + stored[2:])
+    stored = cv2.imencode(".jpg", np.rot90(upright))[1].tobytes()
+    (folder / NAMES[0]).write_bytes(with_rotation_flag(stored))
+    (folder / "Mask").mkdir()
+    (folder / "Mask" / "img_0000_mask.PNG").write_bytes(cv2.imencode(".png", np.rot90(upright))[1].tobytes())
     path = write_opensfm(tmp_path / "reconstruction.json", "brown")
     made = import_cameras(path, tmp_path / "out", folder)
     assert made["registered"] == 5 and "1 photo is turned as the EXIF orientation says" in " ".join(made["warnings"])
@@ -976,6 +996,8 @@ def test_photos_that_only_fit_when_turned_are_turned(tmp_path: Path) -> None:
         str(tmp_path / "out" / "images" / NAMES[0]), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION
     )
     assert written.shape == (120, 160, 3) and written[:, :70].min() > 200 and written[:, 90:].max() < 50
+    masks = load_scene(tmp_path / "out").masks.of
+    assert np.array_equal(cv2.imread(str(masks[tmp_path / "out" / "images" / NAMES[0]])) > 0, upright > 0)
 
 
 def test_webp_photos_become_png_files_which_colmap_reads(tmp_path: Path) -> None:
