@@ -287,7 +287,7 @@ class Train:
                 weights_dir=self.weights_dir, started=STARTED, should_stop_now=interrupts.should_stop_now,
             )  # fmt: skip
         metrics = result["metrics"]
-        quality = "No test views: the scene has too few photos to keep some out of training."
+        quality = "No test views: the scene has too few photos to keep some out of training, or masks cover them."
         if metrics["evaluation_stopped"]:
             quality = EVALUATION_STOPPED
         elif metrics["views"]:

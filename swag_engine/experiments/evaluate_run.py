@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..base.errors import InputError, continue_run
 from ..base.files import atomic_path, output_names
+from ..base.html_page import number
 from ..base.transfer import srgb_to_linear
 from ..effects.scene_effects import SceneEffects
 from ..evaluation.lpips import BACKBONES, load_lpips
@@ -37,7 +38,7 @@ from ..rendering.model import SceneModel
 from ..rendering.restoration import RestorationLimit
 from ..scene.cameras import Camera
 from ..scene.colmap import Scene, load_scene
-from ..scene.images import TrainingImage, decode_image, load_images, read_image
+from ..scene.images import TrainingImage, decode_image, describe_empty, load_images, read_image
 from ..scene.inspect import inspect_scene
 from ..scene.split import split_views
 from ..splats.development import Development
@@ -82,6 +83,8 @@ def evaluate_run(folder: Path, weights_dir: Path | None = None) -> dict[str, Any
     split = split_views([view.name for view in scene.views])
     wanted = [view for view in scene.views if view.name not in split.validation]
     images = load_images(scene, wanted, settings.width)
+    notes += filter(None, [describe_empty(images)])
+    images = [image for image in images if image.valid.any()]
     training = [image for image in images if image.camera.name in split.train]
     test = [image for image in images if image.camera.name in split.test]
 
@@ -165,8 +168,9 @@ def describe(evaluation: dict[str, Any]) -> str:
     means = (evaluation[name] for name in ("test_psnr", "test_ssim", "test_lpips"))
     lines += [
         _scores("mean", *means),
-        f"joint PSNR {evaluation['test_psnr_joint']:.2f} dB, median-image baseline "
-        f"{evaluation['control_psnr']:.2f} dB, floater mass {evaluation['floater_mass']:.1%}",
+        f"joint PSNR {number(evaluation['test_psnr_joint'], 2, ' dB')}, median-image baseline "
+        f"{number(evaluation['control_psnr'], 2, ' dB')}, floater mass "
+        f"{number(100 * evaluation['floater_mass'], 1, '%')}",
         f"{evaluation['gaussians']} Gaussians, {evaluation['seconds']:.0f} s of training",
         *evaluation["notes"],
         f"Page: {Path(evaluation['run']) / PAGE}",
@@ -176,7 +180,7 @@ def describe(evaluation: dict[str, Any]) -> str:
 
 def _scores(name: str, psnr: float, ssim: float, lpips: dict[str, float]) -> str:
     known = [f"LPIPS {BACKBONES[key].title} {value:.3f}" for key, value in lpips.items() if np.isfinite(value)]
-    return ", ".join([f"{name}: PSNR {psnr:.2f} dB", f"SSIM {ssim:.3f}", *known])
+    return ", ".join([f"{name}: PSNR {number(psnr, 2, ' dB')}", f"SSIM {number(ssim, 3)}", *known])
 
 
 def true_image(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarray] | None:
@@ -195,8 +199,7 @@ def true_image(scene: Scene, image: TrainingImage) -> tuple[np.ndarray, np.ndarr
     pixels = cv2.resize(read_image(clean)[0], (width, height), interpolation=cv2.INTER_AREA)
     valid = image.valid
     if ranges.is_file():
-        range_mm = decode_image(ranges)
-        valid = valid & (cv2.resize(range_mm, (width, height), interpolation=cv2.INTER_NEAREST) > 0)
+        valid = valid & (cv2.resize(decode_image(ranges), (width, height), interpolation=cv2.INTER_NEAREST) > 0)
     return pixels / np.float32(255), valid
 
 

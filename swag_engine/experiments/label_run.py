@@ -79,6 +79,7 @@ def label_run(
     embedder = make_embedder(weights_dir, download, progress)
     names = set(scene.split.train)
     images = load_images(scene, [view for view in scene.views if view.camera.name in names], settings.width)
+    images = [image for image in images if image.valid.any()]
     regions = find_regions(
         images, finder, embedder, words, captioner, cache_folder(scene, "semantics"),
         lambda done, count: progress("Regions", done / count),

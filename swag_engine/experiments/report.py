@@ -72,6 +72,8 @@ def write_report(folder: Path) -> Path:
     colors = run.color_view("auto")
     comparisons: list[ViewComparison] = []
     for image in load_images(scene, [by_name[name] for name in chosen if name in by_name], settings.width):
+        if not image.valid.any():
+            continue
         rendered = [
             render_image(shown, image.camera, settings.sh_degree, "auto", effects, amount, colors.at(amount))
             for shown, amount in ((loaded.through(1), 1), (cloud, 0))

@@ -48,6 +48,7 @@ def score_edit(
     scene = load_scene(scene_folder)
     names = set(split_views([view.name for view in scene.views]).test)
     images = load_images(scene, [view for view in scene.views if view.name in names], settings.width)
+    images = [image for image in images if image.valid.any()]
     if not images:
         raise InputError(f"{scene_folder} has too few photos for held-out ones: the PSNR cannot be compared.")
     scores: list[list[Any]] = [[], []]

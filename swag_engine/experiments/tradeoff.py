@@ -86,7 +86,7 @@ def tradeoff(
     if not split.test:
         raise InputError(f"{scene_folder} has too few photos to keep some as test views, which a tradeoff needs.")
     images = load_images(scene, [view for view in scene.views if view.name not in split.validation], width)
-    test = [image for image in images if image.camera.name in split.test]
+    test = [image for image in images if image.camera.name in split.test and image.valid.any()]
     control = median_image_psnr([image for image in images if image.camera.name in split.train], test)
     lpips, notes = load_lpips(weights_dir)
     document: dict[str, Any] = {"scene": str(scene_folder), "score_width": max(image.camera.width for image in test)}

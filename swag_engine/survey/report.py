@@ -38,8 +38,9 @@ def report_survey(folder: Path, progress: Progress = lambda stage, fraction: Non
         The document in report.json: `test_psnr` (dB) and `test_ssim`, means over the test images; `seam_psnr` and
         `interior_psnr`, of the pixels nearer to a border between blocks than `seam_band` (scene units), and of the
         others, over all test images together; `levels`, the number of splats, bytes and `test_psnr` of each level;
-        `blocks` and `coarse`, the figures of their done.json; `processor_seconds` and `peak_memory` (bytes, the largest
-        of all jobs); `views`, figures of each test image. Figures that are not known are NaN.
+        `left_out`, names of test images without a valid pixel; `blocks` and `coarse`, the figures of their done.json;
+        `processor_seconds` and `peak_memory` (bytes, the largest of all jobs); `views`, figures of each test image.
+        Figures that are not known are NaN.
 
     Raises:
         InputError: If the survey is not merged, or a file is damaged.
@@ -56,6 +57,8 @@ def report_survey(folder: Path, progress: Progress = lambda stage, fraction: Non
     for place, view in enumerate(test):
         progress("Scoring test photos", place / len(test))
         (image,) = load_images(model.views, [view], survey.settings.width)
+        if not image.valid.any():
+            continue
         cloud, degree = model.in_view(image.camera), survey.settings.sh_degree
         color = render_image(cloud, image.camera, degree, effects=model.effects)
         score = score_image(image, color)
@@ -77,12 +80,13 @@ def report_survey(folder: Path, progress: Progress = lambda stage, fraction: Non
         "seam_band": band,
         "seam_psnr": errors.psnr(True),
         "interior_psnr": errors.psnr(False),
-        "levels": score_levels(model, [view.name for view in test], progress),
+        "levels": score_levels(model, list(views), progress),
         "processor_seconds": sum(each["processor_seconds"] for each in done.values()),
         "peak_memory": max((each["peak_memory"] for each in done.values()), default=0),
         "coarse": done.get(COARSE),
         "blocks": {name: done.get(name) for name in survey.parts},
         "views": views,
+        "left_out": [view.name for view in test if view.name not in views],
     }
     write_json(files.merged / "report.json", document)
     _write_page(files, document, model, blocks, comparisons)
@@ -153,6 +157,7 @@ def describe(document: dict[str, Any]) -> str:
     """Format a report as the lines that `survey report` prints."""
     lines = [
         f"Test photos: PSNR {number(document['test_psnr'], 2, ' dB')}, SSIM {number(document['test_ssim'], 3)}.",
+        *([f"Left out, without a valid pixel: {', '.join(document['left_out'])}."] if document["left_out"] else []),
         f"At seams between blocks: {number(document['seam_psnr'], 2, ' dB')}, elsewhere "
         f"{number(document['interior_psnr'], 2, ' dB')}.",
         *(

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..base.errors import InputError
 from ..gaussians.sizes import nearest_offsets
 from ..kernels.hardware import hardware_of
 from ..scene.colmap import Scene
-from ..scene.images import TrainingImage, load_images
+from ..scene.images import TrainingImage, describe_empty, load_images
 from ..settings.settings import TrainSettings
 from .schedule import Schedule
 
@@ -36,6 +37,7 @@ class RunInputs:
         median_range: Median distance from the training cameras to the sparse points, scene units.
         device: Where the run keeps its tensors.
         schedule: When things happen.
+        notes: Sentences about masks, and images without valid pixels, which are in none of the lists.
     """
 
     scene: Scene
@@ -46,6 +48,7 @@ class RunInputs:
     median_range: float
     device: torch.device
     schedule: Schedule
+    notes: Sequence[str] = ()
 
     @property
     def known(self) -> list[TrainingImage]:
@@ -86,24 +89,33 @@ def load_inputs(
         The inputs of a run.
 
     Raises:
-        InputError: If an image cannot be read.
+        InputError: If an image cannot be read, or no training image has a valid pixel.
     """
 
     def report(done: int, total: int) -> None:
         on_event({"event": "progress", "stage": "load", "iteration": done, "iterations": total})
 
-    images = {image.camera.name: image for image in load_images(scene, scene.views, settings.width, report)}
+    loaded = load_images(scene, scene.views, settings.width, report)
+    images = {image.camera.name: image for image in loaded if image.valid.any()}
     split = scene.split
-    training = [images[name] for name in split.train]
+    training, validation, test = (
+        [images[name] for name in names if name in images] for names in (split.train, split.validation, split.test)
+    )
+    masked = sum(view.path in scene.masks.of for view in scene.views)
+    masks = [f"Masks for {masked} of {len(scene.views)} photos."] if masked else []
+    empty = describe_empty(loaded)
+    if not training:
+        raise InputError(f"No photo is left to train on. {empty} In masks, black is what is ignored.")
     return RunInputs(
         scene,
         settings,
         training,
-        [images[name] for name in split.validation],
-        [images[name] for name in split.test],
+        validation,
+        test,
         median_range(scene, training),
         hardware_of(settings).device,
         schedule,
+        [*masks, *scene.masks.warnings(), *filter(None, [empty])],
     )
 
 

@@ -273,6 +273,7 @@ class Trainer:
         self.overfitting = ""
         self.pacer = Pacer(budget)
         inputs = self.inputs = load_inputs(scene, settings, schedule, on_event)
+        self.notes += inputs.notes
         self.ledger = Ledger(torch.cuda.synchronize if inputs.device.type == "cuda" else None)
         cloud = (whole and whole.start) or initial_cloud(
             scene.points, settings.max_gaussians, settings.sh_degree, settings.seed, inputs.median_color()
