@@ -31,9 +31,9 @@ def inspect_scene(scene: Scene) -> dict[str, Any]:
         pinhole images. `triangulation_angle` is the median over the points, in degrees. `focal_error` is the relative
         standard error of the focal length, the largest of several lenses. `drift` compares the first and the last
         visit of a place (see `Drift`). These are None where they cannot be determined. `unregistered` are images
-        without a pose, each with the probable reason. `masks` counts the views with a mask. `warnings` are the
-        scene's, and sentences about masks and what is doubtful in the poses. `scale` is the document of scale.json,
-        None without.
+        without a pose, each with the probable reason. `masks` counts the views with a mask, `unused_masks` files.
+        `warnings` are the scene's, and sentences about masks and what is doubtful in the poses. `scale` is the document
+        of scale.json, None without.
     """
     points = scene.points
     ranges = np.concatenate(
@@ -88,6 +88,7 @@ def inspect_scene(scene: Scene) -> dict[str, Any]:
         "scale": scene.georeference.to_json() if scene.georeference else None,
         "split": {"train": len(split.train), "validation": len(split.validation), "test": len(split.test)},
         "masks": sum(view.path in scene.masks.of for view in scene.views),
+        "unused_masks": len(scene.masks.unused),
         "warnings": what_is_doubtful(scene, quality, unregistered),
     }
 
@@ -180,7 +181,7 @@ def describe(summary: dict[str, Any]) -> str:
     if drift is not None:
         rows.append(("Drift", f"{drift['fraction']:.2%} of the path, from {drift['first']} to {drift['last']}"))
     rows.append(("Views", f"{split['train']} to train, {split['validation']} to validate, {split['test']} to test"))
-    if summary["masks"]:
+    if summary["masks"] or summary["unused_masks"]:
         rows.append(("Masks", f"for {summary['masks']} of {summary['views']} photos"))
     rows += [("Warning", warning) for warning in summary["warnings"]]
     return "\n".join(f"{label + ':':<13}{text}" for label, text in rows)

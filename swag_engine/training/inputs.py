@@ -102,7 +102,7 @@ def load_inputs(
         [images[name] for name in names if name in images] for names in (split.train, split.validation, split.test)
     )
     masked = sum(view.path in scene.masks.of for view in scene.views)
-    masks = [f"Masks for {masked} of {len(scene.views)} photos."] if masked else []
+    masks = [f"Masks for {masked} of {len(scene.views)} photos."] if masked or scene.masks.unused else []
     empty = describe_empty(loaded)
     if not training:
         raise InputError(f"No photo is left to train on. {empty} In masks, black is what is ignored.")
