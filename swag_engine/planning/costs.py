@@ -42,7 +42,9 @@ def measured_costs(width: int, height: int, backend: str = "auto") -> dict[str, 
         return torch.rand(*shape, generator=generator).to(hardware.device).requires_grad_()
 
     camera = Camera("", width, height, width, width, width / 2, height / 2, np.eye(4))
-    probe = CostProbe(camera, hardware.backend, hardware.device, random, TIMED_GAUSSIANS)
+    probe = CostProbe(
+        camera, "wgpu" if hardware.backend == "wgpu" else backend, hardware.device, random, TIMED_GAUSSIANS
+    )
     works = {name: effect.cost(probe) for name, effect in REGISTRY.items() if effect.cost}
     with _one_thread():
         rounds = [{name: _seconds(work, hardware) for name, work in works.items()} for _ in range(ROUNDS + 1)][1:]

@@ -154,7 +154,7 @@ def _grown(points: GaussianCloud, count: int) -> GaussianCloud:
 def _iteration(cloud: GaussianCloud, factor: int, image: TrainingImage, settings: TrainSettings) -> Callable[[], float]:
     """An iteration at 1/factor of the image's size, which returns how many milliseconds it took."""
     hardware = hardware_of(settings)
-    backend, device, kernels = hardware.backend, hardware.device, KERNELS[hardware.backend]
+    backend, device, kernels = settings.backend, hardware.device, KERNELS[hardware.backend]
     target = Target.shrunk(image, factor, device)
     if isinstance(kernels, WebGpuKernels):
         return timed_step(kernels.gpu, cloud, target, settings.sh_degree)
