@@ -12,6 +12,13 @@ from .app.answers import refuse_missing
 
 def main() -> int:
     """Run the command line and return its exit code; a Python without the packages it needs is told which."""
+    for number in range(3):  # a stream that a service has closed: the next file that is opened would take its place
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    sys.stdout = sys.stdout or open(1, "w", encoding="utf-8")  # noqa: SIM115 (until the process ends)
+    sys.stderr = sys.stderr or open(2, "w", encoding="utf-8")  # noqa: SIM115
     try:
         from .app import cli
     except ModuleNotFoundError as error:

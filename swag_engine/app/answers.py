@@ -1,13 +1,16 @@
 """What a command answers: text, or one JSON document with --json. Standard library only."""
 
+import os
 import sys
 from collections.abc import Sequence
 from typing import Any
 
-from ..base.errors import missing_package_sentence
+from ..base.errors import InputError, missing_package_sentence
 from ..base.strict_json import to_json
 from ..base.text import printable
 
+BROKEN_PIPE = 141
+"""Exit code where the reader of stdout, such as `head`, has ended, as shells count SIGPIPE."""
 UNUSABLE = 2
 """Exit code of bad input or usage."""
 
@@ -19,8 +22,18 @@ def show(document: dict[str, Any], as_json: bool, text: str) -> None:
         document: The answer for machines.
         as_json: Whether to print the document.
         text: The answer for people.
+
+    Raises:
+        BrokenPipeError: Where the reader of stdout has ended.
+        InputError: Where the disk of stdout is full.
     """
-    print(to_json(document, indent=2) if as_json else printable(text))
+    try:
+        print(to_json(document, indent=2) if as_json else printable(text), flush=True)
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python writes the rest when it closes stdout
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise InputError(f"The answer cannot be written: {error.strerror}; free some space on the disk.") from error
 
 
 def refuse(sentence: str, arguments: Sequence[str], code: int = UNUSABLE, **more: Any) -> int:

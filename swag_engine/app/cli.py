@@ -26,14 +26,15 @@ from ..georeference.papers import PAPERS
 from ..kernels.machine import engine_version
 from ..settings.field import settings_of
 from ..settings.settings import TrainSettings
-from .answers import refuse, refuse_missing, show
+from .answers import BROKEN_PIPE, refuse, refuse_missing, show
 from .interrupts import interrupts
 from .survey import Step, Survey
 
 DESCRIPTION = """Underwater photos to 3D Gaussian splats. COMMAND --help says what a command takes.
 --version prints the version.
 
-Exit codes: 0 done, 1 a bug, 2 bad input or usage; with what exists kept, 130 interrupted by Ctrl-C and 143 by SIGTERM.
+Exit codes: 0 done, 1 a bug, 2 bad input or usage; with what exists kept, 130 interrupted by Ctrl-C and 143 by SIGTERM;
+141 the reader of the output has ended.
 Progress and errors go to stderr; with --json stdout carries one JSON document and nothing else."""
 START = """Underwater photos to 3D Gaussian splats.
 
@@ -1003,6 +1004,9 @@ def main(arguments: list[str] | None = None) -> int:
     union: Any = functools.reduce(operator.or_, named)
     interrupts.install()
     try:
+        for name in (*arguments, os.path.abspath(".")):
+            if re.search("[\ud800-\udfff]", name):
+                raise InputError(f"{name} is not in UTF-8: rename the folder or the file.")
         _suggest(arguments)
         parse = functools.partial(tyro.cli, union, prog=program(), description=DESCRIPTION, args=arguments)
         if arguments[:1] == ["batch"]:
@@ -1020,9 +1024,7 @@ def main(arguments: list[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         return refuse_missing(error, arguments)
     except BrokenPipeError:
-        # The reader of stdout (such as `head`) closed the pipe. Python would print an error when it closes the rest.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        return BROKEN_PIPE
     except SystemExit as usage:  # tyro has printed what is wrong
         if usage.code and "--json" in arguments:
             return refuse("The command line is not valid; the lines before this one say why.", arguments)

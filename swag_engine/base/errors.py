@@ -2,6 +2,8 @@
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -11,6 +13,19 @@ class InputError(Exception):
     The message is one sentence: what is wrong, in which file or setting, what to do. Command line, worker and Blender
     show it without a traceback; the exit code is 2, and no file is left incomplete.
     """
+
+
+DAMAGE = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, ZeroDivisionError)
+"""What Python raises where a value of a file is missing, of a wrong type or out of range."""
+
+
+@contextmanager
+def reading(path: Path, remedy: str = "restore it from a copy, or remove it") -> Iterator[None]:
+    """Raise InputError that names a file where the block meets a value of it that cannot be used."""
+    try:
+        yield
+    except DAMAGE as error:
+        raise InputError(f"{path} is damaged ({error!r}): {remedy}.") from error
 
 
 _names_buttons = False

@@ -1,12 +1,12 @@
 """report.html: quality, time, effects, development and settings of a run, and the command that repeats it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from ..base.errors import InputError, remedy
+from ..base.errors import InputError, reading, remedy
 from ..base.files import read_text
 from ..base.html_page import NONE, number, paragraph_html, table_html, write_page
 from ..base.strict_json import from_json
@@ -28,6 +28,7 @@ from .evaluate_run import compare_view, load_run, machine
 from .evaluation_page import machine_line, metric_rows, view_table_html
 from .page import BLUE, INK, ViewComparison, bars_html, new_plots, plot_html, views_html
 
+T = TypeVar("T")
 PAGE = "report.html"
 """Name of the page in the run's folder."""
 SHOWN = 6
@@ -61,11 +62,15 @@ def write_report(folder: Path) -> Path:
     evaluation = _optional(folder / "evaluation.json")
     if evaluation.get("iteration") != state["iteration"]:
         evaluation = {}
-    views = evaluation.get("views") or metrics.get("views", {})
+    views, figures = (metrics.get("views", {}), run.metrics)
+    if evaluation.get("views"):
+        views, figures = evaluation["views"], folder / "evaluation.json"
     log = _log(run.metrics_log)
 
     scene = load_scene(scene_folder)
-    chosen = _from_worst_to_best(views) or split_views([view.name for view in scene.views]).test[:SHOWN]
+    with reading(figures):
+        held_out = _from_worst_to_best(views)
+    chosen = held_out or split_views([view.name for view in scene.views]).test[:SHOWN]
     by_name = {view.name: view for view in scene.views if view.name in chosen}
     development = automatic_development(folder, cloud, effects)
     run.write_development(development)
@@ -83,15 +88,15 @@ def write_report(folder: Path) -> Path:
 
     where = machine(hardware_for("auto", with_wgpu=False))
     parts = [
-        *_summary(scene_folder, metrics, state, len(cloud)),
-        *_curves(log, _ranges(forecast)),
-        *_forecast(forecast),
-        *_held_out(evaluation, views, comparisons),
-        *_ledger(metrics),
-        *_effects(_optional(folder / "plan.json").get("effects", {})),
-        *_water(_optional(run.water)),
+        *_part(run.metrics, _summary, scene_folder, metrics, state, len(cloud)),
+        *_curves(log, _part(folder / "forecast.json", _ranges, forecast)),
+        *_part(folder / "forecast.json", _forecast, forecast),
+        *_part(figures, _held_out, evaluation, views, comparisons),
+        *_part(run.metrics, _ledger, metrics),
+        *_part(run.plan, _effects, _optional(run.plan).get("effects", {})),
+        *_part(run.water, _water, _optional(run.water)),
         *_development(development),
-        *_chart(_optional(run.chart)),
+        *_part(run.chart, _chart, _optional(run.chart)),
         "<h2>Settings</h2>",
         table_html([(name.replace("_", " "), _shown(value)) for name, value in settings.to_json().items()]),
         "<h2>Repeat this run</h2>",
@@ -379,6 +384,12 @@ def _shown(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return "not known" if value is None else str(value) or NONE
+
+
+def _part(path: Path, make: Callable[..., T], *arguments: Any) -> T:
+    """Return what a function makes of a file; raises InputError where the file is damaged."""
+    with reading(path):
+        return make(*arguments)
 
 
 def _optional(path: Path) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import DAMAGE, InputError
 from ..scene.cameras import Camera
 from ..scene.georeference import Origin
 from .cameras import transform_camera
@@ -80,7 +80,7 @@ def read_camera_path(path: Path) -> list[PathFrame]:
     for number, entry in enumerate(entries, 1):
         try:
             frame = _read_frame(document | entry, number)
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
+        except DAMAGE as error:
             what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
             raise InputError(f"Frame {number} of {path} cannot be read: {what}.") from error
         # Names are compared as Windows and macOS do: the files must not replace one another.

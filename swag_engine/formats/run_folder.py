@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError, remedy
+from ..base.errors import DAMAGE, InputError, remedy
 from ..base.files import atomic_path, no_link, not_writable, read_text
 from ..base.strict_json import from_json, to_json
 from ..settings.settings import TrainSettings
@@ -116,7 +116,7 @@ class RunFolder:
         try:
             up = [float(value) for value in document["up"]]
             return Path(document["scene"]), TrainSettings.from_json(document["settings"]), up
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
+        except DAMAGE as error:
             raise InputError(f"{self.config} is not a training run's configuration: {error!r}.") from error
 
     def resumed_settings(self, scene_folder: Path, asked: TrainSettings) -> tuple[TrainSettings, bool]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.errors import InputError, make_labels
+from ..base.errors import DAMAGE, InputError, make_labels
 from ..splats.splats import Splats
 from .run_folder import read_json
 
@@ -113,7 +113,7 @@ def label_ids(wanted: Sequence[str], table: Path) -> frozenset[int]:
         document = read_json(table, "")
         try:
             known = {str(entry["name"]).casefold(): int(entry["id"]) for entry in document["labels"]}
-        except (KeyError, TypeError, ValueError) as error:
+        except DAMAGE as error:
             raise InputError(f"{table} does not list labels; label the run again.") from error
     found = set()
     for word in wanted:

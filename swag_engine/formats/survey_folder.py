@@ -9,6 +9,7 @@
 Whether a block is done, running or waiting follows from its files and is stored nowhere else.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
@@ -17,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import DAMAGE, InputError, reading
 from ..base.files import refuse_link
 from ..settings.settings import TrainSettings
 from .run_folder import RunFolder, read_json, write_json
@@ -29,6 +30,9 @@ COARSE = "coarse"
 
 NAME = re.compile(r"B-\d{3,}|S-\d{3,}-\d{3,}")
 """Names of blocks and seams, which are names of folders, too."""
+
+FIGURES = ("gaussians_in_core", "iterations", "processor_seconds", "peak_memory", "seconds", "test_psnr")
+"""Numbers in the done.json of a block; the last one is null without test images."""
 
 State = Literal["waiting", "begun", "running", "failed", "done"]
 """State of a block. begun: it has a checkpoint, and no process works on it."""
@@ -273,6 +277,19 @@ class SurveyFolder:
         """Return the file that a finished block has: figures and the hash of its result."""
         return self.job(name) / "done.json"
 
+    def read_done(self, name: str) -> dict[str, Any]:
+        """Read the figures of a finished block.
+
+        Raises:
+            InputError: If the block is not done, or its file is damaged.
+        """
+        document = read_json(self.done(name), f"The block {name} is not done; run it.")
+        with reading(self.done(name), "remove it and run the block again"):
+            figures = [document[figure] for figure in FIGURES]
+            if not all(map(math.isfinite, (0 if value is None else value for value in figures))):
+                raise ValueError("a figure that is not finite")
+        return document
+
     def failed(self, name: str) -> Path:
         """Return the file that says why a block failed."""
         return self.job(name) / "failed.json"
@@ -334,7 +351,7 @@ def _parsed(file: Path, document: dict[str, Any], parse: Any) -> Any:
         )
     try:
         return parse(document)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+    except DAMAGE as error:
         raise InputError(f"{file} is damaged: {error!r}; plan the survey again to a new folder.") from error
 
 

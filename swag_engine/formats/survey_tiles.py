@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import DAMAGE, InputError
 from .run_folder import read_json, write_json
 
 VERSION = 1
@@ -143,7 +143,7 @@ class Tiles:
                 tuple(Level(**_known(Level, level)) for level in document["levels"]),
                 tuple(_tile(tile) for tile in document["tiles"]),
             )
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
+        except DAMAGE as error:
             raise InputError(f"{file} is damaged: {error!r}; merge the survey again.") from error
 
 

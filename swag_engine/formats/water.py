@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import DAMAGE, InputError
 from ..base.transfer import DISPLAY_TOE, LINEAR_TOE, linear_to_srgb, srgb_to_linear
 from ..scene.cameras import Camera
 from ..splats.splats import Splats
@@ -96,7 +96,7 @@ def transform_water(
             changed["ranges"] = (_array(water, "ranges", (len(water["ranges"]),)) * length).tolist()
         if "background_sh" in water:
             changed["background_sh"] = (sh_rotation(rotation, 2) @ _array(water, "background_sh", (9, 3))).tolist()
-    except (KeyError, TypeError, ValueError) as error:
+    except DAMAGE as error:
         raise InputError(DAMAGED) from error
     return water | changed | {"per": "metre" if in_metres else "unit"}
 
@@ -126,7 +126,7 @@ def _through_water(water: dict[str, Any], amount: float, metres_per_unit: float)
             transmission, backscatter = (
                 _array(water, name, (len(ranges), 3)) for name in ("transmission", "backscatter")
             )
-    except (KeyError, TypeError, ValueError) as error:
+    except DAMAGE as error:
         raise InputError(DAMAGED) from error
 
     def by_coefficients(color: np.ndarray, ranges: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

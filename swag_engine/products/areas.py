@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError, remedy
+from ..base.errors import DAMAGE, InputError, remedy
 from ..base.files import write_csv
 from ..formats.ply import read_ply
 from ..formats.run_folder import RunFolder, read_json, write_json
@@ -146,7 +146,7 @@ def correct_labels(
     document = read_json(areas / FILES["answer"], f"{areas} holds no areas: {how}.")
     try:
         grid, plane = MapGrid(**document["grid"]), str(document["plane"])
-    except (KeyError, TypeError) as error:
+    except DAMAGE as error:
         raise InputError(f"{areas / FILES['answer']} is damaged: make the areas again.") from error
     scene = load_map_scene(folder, plane)
     colors = label_colors([0, *sorted({*scene.labels, *splat_labels(scene.splats).tolist()})])

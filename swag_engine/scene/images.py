@@ -178,10 +178,10 @@ def decode_image(path: Path) -> np.ndarray:
         InputError: When the file cannot be read, or the image is larger than MOST_PIXELS or than the free memory.
     """
     try:
-        data = np.frombuffer(read_bytes(path), np.uint8)  # cv2.imread cannot open every path on Windows
+        content = read_bytes(path)  # cv2.imread cannot open every path on Windows
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
-    pixels = _header_pixels(data)
+    pixels, data = _header_pixels(content), np.frombuffer(content, np.uint8)
     needed, free = DECODING_BYTES * pixels, free_memory()
     if pixels > MOST_PIXELS or (free is not None and needed > free):
         raise InputError(
@@ -199,7 +199,7 @@ def decode_image(path: Path) -> np.ndarray:
     return image
 
 
-def _header_pixels(data: np.ndarray) -> int:
+def _header_pixels(data: bytes) -> int:
     """Return the number of pixels that the header of an image file announces; 0 for formats that Pillow lacks."""
     try:
         with Image.open(io.BytesIO(data.data)) as image:

@@ -9,7 +9,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from ..base.errors import InputError, make_labels
+from ..base.errors import DAMAGE, InputError, make_labels
 from ..base.files import atomic_path
 from ..formats.run_folder import RunFolder, read_json, write_json
 from ..formats.select import LABEL
@@ -132,12 +132,12 @@ def read_labels(folder: Path) -> list[dict[str, Any]]:
     try:
         return [
             {
-                "id": int(entry["id"]), "name": str(entry["name"]), "count": entry["count"],
-                "fraction": entry["fraction"], "gain": float(entry.get("gain", 1)),
+                "id": int(entry["id"]), "name": str(entry["name"]), "count": int(entry["count"]),
+                "fraction": float(entry["fraction"]), "gain": float(entry.get("gain", 1)),
             }
             for entry in document["labels"]
         ]  # fmt: skip
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except DAMAGE as error:
         raise InputError(f"{path} does not list labels ({error}): {make_labels()}.") from error
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError
+from ..base.errors import DAMAGE, InputError
 from ..base.transfer import LUMINANCE, linear_to_srgb, srgb_to_linear
 
 GREY = 0.18
@@ -137,7 +137,7 @@ class Development:
                 _as_matrix(np.array(document["matrix"], np.float64).reshape(3, 3)),
                 float(document["knee"]),
             )
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
+        except DAMAGE as error:
             raise InputError(f"The development is damaged: {error!r}.") from error
         least, most = LIMITS["exposure"]
         if not (
@@ -239,7 +239,7 @@ class ColorView:
         """
         try:
             return cls(Development.from_json(document["restored"]), Development.from_json(document["adjusted"]))
-        except (KeyError, TypeError) as error:
+        except DAMAGE as error:
             raise InputError(f"The development is damaged: {error!r}.") from error
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..base.claim import claimed
-from ..base.errors import InputError
+from ..base.errors import InputError, reading
 from ..base.files import FolderInUse, locked_folder, regular
 from ..base.html_page import number
 from ..base.text import printable, time_text
@@ -77,7 +77,7 @@ def _done(folder: SurveyFolder, name: str) -> dict[str, Any] | None:
     if not folder.done(name).exists():
         return None
     try:
-        done = read_json(folder.done(name), "")
+        done = folder.read_done(name)
         if done.get("result_sha256") == hash_of(folder.run(name).ply):
             return done
     except InputError:
@@ -97,6 +97,8 @@ def _train(
     whole = run.metrics.exists() and run.finished() and _can_be_read(run)
     if whole:
         metrics = read_json(run.metrics, "")
+        with reading(run.metrics, "remove it to continue the run"):
+            [metrics[name] for name in ("interrupted", "iteration", "gaussians", "test_psnr", "psnr", "notes")]
     else:
         run.metrics.unlink(missing_ok=True)
         inputs = _inputs(folder, survey, name, part)

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.errors import InputError, remedy
+from ..base.errors import InputError, reading, remedy
 from ..base.files import locked_folder, not_writable, temporary_folder
 from ..base.text import first_names
 from ..formats.ply import read_ply, write_ply
@@ -156,8 +156,12 @@ class _Merge:
     def _background(self) -> tuple[float, float, float]:
         """Return the color behind the coarse model, black without one."""
         metrics = self.folder.run(COARSE).metrics
-        red, green, blue = read_json(metrics, "").get("background", (0.0, 0.0, 0.0)) if metrics.exists() else (0.0,) * 3
-        return float(red), float(green), float(blue)
+        if not metrics.exists():
+            return 0.0, 0.0, 0.0
+        document = read_json(metrics, "")
+        with reading(metrics, "run the survey again"):
+            red, green, blue = map(float, document.get("background", (0, 0, 0)))
+            return red, green, blue
 
     def _examine(self) -> tuple[Splats, np.ndarray, np.ndarray]:
         """Check the results of the blocks.

@@ -6,33 +6,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ..scene.cameras import Camera
-
-PROJECTED = 20_000
-"""Points that are projected into each image of a model without observations."""
-
-
-def points_in_frame(cameras: Sequence[Camera], positions: np.ndarray) -> list[np.ndarray]:
-    """Find which points lie in the frame of each image, for models that do not say which points an image sees.
-
-    Args:
-        cameras: Cameras of the V images.
-        positions: Sparse points (P, 3).
-
-    Returns:
-        Rows of `positions` for each image, of PROJECTED evenly chosen points at most.
-    """
-    rows = np.arange(0, len(positions), max(1, -(-len(positions) // PROJECTED)))
-    found = []
-    for camera in cameras:
-        local = positions[rows] @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-        ahead = local[:, 2] > 0
-        pixels = local[ahead] @ camera.K.T
-        pixels = pixels[:, :2] / pixels[:, 2:]
-        within = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(1)
-        found.append(rows[ahead][within])
-    return found
-
 
 def connected_groups(seen: Sequence[np.ndarray], points: int) -> list[np.ndarray]:
     """Find the groups of images that are connected by common points.

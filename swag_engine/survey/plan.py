@@ -19,7 +19,7 @@ from ..scene.scene_part import part_of, without_points, write_part
 from ..scene.split import Split, split_views
 from ..settings.settings import TrainSettings
 from .cut import MARGIN_REACHES, Cutter, Part, Places, Seam, median_distance, seams_of, survey_bounds, survey_ground
-from .places import connected_groups, covering_images, points_in_frame
+from .places import connected_groups, covering_images
 from .sizes import Sizes
 
 Progress = Callable[[str, float], None]
@@ -124,8 +124,10 @@ def _planned(
     centres = np.stack([view.camera.centre for view in scene.views])
     seen: Sequence[np.ndarray] = [view.point_indices for view in scene.views]
     if not any(len(rows) for rows in seen):
-        seen = points_in_frame([view.camera for view in scene.views], positions)
-        notes.append("The COLMAP model does not say which points a photo shows: all in its frame are taken.")
+        raise InputError(
+            f"The COLMAP model of {scene.folder} does not say which points a photo shows, and blocks start from the "
+            "points of their photos: make the model with COLMAP (sfm), or train the scene as one run."
+        )
     _check_one_place(scene, names, seen, notes)
 
     ground = survey_ground(scene.up, centres, positions)

@@ -12,7 +12,7 @@ from ..base.text import time_text
 from ..evaluation.metrics import mask_invalid, mean, psnr_from_mse, render_image, score_image
 from ..experiments.evaluate_run import compare_view
 from ..experiments.page import BLUE, INK, ViewComparison, new_plots, plot_html, views_html
-from ..formats.run_folder import read_json, write_json
+from ..formats.run_folder import write_json
 from ..formats.survey_folder import COARSE, Block, SurveyFolder
 from ..scene.images import load_images
 from .merged_model import MergedModel
@@ -48,8 +48,7 @@ def report_survey(folder: Path, progress: Progress = lambda stage, fraction: Non
     model = MergedModel.load(folder)
     survey, files = model.survey, SurveyFolder(folder)
     blocks = [files.read_block(name) for name in survey.blocks]
-    done = {name: read_json(files.done(name), f"{name} is not done.") for name in survey.jobs
-            if files.done(name).exists()}  # fmt: skip
+    done = {name: files.read_done(name) for name in survey.jobs if files.done(name).exists()}
     band = SEAM_BAND * survey.median_range
     views, comparisons, errors = {}, [], SeamErrors()
     test = [view for view in model.views.views if view.name in set(model.views.split.test)]

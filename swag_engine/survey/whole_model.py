@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import torch
 
-from ..base.errors import InputError
+from ..base.errors import InputError, reading
 from ..base.transfer import linear_of_bytes, srgb_to_linear
 from ..effects.exposure import Exposure
 from ..effects.scene_effects import SceneEffects
@@ -95,7 +95,8 @@ def load_whole(folder: SurveyFolder) -> Whole:
     document = read_json(folder.whole, f"The coarse model of {folder.path} is not trained yet: train it first.")
     model, _ = _coarse_model(folder)
     plan = read_plan(folder.coarse.plan) if RECIPES[survey.settings.recipe].planned else None
-    try:
+    again = f"remove it and {folder.done('coarse').name} beside it, and run the survey again"
+    with reading(folder.whole, again):
         gains, colors, noise = document["log_gains"], document["colors"], document["noise"]
         if gains is not None:
             names = sorted(gains)
@@ -109,11 +110,6 @@ def load_whole(folder: SurveyFolder) -> Whole:
             colors and SceneColors.from_json(colors),
             noise and Noise.from_json(noise),
         )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{folder.whole} is damaged ({error!r}): remove it and {folder.done('coarse').name} beside it, and run "
-            "the survey again."
-        ) from error
 
 
 def around(whole: Whole, ground: Ground, block: Block, cameras: list[Camera]) -> Whole:

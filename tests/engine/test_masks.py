@@ -71,7 +71,7 @@ def rgba(color: int) -> np.ndarray:
 def test_masks_of_any_type(values: np.ndarray, tmp_path: Path) -> None:
     write(tmp_path / "mask.png", values)
     assert np.array_equal(read_mask(tmp_path / "mask.png", tmp_path / "a.jpg", (160, 120)), RIGHT > 0)
-    write(tmp_path / "mask.png", 0 * rgba(0) + np.uint8([0, 0, 0, 255]))
+    write(tmp_path / "mask.png", 0 * rgba(0) + np.array([0, 0, 0, 255], np.uint8))
     assert not read_mask(tmp_path / "mask.png", tmp_path / "a.jpg", (160, 120)).any()
 
 

@@ -8,7 +8,6 @@ import pytest
 
 from swag_engine.formats.survey_folder import Box, inside
 from swag_engine.survey.cut import (
-    EVERYWHERE,
     JOIN_POINTS,
     MARGIN,
     Cutter,
@@ -20,8 +19,7 @@ from swag_engine.survey.cut import (
     survey_bounds,
     survey_ground,
 )
-from swag_engine.survey.places import connected_groups, covering_images, points_in_frame
-from tests.engine.test_scene_colmap import looking
+from swag_engine.survey.places import connected_groups, covering_images
 
 REACH = 1.0
 """Half the side of the square that an image of `lawn` sees."""
@@ -240,13 +238,3 @@ def test_chosen_images_cover_places_and_directions(places):
     one_place = np.zeros((6, 3))
     directions = np.array([[1.0, 0, 0], [1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0], [0, 0, 1]])
     assert len(np.unique(directions[covering_images(one_place, directions, 1.0, 3)], axis=0)) == 3
-
-
-def test_points_in_the_frame_of_an_image():
-    from swag_engine.scene.cameras import Camera
-
-    pose = looking(np.array([0, 0, -1.0]), np.array([0, 1.0, 0]), np.array([0, 0, 2.0]))
-    camera = Camera("a", 100, 80, 100.0, 100.0, 50.0, 40.0, pose)
-    points = np.array([[0, 0, 0], [0.99, 0, 0], [1.01, 0, 0], [0, 0.79, 0], [0, 0.81, 0], [0, 0, 3.0]])
-    assert points_in_frame([camera], points)[0].tolist() == [0, 1, 3]
-    assert inside(EVERYWHERE, points).all()

@@ -2,7 +2,9 @@
 
 import gzip
 import json
+import os
 import re
+import shutil
 import struct
 import time
 import tracemalloc
@@ -13,14 +15,31 @@ import numpy as np
 import pytest
 
 from swag_engine.base.errors import InputError
+from swag_engine.experiments.evaluate_run import evaluate_run, render_run
+from swag_engine.experiments.report import write_report
+from swag_engine.experiments.restore_photos import restore_photos
+from swag_engine.formats.export import export_run
 from swag_engine.formats.gltf import read_glb, write_glb
 from swag_engine.formats.ply import read_ply, write_ply
 from swag_engine.formats.spz import read_spz, write_spz
+from swag_engine.formats.survey_folder import SurveyFolder
 from swag_engine.scene.cameras import Camera
+from swag_engine.settings.settings import TrainSettings
+from swag_engine.survey.export import export_survey
+from swag_engine.survey.job import run_job
+from swag_engine.survey.merge import describe as describe_merge
+from swag_engine.survey.merge import merge_survey
+from swag_engine.survey.plan import plan_survey
+from swag_engine.survey.render import render_survey
+from swag_engine.survey.report import describe as describe_report
+from swag_engine.survey.report import report_survey
 from tests.hardcases.changed_files import NUMBERS, bytes_changed, some_splats, values_changed
+from tests.scenes.survey_scenes import tiny_survey
 
 INPUTS = 1000
 """Changed files of each kind; there are seven kinds."""
+SECONDS = float(os.environ.get("SWAG_DAMAGED_SECONDS", 3))
+"""Time that files of a run or a survey are changed for each command."""
 WORDS = [b"nan", b"-inf", b"1e999", b"", b"x", b"\xff", b"uchar", b"double", b"list uchar int", b"\n", b"vertex", b"sh"]
 
 
@@ -246,3 +265,72 @@ def test_gltf_uris_are_never_opened(tmp_path: Path, uri: str, monkeypatch: pytes
     path.write_bytes(head + text + rest)
     monkeypatch.setattr("builtins.open", lambda *_, **__: pytest.fail("a file was opened"))
     assert "other files" in refused_cheaply(path, read_glb)
+
+
+@pytest.fixture(scope="module")
+def run(finished_run, tmp_path_factory):
+    """A run with all its files."""
+    folder = shutil.copytree(finished_run, tmp_path_factory.mktemp("damaged") / "run")
+    evaluate_run(folder)
+    write_report(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    """A merged survey of one block."""
+    folder = tmp_path_factory.mktemp("damaged") / "survey"
+    settings = TrainSettings(iterations=20, width=48, max_gaussians=200, sh_degree=0)
+    plan_survey(tiny_survey(folder.parent / "scene"), folder, settings, block_images=100)
+    for name in SurveyFolder(folder).read().jobs:
+        run_job(folder, name)
+    merge_survey(folder)
+    report_survey(folder)
+    return folder
+
+
+RUN_DOORS: dict[str, Callable[[Path, Path], object]] = {
+    "report": lambda run, out: write_report(run),
+    "render": lambda run, out: render_run(run, out, None),
+    "export": lambda run, out: export_run(run, "ply", out / "a.ply"),
+    "restore": lambda run, out: restore_photos(run, out, width=16),
+}
+SURVEY_DOORS: dict[str, Callable[[Path, Path], object]] = {
+    "block": lambda survey, out: run_job(survey, SurveyFolder(survey).read().blocks[0]),
+    "merge": lambda survey, out: describe_merge(merge_survey(survey)),
+    "report": lambda survey, out: describe_report(report_survey(survey)),
+    "render": lambda survey, out: render_survey(survey, out),
+    "export": lambda survey, out: export_survey(survey, "ply", out / "a.ply"),
+}
+
+
+@pytest.mark.parametrize("door", RUN_DOORS)
+def test_damaged_files_of_a_run(run: Path, tmp_path: Path, door: str) -> None:
+    through_door(run, tmp_path, RUN_DOORS[door], SECONDS)
+
+
+@pytest.mark.parametrize("door", SURVEY_DOORS)
+def test_damaged_files_of_a_survey(survey: Path, tmp_path: Path, door: str) -> None:
+    through_door(survey, tmp_path, SURVEY_DOORS[door], SECONDS)
+
+
+def through_door(source: Path, tmp_path: Path, door: Callable[[Path, Path], object], seconds: float) -> None:
+    """Change one JSON file after the other: a command does its work or refuses it in one sentence."""
+    folder = shutil.copytree(source, tmp_path / "a")
+    files = sorted(path for path in folder.rglob("*.json") if path.name != "claim.json")
+    until, number, refused = time.monotonic() + seconds, 0, 0
+    while time.monotonic() < until:
+        path, random = files[number % len(files)], np.random.default_rng(number)
+        data = (source / path.relative_to(folder)).read_bytes()
+        path.write_bytes((values_changed, bytes_changed)[number // len(files) % 4 == 3](data, random))
+        try:
+            door(folder, tmp_path / "out")
+        except InputError as error:
+            refused += 1
+            assert "\n" not in str(error) and str(error).endswith("."), (number, path.name, str(error))
+        except Exception as error:
+            raise AssertionError(f"{number}: {path.name}: {type(error).__name__}: {error}") from error
+        number += 1
+        shutil.rmtree(folder)
+        shutil.copytree(source, folder)
+    assert refused
