@@ -4,7 +4,12 @@ import os
 import sys
 from pathlib import Path
 
-if sys.path[0] == os.getcwd() != str(Path(__file__).resolve().parents[1]):
+try:
+    here = os.getcwd()
+except OSError:
+    print("The current folder does not exist any more: change to another one.", file=sys.stderr)
+    sys.exit(2)
+if sys.path[0] == here != str(Path(__file__).resolve().parents[1]):
     del sys.path[0]  # python -m would import packages from the current folder
 
 from .app.answers import refuse_missing

@@ -202,7 +202,7 @@ def decode_image(path: Path) -> np.ndarray:
 def _header_pixels(data: bytes) -> int:
     """Return the number of pixels that the header of an image file announces; 0 for formats that Pillow lacks."""
     try:
-        with Image.open(io.BytesIO(data.data)) as image:
+        with Image.open(io.BytesIO(data)) as image:
             return image.width * image.height
     except Image.DecompressionBombError as error:
         return int(re.findall(r"\d+", str(error))[0])
