@@ -18,6 +18,8 @@ from .errors import InputError
 
 LOCK = ".swag.lock"
 """Name of the file whose lock a process holds while it writes to a folder."""
+FULL_BYTES = 2**16
+"""Free bytes below which a disk is full: a block that a library could not write is no larger."""
 TEMPORARY = ".swag-"
 """First characters of the names of temporary folders, before twelve random hexadecimal digits."""
 
@@ -128,6 +130,12 @@ def not_writable(path: Path, error: OSError) -> InputError:
     else:
         remedy = "choose another folder, or check who may write to this one"
     return InputError(f"Cannot write {path}: {error.strerror or error}; {remedy}.")
+
+
+def unexplained(path: Path, said: str) -> OSError:
+    """Make the error of a library that could not write a file and does not say why: a full disk, or what it said."""
+    full = shutil.disk_usage(path.parent).free < FULL_BYTES
+    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)) if full else OSError(errno.EIO, said)
 
 
 def _flush_names(folder: Path) -> None:

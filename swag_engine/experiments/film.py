@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ..base.errors import InputError
-from ..base.files import atomic_path
+from ..base.files import atomic_path, unexplained
 from ..base.transfer import srgb_to_linear
 from ..effects.scene_effects import SceneEffects
 from ..formats.camera_path import PathFrame, frames_near
@@ -332,6 +332,8 @@ def _video_file(path: Path, camera: Camera, fps: float) -> Iterator[cv2.VideoWri
             yield writer
         finally:
             writer.release()
+        if not cv2.VideoCapture(str(temporary), cv2.CAP_FFMPEG).isOpened():  # OpenCV does not say that a write failed
+            raise unexplained(temporary, "OpenCV wrote no video")
 
 
 @torch.no_grad()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import InputError, remedy
-from ..base.files import atomic_path
+from ..base.files import atomic_path, unexplained
 from .grid import MapGrid
 from .map_frame import MapScene
 from .packages import require_packages
@@ -103,6 +103,7 @@ def create_map(
         InputError: If the name is not that of a TIFF, or the file cannot be written.
     """
     rasterio = require_packages()
+    from rasterio._err import CPLE_BaseError
     from rasterio.enums import ColorInterp
     from rasterio.shutil import copy
 
@@ -117,21 +118,24 @@ def create_map(
         }  # fmt: skip
         if len(bands) >= 3:
             profile["photometric"] = "rgb"
-        with rasterio.open(work, "w", **profile) as dataset:
-            for number, name in enumerate(bands, start=1):
-                dataset.set_band_description(number, name)
-            if bands[-1] == "alpha":
-                dataset.colorinterp = (*dataset.colorinterp[:3], ColorInterp.alpha)
-            if palette:
-                dataset.write_colormap(1, {value: (*color, 255) for value, color in palette.items()})
-            dataset.update_tags(UNITS="metres" if scene.unit == "m" else "units of the scene", **(tags or {}))
-            yield MapWriter(dataset)
-        resampling = "nearest" if palette else "average"
-        predictor = "NO" if palette else "YES"
-        copy(
-            work, temporary, driver="COG", compress="deflate", predictor=predictor, blocksize=BLOCK,
-            bigtiff="if_safer", resampling=resampling, overviews="auto",
-        )  # fmt: skip
+        try:
+            with rasterio.open(work, "w", **profile) as dataset:
+                for number, name in enumerate(bands, start=1):
+                    dataset.set_band_description(number, name)
+                if bands[-1] == "alpha":
+                    dataset.colorinterp = (*dataset.colorinterp[:3], ColorInterp.alpha)
+                if palette:
+                    dataset.write_colormap(1, {value: (*color, 255) for value, color in palette.items()})
+                dataset.update_tags(UNITS="metres" if scene.unit == "m" else "units of the scene", **(tags or {}))
+                yield MapWriter(dataset)
+            resampling = "nearest" if palette else "average"
+            predictor = "NO" if palette else "YES"
+            copy(
+                work, temporary, driver="COG", compress="deflate", predictor=predictor, blocksize=BLOCK,
+                bigtiff="if_safer", resampling=resampling, overviews="auto",
+            )  # fmt: skip
+        except (rasterio.errors.RasterioError, CPLE_BaseError) as error:
+            raise unexplained(temporary, str(error)) from error
 
 
 def check_name(path: Path) -> None:

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shlex
 import shutil
 import struct
 import subprocess
@@ -11,27 +12,35 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
+import rasterio
+from rasterio._err import CPLE_AppDefinedError
 
 from swag_engine.app import cli
 from swag_engine.app.batch import batch
 from swag_engine.app.interrupts import Interrupts
 from swag_engine.app.progress import stage_progress
+from swag_engine.base import files
 from swag_engine.base.errors import InputError
 from swag_engine.base.files import atomic_path, inside, locked_folder, write_csv
 from swag_engine.base.isolation import ROOT, child_environment
 from swag_engine.base.tables import read_table
 from swag_engine.base.text import command_text
 from swag_engine.camera_files.registry import read_camera_file
+from swag_engine.experiments import film
 from swag_engine.formats.gltf import read_glb
-from swag_engine.formats.ply import read_ply
+from swag_engine.formats.ply import read_ply, write_ply
 from swag_engine.formats.run_folder import RunFolder
 from swag_engine.formats.spz import read_spz
 from swag_engine.formats.survey_folder import SurveyFolder
+from swag_engine.products import geotiff
+from swag_engine.products.ortho import make_ortho
 from swag_engine.scene import images
+from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
 from swag_engine.scene.images import decode_image, read_image
 from swag_engine.scene.new_scene import new_scene
@@ -223,6 +232,7 @@ def test_the_memory_of_an_image_is_that_of_its_estimate(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), pixels)
     code = f"""
 from pathlib import Path
+from types import SimpleNamespace
 from swag_engine.scene import images
 images.decode_image(Path({str(tmp_path / "small.png")!r}))
 peak = lambda: int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
@@ -278,3 +288,32 @@ def test_names_do_nothing_to_a_terminal(capsys):
     printed = "".join(capsys.readouterr())
     assert r"a\x1b]0;owned\x07\x9b2J\u202eb\udc80[red]" in printed
     assert not set(printed) & set("\x1b\x07\x9b\u202e\udc80")
+
+
+@pytest.mark.parametrize("disk_is_full", [True, False])
+def test_a_full_disk_in_maps_and_films_is_a_sentence(tmp_path, monkeypatch, disk_is_full):
+    """The libraries that write them say less; films say nothing."""
+    free = 0 if disk_is_full else 10**9
+    monkeypatch.setattr(files.shutil, "disk_usage", lambda path: SimpleNamespace(free=free))
+    remedy = "No space left on device; free some space" if disk_is_full else "choose another folder"
+    camera = Camera("a", 32, 32, 9.0, 9.0, 16.0, 16.0, np.eye(4))
+    with pytest.raises(InputError, match=f"a.mp4: .*{remedy}"), film._video_file(tmp_path / "a.mp4", camera, 24):
+        pass  # without a frame there is no video
+    write_ply(tmp_path / "a.ply", random_splats(200))
+    monkeypatch.setattr(geotiff, "require_packages", lambda: rasterio)
+    monkeypatch.setattr(rasterio, "open", lambda *_, **__: (_ for _ in ()).throw(CPLE_AppDefinedError(1, 1, "tag")))
+    with pytest.raises(InputError, match=f"a.tif: .*{remedy}"):
+        make_ortho(tmp_path / "a.ply", tmp_path / "a.tif", 0.5, None, "0,-1,0")
+    assert sorted(os.listdir(tmp_path)) == ["a.ply"]
+
+
+@pytest.mark.parametrize(
+    "command, code",
+    [("doctor > /dev/full", 2), ("doctor --json > /dev/full", 2), ("doctor | true; exit ${PIPESTATUS[0]}", 141),
+     ("doctor 0<&- 2>&- > answer", 0), ("inspect $'a\\xff'", 2), ("doctor >&-", 0)],
+)  # fmt: skip
+def test_streams_that_are_closed_or_full(tmp_path, command, code):
+    words = ["bash", "-c", f"{shlex.quote(sys.executable)} -m swag_engine {command}"]
+    done = subprocess.run(words, cwd=tmp_path, env=child_environment(), capture_output=True, text=True, check=False)
+    assert done.returncode == code and len(done.stderr.splitlines()) == (code == 2), done.stderr
+    assert "answer" not in os.listdir(tmp_path) or "SWAG Splatting" in (tmp_path / "answer").read_text()
