@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -224,25 +223,6 @@ def test_an_image_is_refused_where_its_memory_is_not_free(tmp_path, monkeypatch)
     monkeypatch.setattr(images, "free_memory", lambda: 15_000_000)
     with pytest.raises(InputError, match="a.png has 1 million pixels, which need 0.0 GB"):
         read_image(tmp_path / "a.png")
-
-
-def test_the_memory_of_an_image_is_that_of_its_estimate(tmp_path):
-    """16 bits with alpha, which need most; a process of its own counts from zero."""
-    pixels = np.full((3000, 4000, 4), 60_000, np.uint16)
-    cv2.imwrite(str(tmp_path / "a.png"), pixels)
-    code = f"""
-from pathlib import Path
-from types import SimpleNamespace
-from swag_engine.scene import images
-images.decode_image(Path({str(tmp_path / "small.png")!r}))
-peak = lambda: int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
-before = peak()
-assert (images.read_image(Path({str(tmp_path / "a.png")!r}))[0] == round(60_000 / 257)).all()
-print(1024 * (peak() - before) / 12e6 / images.DECODING_BYTES)
-"""
-    cv2.imwrite(str(tmp_path / "small.png"), pixels[:9, :9])
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=True)
-    assert 0.5 < float(done.stdout) < 1.1
 
 
 def test_a_pipe_is_no_file(tiny_scene, tmp_path):
