@@ -104,7 +104,7 @@ def test_the_command_makes_the_same_run(tmp_path):
     )  # fmt: skip
     words = shlex.split(command_line(scene, out, settings))
     assert words[:2] == ["swag", "train"]
-    parsed = tyro.cli(Train, args=words[4:])
+    parsed = tyro.cli(Train, args=words[2:])
     assert (parsed.scene, parsed.out, parsed.settings) == (scene, out, settings)
     assert command_line(scene, out, TrainSettings()).count("--") == 1
 
