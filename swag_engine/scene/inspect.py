@@ -85,6 +85,7 @@ def inspect_scene(scene: Scene) -> dict[str, Any]:
             "ratio": _number(percentiles[4] / percentiles[0]) if percentiles[0] > 0 else None,
         },
         "up": [float(value) for value in scene.up],
+        "origin": scene.origin.tolist(),
         "scale": scene.georeference.to_json() if scene.georeference else None,
         "split": {"train": len(split.train), "validation": len(split.validation), "test": len(split.test)},
         "masks": sum(view.path in scene.masks.of for view in scene.views),
@@ -176,6 +177,9 @@ def describe(summary: dict[str, Any]) -> str:
                 "observations)" + (f", ratio 1 : {ranges['ratio']:.2g}" if ranges["ratio"] else ""),
             )
         )
+    if any(summary["origin"]):
+        origin = " ".join(f"{value:.15g}" for value in summary["origin"])
+        rows.append(("Origin", f"{origin}: coordinates are far from zero and are computed from there"))
     if summary["scale"]:
         rows.append(("Scale", describe_scale(summary["scale"])))
     if drift is not None:

@@ -17,6 +17,7 @@ from swag_engine.formats.registry import FORMATS
 from swag_engine.georeference.measure import Measurements, scale_scene
 from swag_engine.products.map_frame import load_map_scene
 from swag_engine.scene.colmap import load_scene
+from swag_engine.scene.inspect import describe, inspect_scene
 from swag_engine.scene.scene_part import part_of, read_part, write_part
 from swag_engine.settings.settings import TrainSettings
 from swag_engine.splats.splats import concatenate
@@ -59,6 +60,7 @@ def test_a_far_scene_is_read_as_the_same_scene_at_its_origin(tiny_scene, tmp_pat
             for view, points in ((one, near.points), (other, far.points))
         ]
         assert np.abs(pixels[0] - pixels[1]).max() < 1e-5
+    assert "Origin:" in describe(inspect_scene(far)) and "Origin:" not in describe(inspect_scene(near))
     part = part_of(far, far.split)
     write_part(tmp_path / "part.npz", part)
     read = read_part(tmp_path / "part.npz", far.folder)
