@@ -45,7 +45,10 @@ def regular(path: str, flags: int) -> int:
     opened = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
     if stat.S_ISREG(os.fstat(opened).st_mode):
         return opened
+    is_folder = stat.S_ISDIR(os.fstat(opened).st_mode)
     os.close(opened)
+    if is_folder:
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), path)
     raise OSError(errno.EINVAL, "it is no regular file", path)
 
 

@@ -12,7 +12,9 @@ import torch
 from swag_engine.base.errors import InputError
 from swag_engine.formats.ply import read_ply
 from swag_engine.formats.run_folder import RunFolder
+from swag_engine.scene.colmap import load_scene
 from swag_engine.settings.settings import TrainSettings
+from swag_engine.training import trainer
 from swag_engine.training.checkpoint import checkpoints, load_checkpoint
 from swag_engine.training.trainer import train
 from tests.scenes.tiny import make_tiny_scene
@@ -175,8 +177,11 @@ def test_a_run_killed_while_loading_can_be_resumed(tiny_scene, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot limit the size of files")
-def test_a_file_that_cannot_be_written_whole_is_an_error_and_leaves_no_run_folder(tiny_scene, tmp_path):
+def test_a_file_that_cannot_be_written_whole_is_an_error_and_leaves_no_run_folder(tiny_scene, tmp_path, monkeypatch):
     import resource
+
+    scene = load_scene(tiny_scene)
+    monkeypatch.setattr(trainer, "load_scene", lambda folder: scene)
 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))  # of bytes; config.json has more

@@ -263,8 +263,9 @@ def test_gltf_uris_are_never_opened(tmp_path: Path, uri: str, monkeypatch: pytes
     rest = data[20 + length :]
     head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
     path.write_bytes(head + text + rest)
-    monkeypatch.setattr("builtins.open", lambda *_, **__: pytest.fail("a file was opened"))
-    assert "other files" in refused_cheaply(path, read_glb)
+    opened, real_open = [], open
+    monkeypatch.setattr("builtins.open", lambda file, *a, **k: opened.append(file) or real_open(file, *a, **k))
+    assert "other files" in refused_cheaply(path, read_glb) and opened == [path]
 
 
 @pytest.fixture(scope="module")
