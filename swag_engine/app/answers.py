@@ -27,8 +27,13 @@ def show(document: dict[str, Any], as_json: bool, text: str) -> None:
         BrokenPipeError: Where the reader of stdout has ended.
         InputError: Where the disk of stdout is full.
     """
+    print_answer(to_json(document, indent=2) if as_json else printable(text), end="\n")
+
+
+def print_answer(text: str = "", end: str = "") -> None:
+    """Write a text, and what was printed before, to stdout; raises as `show`."""
     try:
-        print(to_json(document, indent=2) if as_json else printable(text), flush=True)
+        print(text, end=end, flush=True)
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python writes the rest when it closes stdout
         if isinstance(error, BrokenPipeError):
@@ -50,7 +55,10 @@ def refuse(sentence: str, arguments: Sequence[str], code: int = UNUSABLE, **more
     """
     if "--json" in arguments:
         print(to_json({"error": sentence} | more))
-    print(printable(sentence), file=sys.stderr)
+    try:
+        print(printable(sentence), file=sys.stderr, flush=True)
+    except OSError:  # nobody can read it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
     return code
 
 

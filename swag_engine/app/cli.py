@@ -7,7 +7,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -20,13 +20,13 @@ from ..base.files import require_parent
 from ..experiments.grid import Grid
 from ..formats.export import ExportOptions, export_run
 from ..formats.export import describe as describe_export
-from ..formats.registry import FormatName
+from ..formats.registry import FORMATS, FormatName
 from ..georeference.families import FAMILIES
 from ..georeference.papers import PAPERS
 from ..kernels.machine import engine_version
 from ..settings.field import settings_of
 from ..settings.settings import TrainSettings
-from .answers import BROKEN_PIPE, refuse, refuse_missing, show
+from .answers import BROKEN_PIPE, print_answer, refuse, refuse_missing, show
 from .interrupts import interrupts
 from .survey import Step, Survey
 
@@ -623,6 +623,10 @@ class Export:
 
     def run(self) -> int:
         """Run the command and return its exit code."""
+        if self.out.suffix.lower() != (suffix := FORMATS[self.format].suffix):
+            raise InputError(
+                f"{self.out} does not end in {suffix}, as files of the format {self.format} do: rename it."
+            )
         result = export_run(self.run_folder, self.format, require_parent(self.out), self.options)
         show(result, self.json, describe_export(result))
         return 0
@@ -689,9 +693,11 @@ class Search:
     def run(self) -> int:
         """Run the command and return its exit code."""
         from ..experiments.label_run import search_run, write_similarity
+        from ..formats.run_folder import RunFolder
 
         similarity, labels = search_run(self.run_folder, self.words, self.weights_dir)
         if self.out:
+            RunFolder(self.run_folder).refuse_own(self.out)
             write_similarity(self.out, similarity)
         alike = int((similarity > 0.5).sum())
         text = f"{alike} of {len(similarity)} Gaussians have a similarity above 0.5."
@@ -986,6 +992,19 @@ def _suggest(arguments: Sequence[str]) -> None:
         raise InputError(f"{before} has no command {words[0]}.{guess} {before} --help lists the commands.")
 
 
+def _parsed(parse: Callable[[], Any]) -> Any:
+    """Return what tyro makes of the command line; what it prints before it exits is written as an answer."""
+    try:
+        return parse()
+    except SystemExit as done:
+        if not done.code:
+            print_answer()
+        raise
+    except OSError:
+        print_answer()
+        raise
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one command.
 
@@ -996,23 +1015,23 @@ def main(arguments: list[str] | None = None) -> int:
         The exit code.
     """
     arguments = sys.argv[1:] if arguments is None else arguments
-    if arguments in ([], ["--version"]):
-        print(f"swag {engine_version()}" if arguments else START.format(program()))
-        return 0
     os.environ["SWAG_PROG"] = program()  # for commands that start others
     named = [Annotated[command, tyro.conf.subcommand(name=command_name(command))] for command in COMMANDS]
     union: Any = functools.reduce(operator.or_, named)
     interrupts.install()
     try:
+        if arguments in ([], ["--version"]):
+            print_answer(f"swag {engine_version()}" if arguments else START.format(program()), end="\n")
+            return 0
         for name in (*arguments, os.path.abspath(".")):
             if re.search("[\ud800-\udfff]", name):
                 raise InputError(f"{name} is not in UTF-8: rename the folder or the file.")
         _suggest(arguments)
         parse = functools.partial(tyro.cli, union, prog=program(), description=DESCRIPTION, args=arguments)
         if arguments[:1] == ["batch"]:
-            command, options = parse(return_unknown_args=True)
+            command, options = _parsed(functools.partial(parse, return_unknown_args=True))
             return command.run(options)
-        return parse().run()
+        return _parsed(parse).run()
     except InputError as error:
         return refuse(str(error), arguments)
     except (MemoryError, RuntimeError) as error:

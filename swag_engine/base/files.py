@@ -95,6 +95,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and not path.is_file():
+            raise OSError(errno.EINVAL, "it is no regular file")
         with temporary_folder(path.parent) as folder:
             yield (temporary := folder / path.name)
             with open(temporary, "rb+") as written:

@@ -255,6 +255,7 @@ def render_run(
         raise InputError(f"{scene.folder} has no photo named {camera}; the first is {names[0]}.")
     development = color_view(folder, develop, run.cloud, effects).at(water)
     paths = output_names(names, ".exr" if exr else ".png")
+    RunFolder(folder).refuse_own(*(out / paths[name] for name in wanted))
     files = []
     for view in scene.views:
         if view.camera.name not in wanted:

@@ -184,6 +184,8 @@ def film_run(
     Further arguments and the result are those of `render_film`.
     """
     scene_folder, settings, _ = RunFolder(folder).read_config()
+    suffix = ".exr" if options.exr else ".png"
+    RunFolder(folder).refuse_own(out, *(out / f"{frame.camera.name}{suffix}" for frame in frames))
     model = film_model(None, folder)
     with suppress(InputError):  # a film needs no photos
         frames = frames_near(frames, load_scene(scene_folder, read_scale=False).origin)

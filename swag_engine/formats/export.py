@@ -147,14 +147,23 @@ def export_run(folder: Path, format: FormatName, out: Path, options: ExportOptio
         from ..scene.colmap import load_scene
 
         scene = load_scene(scene_folder)
+    run.refuse_own(out)
+    stored = read_ply(run.ply)
+    box = None
+    if options.box:
+        corners = np.reshape(options.box, (2, 3))
+        middle, origin = corners.mean(axis=0), np.array(stored.origin)
+        # In coordinates of the COLMAP model, or of the run, which are relative to its origin: the nearer ones count.
+        corners = corners - origin if np.linalg.norm(middle - origin) < np.linalg.norm(middle) else corners
+        box = box_between(*corners.tolist())
     selection = SplatSelection(
         labels=label_ids(options.labels, folder / "labels.json") if options.labels else None,
-        box=box_between(options.box[:3], options.box[3:]) if options.box else None,
+        box=box,
         min_opacity=options.min_opacity,
         sh_degree=options.sh_degree,
         extras=options.extras,
     )
-    shown = with_haze(read_ply(run.ply), haze_amount(options.water, options.haze))
+    shown = with_haze(stored, haze_amount(options.water, options.haze))
     splats = require_splats(selection.apply(shown))
     medium = run.read_water()
     development = run.color_view(options.develop).at(options.water)

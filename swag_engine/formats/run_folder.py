@@ -10,6 +10,7 @@ import numpy as np
 from ..base.errors import DAMAGE, InputError, remedy
 from ..base.files import atomic_path, no_link, not_writable, read_text
 from ..base.strict_json import from_json, to_json
+from ..scene.image_files import IMAGE_SUFFIXES
 from ..settings.settings import TrainSettings
 from ..splats.development import NO_DEVELOPMENT, ColorView, Development
 from ..splats.splats import Splats
@@ -52,6 +53,39 @@ class RunFolder:
     def ply(self) -> Path:
         """The result as 3DGS PLY, from which the other commands read the splats."""
         return self.results["ply"]
+
+    def refuse_own(self, *outputs: Path) -> None:
+        """Refuse to write where a file of the run, a photo of its scene or its COLMAP model would be replaced.
+
+        Args:
+            *outputs: Files that a command is going to write; what they name through links counts.
+
+        Raises:
+            InputError: For the first such file.
+        """
+        from ..scene.colmap import load_scene
+
+        scene = None
+        for path in outputs:
+            real = path.resolve()
+            if not real.exists():
+                continue
+            own = real.parent == self.path.resolve() and (
+                real in {each.resolve() for each in (self.config, self.metrics, self.plan, *self.results.values())}
+                or real.name.startswith("checkpoint-")
+            )
+            if not own and scene is None:
+                try:
+                    folder = self.read_config()[0]
+                    scene = load_scene(folder, read_scale=False) if real.is_relative_to(folder.resolve()) else None
+                except InputError:
+                    scene = None  # its photos are not here
+            if scene is not None:
+                folders = {view.path.resolve().parent for view in scene.views}
+                own |= real.parent in folders and real.suffix.lower() in IMAGE_SUFFIXES
+                own |= real.is_relative_to(scene.model_folder.resolve())
+            if own:
+                raise InputError(f"{path} belongs to the run or to its scene and is not replaced: choose another name.")
 
     def write_result(self, splats: Splats, up: Sequence[float] | np.ndarray) -> None:
         """Write the files of `results`.

@@ -100,7 +100,7 @@ def scale_scene(folder: Path, known: Measurements, progress: Progress | None = N
     """
     scene = load_scene(folder, read_scale=False)
     measured = measure(scene, known, progress)
-    path = write_georeference(scene.folder, measured.moved_by(-scene.origin))
+    path = write_georeference(scene.folder, measured.for_model(scene.origin))
     return {"scene": str(scene.folder), "path": str(path)} | measured.to_json()
 
 

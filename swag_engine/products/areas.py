@@ -14,7 +14,7 @@ from ..formats.select import LABEL
 from ..semantics.labels import TABLE
 from .dem import read_heights, write_heights
 from .geotiff import NO_LABEL, map_crs, map_transform, read_map
-from .grid import MapGrid, make_grid
+from .grid import MapGrid
 from .heights import surface_factor, surface_margin, surface_step
 from .label_errors import area_errors, held_out_confusion
 from .label_map import (
@@ -89,7 +89,7 @@ def make_areas(
         changed, made, plane = correct_labels(source, out, corrected, backend, progress)
     scene = load_map_scene(source, plane)
     splat_labels(scene.splats)
-    grid = made or make_grid(scene.splats, pixel, box)
+    grid = made or scene.grid(pixel, box)
     crs = map_crs(scene)
     files = {name: out / file for name, file in FILES.items()}
     pixels = write_label_map(files["labels"], scene, grid, backend, progress)

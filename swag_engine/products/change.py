@@ -21,7 +21,7 @@ from ..splats.transform import transformed
 from .alignment import Alignment, align
 from .change_maps import FLAGS, SAMPLE, Comparison, Survey
 from .geotiff import NO_HEIGHT, NO_LABEL, Color, create_map, map_crs, map_transform
-from .grid import MapGrid, make_grid
+from .grid import MapGrid
 from .heights import EDGE, tile_heights
 from .label_map import label_name, splat_labels, tile_labels
 from .map_frame import MapScene, load_map_scene
@@ -104,7 +104,7 @@ def make_change(
     alignment = align(second.splats, first.splats, _initial(first, second), scale == "free")
     splats, matrix = transformed(second.splats, alignment.matrix), alignment.matrix @ second.matrix
     moved = replace(second, splats=splats, matrix=matrix)
-    grid = make_grid(first.splats, pixel, box)
+    grid = first.grid(pixel, box)
     crs = map_crs(first)
     files = {name: out / file for name, file in FILES.items()}
     photos = SurveyPhotos.of(first), SurveyPhotos.of(moved)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..base.errors import InputError, remedy
 from .geotiff import NO_HEIGHT, create_map, map_crs
-from .grid import MapGrid, make_grid
+from .grid import MapGrid
 from .heights import EDGE, surface_factor, surface_margin, surface_step, tile_heights
 from .map_frame import MapScene, load_map_scene
 from .ortho import describe as describe_map
@@ -64,7 +64,8 @@ def make_dem(
     if above is not None and not np.isfinite(above):
         raise InputError(f"The height of the plane is {above:g}: {remedy('give --above a number', 'choose a number')}.")
     scene = load_map_scene(source, plane)
-    grid = make_grid(scene.splats, pixel, box)
+    scene.refuse_own(out)
+    grid = scene.grid(pixel, box)
     crs = map_crs(scene)
     low, high, seen = write_heights(out, scene, grid, backend, progress)
     preview = write_preview(out, scene, grid)

@@ -1,5 +1,6 @@
 """Splats in the frame of a map: x right, y to the top, z towards the viewer, in metres where the scale is known."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from ..scene.georeference import Georeference, Placement, read_georeference
 from ..splats.development import NO_DEVELOPMENT, Development
 from ..splats.splats import Splats
 from ..splats.transform import rotation_to_y_up, transformed
+from .grid import MapGrid, make_grid
 from .tiles import SEEN
 
 PLANE_HELP = "up, fit, or a direction as in 0,0,1"
@@ -63,6 +65,31 @@ class MapScene:
     seen: float = SEEN
     run: Path | None = None
 
+    def without_offset(self, places: Sequence[float]) -> np.ndarray:
+        """Return places in the frame of the map.
+
+        Args:
+            places: x and y of each place one after another, with or without the offset of the placement: what lies
+                nearer to the splats counts.
+
+        Returns:
+            (M, 2) without the offset.
+        """
+        given = np.reshape(np.array(places, np.float64), (-1, 2))
+        offset = np.array(self.placement.offset[:2] if self.placement else (0.0, 0.0))
+        middle = given.mean(axis=0)
+        return given - offset if np.linalg.norm(middle - offset) < np.linalg.norm(middle) else given
+
+    def grid(self, pixel: float, box: tuple[float, float, float, float] | None, taglab: bool = False) -> MapGrid:
+        """Lay a grid over the splats, as `make_grid`, in a box with or without the offset of the placement."""
+        left, bottom, right, top = self.without_offset(box).ravel().tolist() if box else (0.0,) * 4
+        return make_grid(self.splats, pixel, (left, bottom, right, top) if box else None, taglab)
+
+    def refuse_own(self, *outputs: Path) -> None:
+        """Refuse to replace files of the run or of its scene; see `RunFolder.refuse_own`."""
+        if self.run:
+            RunFolder(self.run).refuse_own(*outputs)
+
 
 def load_map_scene(source: Path, plane: str = "up", water: float = 0.0, develop: str = "auto") -> MapScene:
     """Read a run or a splat PLY and turn it to the frame of a map.
@@ -105,8 +132,9 @@ def load_map_scene(source: Path, plane: str = "up", water: float = 0.0, develop:
     placement = splats.placement if direction is None else None
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
+    placed = transformed(splats, matrix)
     return MapScene(
-        transformed(splats, matrix), unit, placement, None, placement is not None, NO_DEVELOPMENT, matrix,
+        placed, unit, placement or _origin_of(placed), None, placement is not None, NO_DEVELOPMENT, matrix,
         notes=tuple(notes),
     )  # fmt: skip
 
@@ -134,6 +162,7 @@ def _load_run(folder: Path, plane: str, direction: np.ndarray | None, water: flo
     placement, north = None, False
     if plane == "up" and measured:
         matrix, placement, north = measured.matrix, measured.placement, measured.axes == "full"
+        splats.origin = (0.0, 0.0, 0.0)  # the measured frame is for coordinates after it
     else:
         if plane == "fit":
             direction = _fitted_normal(splats, np.mean([camera.centre for camera in cameras], axis=0))
@@ -151,10 +180,15 @@ def _load_run(folder: Path, plane: str, direction: np.ndarray | None, water: flo
         )
     table = _label_table(run)
     return MapScene(
-        placed, "m" if metres else "units", placement, _scale_error(measured), north, development,
+        placed, "m" if metres else "units", placement or _origin_of(placed), _scale_error(measured), north, development,
         matrix, {entry["id"]: entry["name"] for entry in table}, {entry["id"]: entry["gain"] for entry in table},
         tuple(notes), BESIDE_BACKGROUND if run.has_background_color() else SEEN, folder,
     )  # fmt: skip
+
+
+def _origin_of(splats: Splats) -> Placement | None:
+    """Return where splats with an origin lie: in no known coordinate reference system."""
+    return Placement(None, splats.origin) if any(splats.origin) else None
 
 
 def _scale_error(measured: Georeference | None) -> float | None:

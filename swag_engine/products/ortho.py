@@ -8,7 +8,7 @@ import numpy as np
 
 from ..base.files import atomic_path
 from .geotiff import create_map, map_crs
-from .grid import MapGrid, make_grid
+from .grid import MapGrid
 from .map_frame import MapScene, load_map_scene
 from .packages import require_packages
 from .preview import write_preview
@@ -57,7 +57,8 @@ def make_ortho(
     """
     require_packages()
     scene = load_map_scene(source, plane, water, develop)
-    grid = make_grid(scene.splats, pixel, box, taglab)
+    scene.refuse_own(out)
+    grid = scene.grid(pixel, box, taglab)
     crs = map_crs(scene)
     covered = write_ortho(out, scene, grid, taglab, backend, progress)
     files = [out, write_preview(out, scene, grid)]

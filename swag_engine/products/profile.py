@@ -56,9 +56,11 @@ def make_profile(
     if out.suffix.lower() != ".csv":
         raise InputError(f"{out.name} is no table: choose a name that ends in .csv.")
     scene = load_map_scene(source, plane)
-    ends = np.reshape(np.array(line, np.float64), (2, -1))
-    if ends.shape[1] == 3:
-        ends = ends @ scene.matrix[:3, :3].T + scene.matrix[:3, 3]
+    scene.refuse_own(out, out.with_suffix(".png"))
+    if len(line) == 6:
+        ends = np.reshape(np.array(line, np.float64), (2, 3)) @ scene.matrix[:3, :3].T + scene.matrix[:3, 3]
+    else:
+        ends = scene.without_offset(line)
     start, end = ends[:, :2]
     length = float(np.linalg.norm(end - start))
     if not (np.isfinite(length) and length > 0):

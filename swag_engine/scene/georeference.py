@@ -104,24 +104,26 @@ class Georeference:
         """Up direction (3,) in the scene's coordinates, unit length."""
         return self.rotation[2]
 
-    def moved_by(self, origin: "Origin") -> "Georeference":
+    def for_origin(self, origin: "Origin") -> "Georeference":
         """Return the similarity for coordinates of the scene from which an origin (3,) was subtracted.
 
-        A local frame that is then far from its zero is moved, and its placement tells by how much. What was not
-        measured of its place is not changed.
+        A local frame that is then still far from its zero is moved, and its placement tells by how much.
         """
         if not np.any(origin):
             return self
-        shift = self.metres_per_unit * self.rotation @ np.asarray(origin, np.float64)
-        if self.placement is None:
-            shift[: {"estimated": 3, "up": 2, "full": 0}[self.axes]] = 0
-        translation, placement = self.translation + shift, self.placement
-        if np.abs(translation).max() > FAR_FROM_ZERO and (placement or self.axes == "full"):
+        translation = self.translation + self.metres_per_unit * self.rotation @ np.asarray(origin, np.float64)
+        placement = self.placement
+        if np.abs(translation).max() > FAR_FROM_ZERO:
             known = placement or Placement(None, (0.0, 0.0, 0.0))
             whole = np.round(translation)
             x, y, z = (np.array(known.offset) + whole).tolist()
             translation, placement = translation - whole, Placement(known.crs, (x, y, z))
         return replace(self, translation=translation, placement=placement)
+
+    def for_model(self, origin: "Origin") -> "Georeference":
+        """Return the similarity for the coordinates from which `origin` (3,) was subtracted: that of scale.json."""
+        shift = self.metres_per_unit * self.rotation @ np.asarray(origin, np.float64)
+        return replace(self, translation=self.translation - shift)
 
     def to_json(self) -> dict[str, Any]:
         """Return the document of scale.json, which `from_json` reads."""
@@ -186,7 +188,7 @@ def read_georeference(scene: Path, origin: Origin = (0.0, 0.0, 0.0)) -> Georefer
     """
     path = scene / FILE_NAME
     try:
-        return Georeference.from_json(from_json(read_text(path))).moved_by(origin)
+        return Georeference.from_json(from_json(read_text(path))).for_origin(origin)
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:

@@ -89,6 +89,15 @@ def test_a_far_scene_trains_as_well_and_its_files_say_where_it_lies(tiny_scene, 
     for frames in (path, moved_path):
         found = frames_near(frames, origin)[0].camera.world_to_camera
         assert np.allclose(found, path[0].camera.world_to_camera, atol=1e-6)
+    boxed = [GEOCENTRIC[axis] + side for side in (-0.5, 0.5) for axis in range(3)]
+    counts = [
+        export_run(run, "ply", tmp_path / "box.ply", ExportOptions(box=box))["splats"]
+        for box in (tuple(boxed), tuple(np.subtract(boxed, [*origin, *origin]).tolist()))
+    ]
+    assert counts[0] == counts[1] and 0 < counts[0] < len(splats)
+    mapped = load_map_scene(run)
+    level = mapped.matrix[:3, :3] @ np.array(GEOCENTRIC)
+    assert np.abs(np.median(mapped.splats.positions, axis=0) + mapped.placement.offset - level).max() < 1
     cameras = pycolmap.Reconstruction(str(next(path.parent for path in tmp_path.glob("out*/**/cameras.*"))))
     centres = [cameras.image(number).projection_center() for number in cameras.reg_image_ids()]
     assert np.abs(centres - np.median(exported.positions, axis=0)).max() < 20
@@ -164,6 +173,9 @@ def test_a_measured_scale_is_that_of_the_model_and_maps_have_its_coordinates(tin
         run = tmp_path / f"{name} run"
         train(scene, run, TrainSettings(iterations=5, width=64, max_gaussians=400, sh_degree=0))
         shown = load_map_scene(run)
+        assert np.allclose(shown.placement.offset, stored["offset"], rtol=0, atol=1e-6)
+        whole = shown.without_offset((499990, 3999990, 500010, 4000010))
+        assert np.allclose(whole, shown.without_offset(whole.ravel().tolist()))
         middle = np.median(shown.splats.positions, axis=0) + shown.placement.offset
         assert np.abs(middle - (500000, 4000000, 0)).max() < 10
     assert np.allclose(places["near"], places["far"], atol=1e-3)

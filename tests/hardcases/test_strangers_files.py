@@ -31,6 +31,10 @@ from swag_engine.base.tables import read_table
 from swag_engine.base.text import command_text
 from swag_engine.camera_files.registry import read_camera_file
 from swag_engine.experiments import film
+from swag_engine.experiments.evaluate_run import render_run
+from swag_engine.experiments.film import FilmOptions, film_run
+from swag_engine.formats.camera_path import PathFrame
+from swag_engine.formats.export import export_run
 from swag_engine.formats.gltf import read_glb
 from swag_engine.formats.ply import read_ply, write_ply
 from swag_engine.formats.run_folder import RunFolder
@@ -38,6 +42,7 @@ from swag_engine.formats.spz import read_spz
 from swag_engine.formats.survey_folder import SurveyFolder
 from swag_engine.products import geotiff
 from swag_engine.products.ortho import make_ortho
+from swag_engine.products.profile import make_profile
 from swag_engine.scene import images
 from swag_engine.scene.cameras import Camera
 from swag_engine.scene.colmap import load_scene
@@ -297,3 +302,32 @@ def test_streams_that_are_closed_or_full(tmp_path, command, code):
     done = subprocess.run(words, cwd=tmp_path, env=child_environment(), capture_output=True, text=True, check=False)
     assert done.returncode == code and len(done.stderr.splitlines()) == (code == 2), done.stderr
     assert "answer" not in os.listdir(tmp_path) or "SWAG Splatting" in (tmp_path / "answer").read_text()
+
+
+def test_no_output_replaces_a_photo_a_model_or_a_file_of_the_run(finished_run, tiny_scene, tmp_path):
+    scene, run = shutil.copytree(tiny_scene, tmp_path / "scene"), shutil.copytree(finished_run, tmp_path / "run")
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps(config | {"scene": str(scene)}))
+    (tmp_path / "link").symlink_to(scene / "images")
+    before = {path: path.read_bytes() for folder in (scene, run) for path in folder.rglob("*") if path.is_file()}
+    frame = PathFrame(load_scene(scene).views[0].camera)
+    frame = PathFrame(replace(frame.camera, name="view_00"))
+    refused = [
+        lambda: render_run(run, scene / "images", None),
+        lambda: render_run(run, tmp_path / "link", None),
+        lambda: film_run(run, scene / "images", [frame], FilmOptions(overwrite=True)),
+        lambda: export_run(run, "ply", scene / "images" / "view_03.png"),
+        lambda: export_run(run, "ply", scene / "sparse" / "0" / "points3D.txt"),
+        lambda: export_run(run, "ply", run / "result.ply"),
+        lambda: export_run(run, "glb", run / "config.json"),
+        lambda: export_run(run, "ply", next(run.glob("checkpoint-*"))),
+        lambda: make_profile(run, (0.0, 0.0, 1.0, 1.0), scene / "images" / "view_00.csv"),
+    ]
+    for call in refused:
+        with pytest.raises(InputError, match="is not replaced"):
+            call()
+    assert {path: path.read_bytes() for path in before} == before
+    os.mkfifo(tmp_path / "pipe.ply")
+    with pytest.raises(InputError, match="no regular file"):
+        export_run(run, "ply", tmp_path / "pipe.ply")
+    assert render_run(run, scene / "renders", None) and render_run(run, scene / "renders", None)
