@@ -31,6 +31,9 @@ from .split import Split, split_views
 
 T = TypeVar("T")
 
+FARTHEST_CAMERA = 1e4
+"""Distance of a camera from the points, over their size, beyond which its position must be wrong."""
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -200,6 +203,7 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
         )
 
     views.sort(key=lambda view: view.name)
+    _refuse_far_cameras(views, points.positions)
     georeference = read_georeference(scene_folder, origin) if read_scale else None
     if georeference and georeference.axes != "estimated":
         up = georeference.up
@@ -218,6 +222,18 @@ def load_scene(folder: Path, read_scale: bool = True) -> Scene:
         georeference=georeference,
         origin=origin,
     )
+
+
+def _refuse_far_cameras(views: list[View], positions: np.ndarray) -> None:
+    """Raise InputError where a camera is so far from the points (P, 3) that its position must be wrong."""
+    middle = np.median(positions, axis=0)
+    size = float(np.percentile(np.abs(positions - middle).max(axis=1), 90))
+    far = [view.name for view in views if not np.abs(view.camera.centre - middle).max() <= FARTHEST_CAMERA * size]
+    if far and size:
+        raise InputError(
+            f"The COLMAP model places {first_names(far)} more than {FARTHEST_CAMERA:.0e} times the size of the scene "
+            "away from its points, which is impossible: correct the pose or reconstruct the scene again."
+        )
 
 
 def read_posed_images(model_folder: Path) -> tuple[list[tuple[str, Lens, np.ndarray]], Points]:

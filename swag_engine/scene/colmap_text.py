@@ -123,7 +123,11 @@ def _camera(words: list[str]) -> bytes:
 
 
 def _point(words: list[str], with_track: bool) -> bytes:
+    if len(words) < 7:
+        raise ValueError("a point needs an id, x, y, z, red, green and blue")
     number, *place = words[:4]
+    if not all(word.isdecimal() and int(word) < 256 for word in words[4:7]):
+        raise ValueError("a color is three whole numbers from 0 to 255")
     color, error = map(_whole, words[4:7]), float(words[7]) if len(words) > 7 else -1.0
     track = np.array(words[8:], np.float64).reshape(-1, 2).astype("<u4")[: None if with_track else 0]
     return struct.pack("<Q3d3BdQ", _whole(number), *map(float, place), *color, error, len(track)) + track.tobytes()

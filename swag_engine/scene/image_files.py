@@ -121,16 +121,23 @@ def match_masks(photos: Sequence[str], masks: Sequence[tuple[Path, str]]) -> tup
     return of, tuple(unused)
 
 
+def _is_around(folder: Path, here: Path) -> bool:
+    """Return whether a folder is a link to another one that holds `here`, a real path."""
+    return folder.is_symlink() and here.is_relative_to(folder.resolve())
+
+
 def files_below(folder: Path, suffixes: frozenset[str] = IMAGE_SUFFIXES) -> Iterator[tuple[Path, bool]]:
     """Yield image files, sorted, and whether each is a mask: in a folder of masks, or beside its photo."""
     found: list[tuple[Path, bool]] = []
     entered: set[str] = set()
+    here = folder.resolve()
     for parent, folders, files in os.walk(folder, followlinks=True):
         if (real := os.path.realpath(parent)) in entered:
             folders.clear()
             continue
         entered.add(real)
-        wanted = [name for name in folders if not name.startswith(".")]
+        # A link to a folder around this one would lead to all that is on the disk.
+        wanted = [name for name in folders if not name.startswith(".") and not _is_around(Path(parent, name), here)]
         folders[:] = sorted(wanted, key=lambda name: (os.path.islink(os.path.join(parent, name)), name))
         images = [name for name in files if Path(name).suffix.lower() in suffixes and not name.startswith(".")]
         in_masks = any(part.lower() in MASK_FOLDERS for part in Path(parent).relative_to(folder).parts)

@@ -16,6 +16,10 @@ _WIDEST_TANGENT = float(np.tan(np.radians(60)))
 """Tangent of the largest angle off the axis: beyond 60 degrees a pinhole image stretches the lens's to blur."""
 
 
+MOST_FOCAL = 1e4
+"""Largest focal length over the longer side of the image: a field of view of 0.006 degrees."""
+
+
 @dataclass(frozen=True)
 class Pinhole:
     """Intrinsics of a pinhole image, all in pixels; the centre of the top left pixel is (0.5, 0.5).
@@ -69,6 +73,8 @@ class Lens:
         focal = [self.params[index] for index in self.camera.focal_length_idxs()]
         if focal and min(focal) <= 0:
             return f"its focal length is {min(focal):g} pixels"
+        if focal and max(focal) > MOST_FOCAL * max(width, height):
+            return f"its focal length is {max(focal):g} pixels, {MOST_FOCAL:.0f} times the image and more"
         point = [self.params[index] for index in self.camera.principal_point_idxs()]
         if any(not -size <= value <= 2 * size for value, size in zip(point, (width, height), strict=False)):
             return f"its principal point ({point[0]:g}, {point[1]:g}) is far outside its {width} x {height} pixels"

@@ -89,11 +89,10 @@ def test_a_far_scene_trains_as_well_and_its_files_say_where_it_lies(tiny_scene, 
     for frames in (path, moved_path):
         found = frames_near(frames, origin)[0].camera.world_to_camera
         assert np.allclose(found, path[0].camera.world_to_camera, atol=1e-6)
-    boxed = [GEOCENTRIC[axis] + side for side in (-0.5, 0.5) for axis in range(3)]
-    counts = [
-        export_run(run, "ply", tmp_path / "box.ply", ExportOptions(box=box))["splats"]
-        for box in (tuple(boxed), tuple(np.subtract(boxed, [*origin, *origin]).tolist()))
-    ]
+    counts = []
+    for x, y, z in (GEOCENTRIC, np.subtract(GEOCENTRIC, origin).tolist()):
+        box = (x - 0.5, y - 0.5, z - 0.5, x + 0.5, y + 0.5, z + 0.5)
+        counts.append(export_run(run, "ply", tmp_path / "box.ply", ExportOptions(box=box))["splats"])
     assert counts[0] == counts[1] and 0 < counts[0] < len(splats)
     mapped = load_map_scene(run)
     level = mapped.matrix[:3, :3] @ np.array(GEOCENTRIC)

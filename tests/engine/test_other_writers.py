@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -234,3 +235,34 @@ def test_camera_tables_of_spreadsheets(tmp_path: Path, separator: str, encoding:
     path.write_text(text.replace("0.", "0,"))
     with pytest.raises(InputError, match=r"cameras\.csv, line \d: .*cells.*semicolons"):
         read_camera_file(path)
+
+
+@pytest.mark.parametrize(
+    ("part", "old", "new", "said"),
+    [
+        ("cameras", " 57.6 57.6 ", " 1e30 1e30 ", "times the image"),
+        ("images", "4.0 1 view_03.png", "1e12 1 view_03.png", "view_03.png more than 1e"),
+    ],
+)
+def test_numbers_that_are_finite_but_impossible_are_refused(tiny_scene, tmp_path, part, old, new, said):
+    scene = shutil.copytree(tiny_scene, tmp_path / "scene")
+    path = scene / "sparse" / "0" / f"{part}.txt"
+    assert old in (text := path.read_text())
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=said):
+        load_scene(scene)
+
+
+@pytest.mark.parametrize("line", ["9999 1 2 3 1 2", "9999 1 2 3 1 2 300 0.5", "9999 1 2 3 red 0 0 0"])
+def test_a_line_of_a_point_that_cannot_be_read_is_named_in_words(tiny_scene, tmp_path, line):
+    scene = shutil.copytree(tiny_scene, tmp_path / "scene")
+    with open(scene / "sparse" / "0" / "points3D.txt", "a") as file:
+        file.write(line + "\n")
+    with pytest.raises(InputError, match=r"line 301, cannot be read \((a color is|a point needs)"):
+        load_scene(scene)
+
+
+def test_a_link_to_a_folder_around_the_photos_is_not_followed(tiny_scene, tmp_path):
+    scene = shutil.copytree(tiny_scene, tmp_path / "scene")
+    (scene / "images" / "all").symlink_to("/")
+    assert load_scene(scene).image_count == 10
