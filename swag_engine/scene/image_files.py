@@ -13,6 +13,8 @@ from ..base.text import first_names
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp"})
 PHOTO_FOLDERS = ("images", "input")
 """Usual names of the folder of photos in a scene."""
+UNREADABLE = frozenset({".gif", ".npy", ".npz", ".mat", ".exr", ".tga", ".pgm", ".heic", ".avif"})
+"""Suffixes of masks that other programs write and that cannot be read here."""
 MASK_FOLDERS = frozenset({"masks", "mask", "image_masks", "images_masks", "images_mask"})
 """Names of folders of masks, in lower case."""
 _MASK_ENDING = re.compile(r"[._-]mask$", re.IGNORECASE)
@@ -20,19 +22,38 @@ _MASK_ENDING = re.compile(r"[._-]mask$", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class FoundMasks:
-    """Masks by their photos, and masks that belong to none."""
+    """Masks by their photos, and files beside them that are not used.
+
+    Attributes:
+        of: The mask of each photo that has one.
+        unused: Masks that belong to no photo.
+        second: Further masks of photos that have one.
+        unreadable: Files in folders of masks whose type cannot be read.
+    """
 
     of: Mapping[Path, Path]
     unused: tuple[Path, ...]
+    second: tuple[Path, ...] = ()
+    unreadable: tuple[Path, ...] = ()
 
     def warnings(self) -> list[str]:
-        """Return a sentence on the masks that belong to no photo, if there are some."""
-        if not self.unused:
-            return []
-        names = first_names([f"{path.parent.name}/{path.name}" for path in self.unused])
+        """Return a sentence on each kind of files that are not used."""
+        said = (
+            (
+                self.unused,
+                "Masks that fit no photo, not used ({count}): {names}. Name a mask as its photo, such as "
+                "masks/NAME.png or, where photos have the same name, masks/FOLDER/NAME.jpg.png.",
+            ),
+            (
+                self.second,
+                "Photos with more than one mask; not used ({count}): {names}. Remove those that do not count.",
+            ),
+            (self.unreadable, "Masks of a type that cannot be read ({count}): {names}. Save them as PNG."),
+        )
         return [
-            f"Masks that fit no photo, not used ({len(self.unused)}): {names}. Name a mask as its photo, such as "
-            "masks/NAME.png or, where photos have the same name, masks/FOLDER/NAME.jpg.png."
+            sentence.format(count=len(paths), names=first_names([f"{path.parent.name}/{path.name}" for path in paths]))
+            for paths, sentence in said
+            if paths
         ]
 
 
@@ -67,17 +88,24 @@ def find_masks(photos: Iterable[Path], root: Path, others: Iterable[Path] | None
     """
     if others is None:
         others = [root.parent] if root.name.lower() in PHOTO_FOLDERS else []
-    files = [
+    suffixes = IMAGE_SUFFIXES | UNREADABLE
+    found = [
         (path, _name_below(path, parent))
         for parent in dict.fromkeys(others)
         for folder in sorted(next(os.walk(parent), ("", [], []))[1])
         if folder.lower() in MASK_FOLDERS and root not in (parent, parent / folder)
-        for path, _ in files_below(parent / folder)
+        for path, _ in files_below(parent / folder, suffixes)
     ]
-    files += [(path, _name_below(path, root)) for path, is_mask in files_below(root) if is_mask]
+    found += [(path, _name_below(path, root)) for path, is_mask in files_below(root, suffixes) if is_mask]
+    files = [(path, name) for path, name in found if path.suffix.lower() in IMAGE_SUFFIXES]
     named = {path: path.relative_to(root).as_posix() for path in photos}
     of, unused = match_masks(list(named.values()), files)
-    return FoundMasks({path: of[name] for path, name in named.items() if name in of}, unused)
+    left = {path for path, _ in found} - {*of.values(), *unused}
+    second, unreadable = (
+        tuple(sorted(path for path in left if (path.suffix.lower() in UNREADABLE) == wanted))
+        for wanted in (False, True)
+    )
+    return FoundMasks({path: of[name] for path, name in named.items() if name in of}, unused, second, unreadable)
 
 
 def _name_below(mask: Path, folder: Path) -> str:

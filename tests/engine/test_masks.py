@@ -1,3 +1,4 @@
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -133,3 +134,15 @@ def test_structure_from_motion_copies_masks_and_looks_for_features_outside_them(
     (dive / "masks" / "a.png").write_bytes(b"no picture")
     with pytest.raises(InputError, match="a.png cannot be read as an image"):
         copy_photos(dive, images, pictures, lambda stage, fraction: None)
+
+
+def test_masks_that_are_not_used_are_said(tiny_scene: Path, tmp_path: Path) -> None:
+    """Two masks of one photo, and masks as GIF and numpy files."""
+    scene = shutil.copytree(tiny_scene, tmp_path / "scene")
+    for path in ("masks/view_00.png", "mask/view_00.png", "masks/view_01.gif", "masks/view_02.npy"):
+        (scene / path).parent.mkdir(exist_ok=True)
+        write(scene / "white.png", np.full((48, 64), 255, np.uint8))
+        (scene / "white.png").replace(scene / path)
+    first, second = load_scene(scene).masks.warnings()
+    assert first.startswith("Photos with more than one mask; not used (1): mask")
+    assert "(2): masks/view_01.gif, masks/view_02.npy" in second
