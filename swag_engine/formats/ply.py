@@ -247,6 +247,9 @@ def _read(path: Path, file: BinaryIO) -> Splats:
     if axes == 2:
         scales[:, 2] = FLATNESS * scales[:, :2].min(axis=1)
     placement, origin = _place(comments)
+    for name, found in (("crs_offset", placement is not None), ("origin", any(origin))):
+        if name in comments and not found:
+            log.warning("%s: the comment %s is not three usable numbers and was left out", path, name)
     finite = np.isfinite(positions).all(axis=1)
     if dict(vertex.properties)["x"] == "f8" and finite.any():
         own = local_origin(positions[finite])

@@ -12,7 +12,7 @@ from swag_engine.base.local_origin import local_origin
 from swag_engine.formats.camera_path import PathFrame, frames_near
 from swag_engine.formats.cameras import transform_camera
 from swag_engine.formats.export import ExportOptions, export_run
-from swag_engine.formats.ply import read_ply
+from swag_engine.formats.ply import read_ply, write_ply
 from swag_engine.formats.registry import FORMATS
 from swag_engine.georeference.measure import Measurements, scale_scene
 from swag_engine.products.map_frame import load_map_scene
@@ -148,6 +148,16 @@ def test_a_file_with_double_positions_keeps_them(tmp_path):
     (tmp_path / "far.ply").write_text("\n".join([*header, "end_header", *lines]) + "\n")
     found = read_ply(tmp_path / "far.ply")
     assert np.abs(found.positions + np.array(found.origin) - rows[:, :3]).max() < 1e-5
+
+
+@pytest.mark.parametrize("comment", ["origin nan 1 2", "origin 1 2", "crs_offset inf 0 0", "crs_offset a b c"])
+def test_an_origin_that_cannot_be_used_is_said(tmp_path, caplog, comment):
+    write_ply(tmp_path / "a.ply", random_splats(5))
+    data = (tmp_path / "a.ply").read_bytes().replace(b"element", f"comment {comment}\nelement".encode(), 1)
+    (tmp_path / "a.ply").write_bytes(data)
+    found = read_ply(tmp_path / "a.ply")
+    assert found.placement is None and not any(found.origin)
+    assert f"the comment {comment.split()[0]} is not three usable numbers" in caplog.text
 
 
 @FAR
