@@ -989,9 +989,8 @@ def _suggest(arguments: Sequence[str]) -> None:
         close = difflib.get_close_matches(words[0].lower(), known, 1)
         guess = f" Did you mean {close[0]}?" if close else ""
         before = " ".join([program(), *arguments[: len(arguments) - len(words)]])
-        raise InputError(
-            f"{before} has no command {words[0]}.{guess} {before} --help lists the commands, and COMMAND --help says what one takes."
-        )
+        how = f"{before} --help lists the commands, and {before} COMMAND --help says what one takes."
+        raise InputError(f"{before} has no command {words[0]}.{guess} {how}")
 
 
 def _parsed(parse: Callable[[], Any]) -> Any:
