@@ -53,13 +53,13 @@ def test_slurm_arrays_name_blocks_and_seams(tmp_path, parts, task, block):
     for number in range(1, 13):
         (tmp_path / "a survey" / "blocks" / f"B-{number:03d}").mkdir(parents=True)
     (tmp_path / "a survey" / "seams" / "S-001-002").mkdir(parents=True)
-    script = code("bash", "SLURM_ARRAY_TASK_ID").replace("exec python", 'exec echo "$OMP_NUM_THREADS"')
+    script = code("bash", "SLURM_ARRAY_TASK_ID").replace("exec swag", 'exec echo "$OMP_NUM_THREADS"')
     environment = {"PATH": "/usr/bin:/bin", "SLURM_CPUS_PER_TASK": "8", "SLURM_ARRAY_TASK_ID": task}
     answer = subprocess.run(
         ["bash", "-s", "a survey", *parts], input=script, cwd=tmp_path, env=environment, capture_output=True, text=True,
         check=True,
     )  # fmt: skip
-    assert answer.stdout == f"8 -m swag_engine survey block a survey --block {block}\n"
+    assert answer.stdout == f"8 survey block a survey --block {block}\n"
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a script for bash")
